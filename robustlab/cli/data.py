@@ -206,8 +206,7 @@ class DiscoveryFiles:
             files.append(_save_plant(found, Path(self.model_out), provenance))
         if self.out:
             files += _fill_folder(found, result, Path(self.out), provenance)
-        for file in files:
-            note(f"wrote {file}")
+        _tell(files)
         return files
 
 
@@ -352,6 +351,7 @@ def compare(
 
         files += save_figures(comparison_figures(found), figures)
     files += _keep(found, output.out, "data compare", (model, data, *repeat))
+    _tell(files)
     emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), output.as_json)
     require_trust(found.status)
 
@@ -456,6 +456,7 @@ def validate(
 
         files += save_figures(validation_figures(found), figures, "validation-")
     files += _keep(found, output.out, "data validate", (uncertain, data))
+    _tell(files)
     result: dict[str, Any] = {**found.to_json(series=False), "files": files}
     text = found.summary()
     if envelope is not None:
@@ -519,6 +520,11 @@ def _provenance(command: str, sources: Sequence[str]) -> Provenance:
     return Provenance.now(command, inputs=used)
 
 
+def _tell(files: Sequence[str]) -> None:
+    for file in files:
+        note(f"wrote {file}")
+
+
 def _keep(found: Any, out: str | None, command: str, sources: Sequence[str]) -> list[str]:
     """Write a result where a file was named; its path."""
     from robustlab.storage import save
@@ -544,7 +550,7 @@ def _save_plant(found: Discovery, path: Path, provenance: Provenance) -> str:
 
 def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenance: Provenance) -> list[str]:
     from robustlab.files.atomic import atomic_write
-    from robustlab.report.discovery_figures import write_page
+    from robustlab.report.discovery_page import write_page
     from robustlab.result import plain
 
     try:

@@ -148,7 +148,7 @@ class QuietDesignOutput(DesignOutput):
 
 def _draw(found: Synthesis, figure: str) -> None:
     """Write all figures that there are of a design."""
-    from robustlab.report.design_pictures import pictures
+    from robustlab.report.design_figures import pictures
 
     for suffix, make in pictures(found).items():
         try:

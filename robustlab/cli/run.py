@@ -43,6 +43,7 @@ def run(
     from robustlab.recipe.load import load_recipe
     from robustlab.recipe.paths import recipe_path
     from robustlab.recipe.run import run_recipe
+    from robustlab.report.html import in_words
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     folder = Path(out) if out else Path("out") / loaded.recipe.name
@@ -58,7 +59,7 @@ def run(
         result = run_recipe(loaded, folder, begin)
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or _short(q["value"]), q["condition"])
+        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"]), q["condition"])
         for q in data["requirements"]
     ]
     doubtful = [
@@ -75,11 +76,3 @@ def run(
     ]
     emit("run", {**data, "folder": str(result.folder)}, "\n\n".join(parts), as_json)
     raise typer.Exit(result.exit_code)
-
-
-def _short(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "none"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -193,7 +193,7 @@ def fixed(
     """
     channels.check("synth fixed")
     output.check()
-    from robustlab.synthesis.fixed import fixed_structure as design
+    from robustlab import fixed_structure as design
     from robustlab.synthesis.laws.controller_structures import structure_in_words
 
     plant = channels.plant("synth fixed", file, nominal)

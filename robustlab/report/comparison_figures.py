@@ -1,6 +1,6 @@
 """Figures of a comparison: where it disagrees at a glance, over time, over speed, over frequency, residual tests.
 
-Figures of the linear part of a record and of what is beyond it: frequency response, and lines of a periodic one.
+And of the linear part of a record and what is beyond it: its frequency response, and the lines of a periodic one.
 """
 
 from __future__ import annotations
@@ -17,112 +17,34 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.identification.comparison.comparison import Comparison
 from robustlab.identification.comparison.localisation import Bin, DirectionError
-from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    axis_label,
+    headroom,
+    house_style,
+    logarithmic,
+    new_figure,
+    plain_label,
+    stem,
+    zero_line,
+)
 
 __all__ = [
     "comparison_figures",
+    "harmonics_figure",
     "outline",
     "residual_figure",
+    "response_figure",
     "spectrum_figure",
     "speed_figure",
     "time_figure",
     "where_figure",
-    "harmonics_figure",
-    "response_figure",
 ]
 
 
 FEW_LINES = 60  # drawn with a marker each
 SHOWN_BEYOND = 3.0  # times the highest excited line
 FEWEST_SHOWN = 20  # lines
-
-
-def response_figure(comparison: Comparison, output: str) -> Figure:
-    """Magnitude, phase and coherence of the recorded response from each input, beside the model's."""
-    row = comparison.linear[output]
-    figure, axes = new_figure(
-        3, len(row), width=max(7.6, 4.6 * len(row)), height=2.2, sharex="col", gridspec_kw={"height_ratios": [3, 2, 2]}
-    )
-    with house_style():
-        for j, (u, g) in enumerate(row.items()):
-            above, middle, below = axes[j :: len(row)]
-            few = len(g.frequency) <= FEW_LINES
-            f, marker = g.frequency, "o" if few else ""
-            # Of many lines, those whose deviation is larger than they are say nothing.
-            size = np.where(few | (g.std < np.abs(g.response)), np.abs(g.response), np.nan)
-            bottom = 0.3 * float(np.nanmin(np.append(size[size > 0], np.abs(g.model).min() or np.nan)))
-            if g.noise_std is not None and (g.noise_std > 0).any():
-                bottom = min(bottom, 0.5 * float(g.noise_std[g.noise_std > 0].min()))
-            above.fill_between(
-                f, np.maximum(size - 2 * g.std, bottom), size + 2 * g.std, color=COLOURS["band"], alpha=0.35, lw=0
-            )
-            above.fill_between([], [], [], color=COLOURS["band"], alpha=0.35, lw=0, label="± 2 std")
-            above.plot(f, size, color=COLOURS["measured"], marker=marker, ms=3, lw=1.2, label="record")
-            above.plot(f, np.abs(g.model), color=COLOURS["worst"], ls=(0, (5, 1.5)), lw=1.4, label="model")
-            for level, key, label in (
-                (g.nonlinear_std, "limit", "nonlinear distortion"),
-                (g.noise_std, "good", "noise"),
-            ):
-                if level is not None and (level > 0).any():
-                    above.plot(f, np.where(level > 0, level, np.nan), color=COLOURS[key], lw=1.2, label=label)
-            logarithmic(above.yaxis)
-            above.set_ylim(bottom, 3.0 * float(np.nanmax(np.append(size, np.abs(g.model)))))
-            units = comparison.outputs[output].unit or "1", comparison.measured.unit(u) or "1"
-            above.set_ylabel(plain_label(f"magnitude [{units[0]}/{units[1]}]"))
-            above.set_title(plain_label(f"{u} to {output}: best linear approximation ({g.method})"))
-            above.legend(loc="best", ncols=2)
-            for values, colour, line in (
-                (np.where(np.isfinite(size), g.response, np.nan), COLOURS["measured"], "-"),
-                (g.model, COLOURS["worst"], (0, (5, 1.5))),
-            ):
-                middle.plot(f, _near(np.angle(g.model), np.angle(values)), color=colour, ls=line, lw=1.2)
-            middle.set_ylabel("phase [degrees]")
-            below.plot(f, g.coherence, color=COLOURS["nominal"], marker=marker, ms=3, lw=1.2)
-            below.set_ylim(-0.03, 1.05)
-            below.set_ylabel("coherence")
-            below.set_xlabel("frequency [Hz]")
-            below.set_xscale("log")
-            below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            below.xaxis.set_minor_formatter(NullFormatter())
-            below.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-            if len(f) > 1:
-                below.set_xlim(f[0], f[-1])
-    return figure
-
-
-def harmonics_figure(comparison: Comparison) -> Figure:
-    """Lines of every judged signal: excited, even and odd ones that are not, over the noise."""
-    test = comparison.nonlinearity
-    figure, axes = new_figure(len(test.signals), 1, width=7.6, height=2.6, sharex=True)
-    kinds = ((0, "excited", "measured", "o"), (1, "even", "worst", "s"), (2, "odd, not excited", "nominal", "D"))
-    with house_style():
-        for panel, (name, s) in zip(axes, test.signals.items(), strict=True):
-            excited = s.frequency[s.kind == 0]
-            shown = s.frequency <= max(SHOWN_BEYOND * excited.max(), FEWEST_SHOWN * s.frequency[0])
-            for kind, label, colour, marker in kinds:
-                chosen = shown & (s.kind == kind) & (s.amplitude > 0)
-                panel.plot(
-                    s.frequency[chosen], s.amplitude[chosen], marker, ms=4, mew=0, color=COLOURS[colour], label=label
-                )
-            chosen = shown & (s.noise > 0)
-            panel.plot(s.frequency[chosen], s.noise[chosen], "-", lw=1.0, color=COLOURS["good"], label="noise alone")
-            logarithmic(panel.yaxis)
-            top = float(s.amplitude[shown].max())
-            panel.set_ylim(bottom=max(panel.get_ylim()[0], 1e-9 * top), top=5.0 * top)
-            unit = comparison.measured.units.get(name, "")
-            panel.set_ylabel(axis_label("amplitude", unit))
-            panel.set_title(plain_label(f"{name}: {s.words()} of its power is nonlinear"))
-        axes[0].legend(loc="upper right", ncols=4)
-        axes[-1].set_xlabel("frequency [Hz]")
-    return figure
-
-
-def _near(reference: Array, angle: Array) -> Array:
-    """Angles in degrees, each within half a turn of the unwrapped ``reference``."""
-    unwrapped = np.unwrap(reference)
-    return np.degrees(unwrapped + np.angle(np.exp(1j * (angle - unwrapped))))
-
-
 DRAWN_POINTS = 2000  # a longer curve is drawn as the smallest and largest value of each of 1000 stretches
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
 DECADES = 12  # shown below the largest density
@@ -137,8 +59,7 @@ def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
     """
     figures: dict[str, Figure] = {}
     for k, output in enumerate(comparison.outputs, start=1):
-        # The keys become file names, and an output's name may come from a file.
-        name = output if output.isidentifier() and output.isascii() else f"output{k}"
+        name = stem(output, k)
         figures[f"where-{name}"] = where_figure(comparison, output)
         figures[f"time-{name}"] = time_figure(comparison, output)
         if output in comparison.speed:
@@ -251,7 +172,7 @@ def time_figure(comparison: Comparison, output: str) -> Figure:
         above.set_ylabel(axis_label(output, unit))
         above.set_title(plain_label(f"{comparison.model} against {comparison.record}"))
         above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.02), ncols=2)
-        _headroom(above, below=0.22)
+        headroom(above, below=0.22)
         middle.plot(*outline(t, y - free), color=FREE, lw=1.2)
         middle.set_ylabel(axis_label("error", unit))
         middle.set_title(f"free run: rms {gap.rms_percent:.3g} %, peak {gap.peak_percent:.3g} % of the range")
@@ -269,12 +190,12 @@ def time_figure(comparison: Comparison, output: str) -> Figure:
             f"windows of {comparison.window:.3g} s, each from its best start: "
             f"rms {gap.windowed_rms_percent:.3g} %, peak {gap.windowed_peak_percent:.3g} %"
         )
-        _headroom(below, above=0.25)
+        headroom(below, above=0.25)
         below.legend(loc="upper left", bbox_to_anchor=(0.0, 1.04))
         below.set_xlabel("time [s]")
         below.set_xlim(t[0], t[-1])
         for axes in (middle, below):
-            axes.axhline(0.0, color="#888888", lw=0.8)
+            zero_line(axes)
     return figure
 
 
@@ -290,7 +211,7 @@ def speed_figure(comparison: Comparison, output: str) -> Figure:
         axes[0].set_title(f"error of {plain_label(output)} in windows of {comparison.window:.3g} s")
         for panel, (name, d) in zip(axes[1:], comparison.disturbance.items(), strict=True):
             speed = np.zeros(0) if d.speed is None else d.speed
-            panel.axhline(0.0, color="#888888", lw=0.8)
+            zero_line(panel)
             panel.axvline(0.0, color="#888888", lw=0.8)
             for colour, chosen in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
                 panel.plot(speed[chosen], d.value[chosen], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
@@ -365,6 +286,92 @@ def residual_figure(comparison: Comparison, output: str) -> Figure:
     return figure
 
 
+def response_figure(comparison: Comparison, output: str) -> Figure:
+    """Magnitude, phase and coherence of the recorded response from each input, beside the model's."""
+    row = comparison.linear[output]
+    figure, axes = new_figure(
+        3, len(row), width=max(7.6, 4.6 * len(row)), height=2.2, sharex="col", gridspec_kw={"height_ratios": [3, 2, 2]}
+    )
+    with house_style():
+        for j, (u, g) in enumerate(row.items()):
+            above, middle, below = axes[j :: len(row)]
+            few = len(g.frequency) <= FEW_LINES
+            f, marker = g.frequency, "o" if few else ""
+            # Of many lines, those whose deviation is larger than they are say nothing.
+            size = np.where(few | (g.std < np.abs(g.response)), np.abs(g.response), np.nan)
+            bottom = 0.3 * float(np.nanmin(np.append(size[size > 0], np.abs(g.model).min() or np.nan)))
+            if g.noise_std is not None and (g.noise_std > 0).any():
+                bottom = min(bottom, 0.5 * float(g.noise_std[g.noise_std > 0].min()))
+            above.fill_between(
+                f, np.maximum(size - 2 * g.std, bottom), size + 2 * g.std, color=COLOURS["band"], alpha=0.35, lw=0
+            )
+            above.fill_between([], [], [], color=COLOURS["band"], alpha=0.35, lw=0, label="± 2 std")
+            above.plot(f, size, color=COLOURS["measured"], marker=marker, ms=3, lw=1.2, label="record")
+            above.plot(f, np.abs(g.model), color=COLOURS["worst"], ls=(0, (5, 1.5)), lw=1.4, label="model")
+            for level, key, label in (
+                (g.nonlinear_std, "limit", "nonlinear distortion"),
+                (g.noise_std, "good", "noise"),
+            ):
+                if level is not None and (level > 0).any():
+                    above.plot(f, np.where(level > 0, level, np.nan), color=COLOURS[key], lw=1.2, label=label)
+            logarithmic(above.yaxis)
+            above.set_ylim(bottom, 3.0 * float(np.nanmax(np.append(size, np.abs(g.model)))))
+            units = comparison.outputs[output].unit or "1", comparison.measured.unit(u) or "1"
+            above.set_ylabel(plain_label(f"magnitude [{units[0]}/{units[1]}]"))
+            above.set_title(plain_label(f"{u} to {output}: best linear approximation ({g.method})"))
+            above.legend(loc="best", ncols=2)
+            for values, colour, line in (
+                (np.where(np.isfinite(size), g.response, np.nan), COLOURS["measured"], "-"),
+                (g.model, COLOURS["worst"], (0, (5, 1.5))),
+            ):
+                middle.plot(f, _near(np.angle(g.model), np.angle(values)), color=colour, ls=line, lw=1.2)
+            middle.set_ylabel("phase [degrees]")
+            below.plot(f, g.coherence, color=COLOURS["nominal"], marker=marker, ms=3, lw=1.2)
+            below.set_ylim(-0.03, 1.05)
+            below.set_ylabel("coherence")
+            below.set_xlabel("frequency [Hz]")
+            below.set_xscale("log")
+            below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            below.xaxis.set_minor_formatter(NullFormatter())
+            below.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+            if len(f) > 1:
+                below.set_xlim(f[0], f[-1])
+    return figure
+
+
+def harmonics_figure(comparison: Comparison) -> Figure:
+    """Lines of every judged signal: excited, even and odd ones that are not, over the noise."""
+    test = comparison.nonlinearity
+    figure, axes = new_figure(len(test.signals), 1, width=7.6, height=2.6, sharex=True)
+    kinds = ((0, "excited", "measured", "o"), (1, "even", "worst", "s"), (2, "odd, not excited", "nominal", "D"))
+    with house_style():
+        for panel, (name, s) in zip(axes, test.signals.items(), strict=True):
+            excited = s.frequency[s.kind == 0]
+            shown = s.frequency <= max(SHOWN_BEYOND * excited.max(), FEWEST_SHOWN * s.frequency[0])
+            for kind, label, colour, marker in kinds:
+                chosen = shown & (s.kind == kind) & (s.amplitude > 0)
+                panel.plot(
+                    s.frequency[chosen], s.amplitude[chosen], marker, ms=4, mew=0, color=COLOURS[colour], label=label
+                )
+            chosen = shown & (s.noise > 0)
+            panel.plot(s.frequency[chosen], s.noise[chosen], "-", lw=1.0, color=COLOURS["good"], label="noise alone")
+            logarithmic(panel.yaxis)
+            top = float(s.amplitude[shown].max())
+            panel.set_ylim(bottom=max(panel.get_ylim()[0], 1e-9 * top), top=5.0 * top)
+            unit = comparison.measured.units.get(name, "")
+            panel.set_ylabel(axis_label("amplitude", unit))
+            panel.set_title(plain_label(f"{name}: {s.words()} of its power is nonlinear"))
+        axes[0].legend(loc="upper right", ncols=4)
+        axes[-1].set_xlabel("frequency [Hz]")
+    return figure
+
+
+def _near(reference: Array, angle: Array) -> Array:
+    """Angles in degrees, each within half a turn of the unwrapped ``reference``."""
+    unwrapped = np.unwrap(reference)
+    return np.degrees(unwrapped + np.angle(np.exp(1j * (angle - unwrapped))))
+
+
 def outline(t: Array, y: Array, points: int = DRAWN_POINTS) -> tuple[Array, Array]:
     """A curve with at most ``points`` points that looks like ``y``: the extremes of each stretch, in their order."""
     n = len(y)
@@ -403,8 +410,8 @@ def _bars(axes: Axes, bins: tuple[Bin, ...], unit: str) -> None:
     axes.plot([], [], "s", color=FREE, alpha=0.55, label="rms backward")
     axes.plot([], [], "s", color=WINDOWED, alpha=0.55, label="rms forward")
     axes.plot([], [], "o", color=MEASURED, ms=3.5, label="mean")
-    axes.axhline(0.0, color="#888888", lw=0.8)
-    _headroom(axes, above=0.22)
+    zero_line(axes)
+    headroom(axes, above=0.22)
     axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.3)
 
 
@@ -412,13 +419,7 @@ def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> No
     axes.axhspan(-band, band, color=COLOURS["band"], alpha=0.3, lw=0, label="99 % band if the model were right")
     axes.vlines(lags, 0.0, values, color=COLOURS["nominal"], lw=1.1)
     axes.plot(lags, values, "o", color=COLOURS["nominal"], ms=2.6)
-    axes.axhline(0.0, color="#888888", lw=0.8)
-
-
-def _headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
-    """Room for a legend, as shares of the height."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low - below * (high - low), high + above * (high - low))
+    zero_line(axes)
 
 
 def _cycle(count: int) -> list[str]:

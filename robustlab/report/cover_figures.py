@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from robustlab.arrays import Array
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
-from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import COLOURS, frequency_axis, house_style, logarithmic, new_figure, plain_label
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import FullBlock
 from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
@@ -150,11 +150,10 @@ def blocks_figure(made: EffectBlocks) -> Figure | None:
             style = ("-", (0, (5, 1.5)), (0, (1, 1)))[k // 10 % 3]
             percent = np.maximum(100.0 * moved / size, 1e-12)
             axes.plot(omega, percent, label=plain_label(block.name), lw=1.4, color=f"C{k % 10}", ls=style)
-        logarithmic(axes.xaxis)
+        frequency_axis(axes)
         logarithmic(axes.yaxis)
         top = max(float(line.get_ydata().max()) for line in axes.lines)  # type: ignore[union-attr]
         axes.set_ylim(max(1e-3, 1e-6 * top), 2.0 * top)
-        axes.set_xlabel("frequency [rad/s]")
         axes.set_ylabel("change of the response [%]")
         axes.set_title("What each block alone does")
         figure.legend(loc="outside right upper")

@@ -1,13 +1,8 @@
-"""Figures of designs: the weighted loop with its peak, S, T and K S with their bounds, controllers, mu, simulations.
-
-What a functions figure shows: S, K S and T of the loops of one or several controllers, with their bounds.
-
-Figures of a mixed-sensitivity design: S, KS and T against the inverses of their weights.
-"""
+"""Figures of designs: the weighted loop with its peak, S, T and K S with their bounds, controllers, mu, simulations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,23 +12,38 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
-from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    axis_label,
+    frequency_axis,
+    house_style,
+    legend_below,
+    logarithmic,
+    new_figure,
+    plain_label,
+)
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
+    from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
 __all__ = [
     "FunctionPanel",
     "TimePanel",
-    "functions_figure",
-    "history_figure",
-    "loop_figure",
-    "mu_comparison_figure",
-    "runs_figure",
-    "tracking_panels",
     "WeightedResponse",
+    "functions_figure",
+    "functions_picture",
+    "history_figure",
+    "history_picture",
+    "loop_figure",
+    "loop_picture",
+    "mu_comparison_figure",
+    "mu_picture",
+    "pictures",
+    "runs_figure",
     "sensitivity_figure",
+    "tracking_panels",
 ]
 
 
@@ -96,13 +106,12 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
             if panel.proved is not None:
                 text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"
                 axes.plot(omega, panel.proved, color=COLOURS["limit"], ls=(0, (5, 2)), label=text)
-            logarithmic(axes.xaxis)
+            frequency_axis(axes, (omega[0], omega[-1]))
             logarithmic(axes.yaxis)
             _span(axes, list(panel.gains.values()), 4.0, [b for b in (panel.allowed, panel.proved) if b is not None])
-            axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
             axes.set_title(axis_label(panel.name, panel.unit))
         axes_list[0].set_ylabel("largest singular value")
-        _legend_below(figure, axes_list)
+        legend_below(figure, axes_list)
     return figure
 
 
@@ -171,8 +180,7 @@ def loop_figure(
         logarithmic(loop.yaxis)
         _span(gains, list(values.T), 8.0)
         for axes in (loop, gains):
-            logarithmic(axes.xaxis)
-            axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
+            frequency_axis(axes, (omega[0], omega[-1]))
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
     return figure
 
@@ -184,9 +192,8 @@ def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of r
         top = 1.0
         for (name, margin), (colour, dashes, width) in zip(margins.items(), _cycle(len(margins)), strict=True):
             proved = 1 / margin.lower if margin.lower > 0 else float("inf")
-            label = f"{plain_label(name)}: at most {proved:.4g} on the whole axis" if np.isfinite(proved) else (
-                f"{plain_label(name)}: nothing proved on the whole axis"
-            )  # fmt: skip
+            said = f"at most {proved:.4g}" if np.isfinite(proved) else "nothing proved"
+            label = f"{plain_label(name)}: {said} on the whole axis"
             axes.plot(margin.omega, margin.mu_upper, color=colour, ls=dashes, lw=width, label=label)
             if np.isfinite(proved):
                 axes.axhline(proved, color=colour, lw=0.7, alpha=0.7)
@@ -195,10 +202,10 @@ def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of r
                 axes.plot(margin.frequency, 1 / margin.upper, "o", color=colour, ms=5)
         axes.plot([], [], "o", color=COLOURS["sample"], ms=5, label="attained by an explicit Δ")
         axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.2, label="1: requirement met by every member")
-        logarithmic(axes.xaxis)
         omega = next(iter(margins.values())).omega
-        axes.set(xlim=(omega[0], omega[-1]), ylim=(0, 1.1 * top), xlabel="frequency [rad/s]", ylabel=quantity)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        frequency_axis(axes, (omega[0], omega[-1]))
+        axes.set(ylim=(0, 1.1 * top), ylabel=quantity)
+        legend_below(figure, (axes,), 2)
     return figure
 
 
@@ -246,7 +253,7 @@ def runs_figure(t: Array, panels: Sequence[TimePanel]) -> Figure:
             elif panel.limit is not None:
                 axes.set_title(f"the limit of {panel.limit:g} is beyond this panel", fontsize=8.5, fontweight="normal")
         axes_list[-1].set_xlabel("time [s]")
-        _legend_below(figure, axes_list)
+        legend_below(figure, axes_list)
     return figure
 
 
@@ -262,14 +269,6 @@ def _cycle(n: int, only: bool = False) -> list[tuple[str, Any, float]]:
     if only:
         return [(COLOURS["nominal"], "-", 1.6)]
     return [DESIGNS[k % len(DESIGNS)] for k in range(n)]
-
-
-def _legend_below(figure: Figure, axes_list: Sequence[Axes]) -> None:
-    entries: dict[str, Any] = {}
-    for axes in axes_list:
-        handles, labels = axes.get_legend_handles_labels()
-        entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(4, max(2, len(entries))))
 
 
 HEADINGS = {"S": "S: relative error", "KS": "K S: control", "T": "T: relative output"}
@@ -327,11 +326,76 @@ def sensitivity_figure(omega: Array, responses: Sequence[WeightedResponse], gamm
                 axes.plot(
                     omega, response.bound, color=COLOURS["worst"], ls=(0, (5, 2)), label=f"γ / |W|, γ = {gamma:.4g}"
                 )
-            logarithmic(axes.xaxis)
+            frequency_axis(axes)
             logarithmic(axes.yaxis)
             axes.set_title(plain_label(response.name))
-            axes.set_xlabel("frequency [rad/s]")
         panels[0].set_ylabel("largest singular value")
         labelled = max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
-        figure.legend(*labelled.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        legend_below(figure, (labelled,), 2)
     return figure
+
+
+# --- all figures of a finished design -------------------------------------------------------------------------------
+
+PICTURE_HEADINGS = {"S": "S: r → error", "T": "T: r → y", "KS": "K S: r → u", "SG": "S G: d → y"}
+
+
+def pictures(design: Synthesis) -> dict[str, Callable[[], Figure]]:
+    """Suffix of the file -> what draws it; the first, without a suffix, is the weighted loop with the controller."""
+    from robustlab.synthesis.dk.dk_design import DKSynthesis
+
+    found: dict[str, Callable[[], Figure]] = {"": lambda: loop_picture(design)}
+    if isinstance(design, DKSynthesis):
+        return found | {"mu": lambda: mu_picture(design), "history": lambda: history_picture(design)}
+    return found | {"functions": lambda: functions_picture(design)}
+
+
+def loop_picture(design: Synthesis) -> Figure:
+    """The weighted closed loop with its peak marked, and the controller."""
+    from robustlab.synthesis.specifications.loop_curves import loop_curves
+
+    curves = loop_curves(design)
+    heading = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
+    controller = (curves.controller, curves.measurements)
+    return loop_figure(curves.omega, curves.closed_loop, curves.peak, controller, curves.level, heading)
+
+
+def functions_picture(design: Synthesis) -> Figure:
+    """S, T, K S and S G of the loop at what the controller measures, against 1 / |W| and gamma / |W| where known."""
+    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, loop_functions_of
+
+    loop = loop_functions_of(design)
+    omega = frequencies(loop.S, around=getattr(design, "peak_frequency", None))
+    panels = []
+    for name in FUNCTIONS:
+        proved = loop.bound(name, omega)
+        finite = proved is not None and bool(np.isfinite(proved).all())
+        panels.append(
+            FunctionPanel(
+                PICTURE_HEADINGS[name],
+                {"closed loop": loop.gain(name, omega)},
+                proved / loop.gamma if proved is not None and finite else None,
+                proved if finite else None,
+            )
+        )
+    return functions_figure(omega, panels, loop.gamma if loop.weights else None)
+
+
+def mu_picture(design: Any) -> Figure:
+    """Bounds of mu of a D-K design over frequency, proved on the whole axis once more from its closed loop alone."""
+    from robustlab.mu_analysis import robust_performance
+    from robustlab.report.mu_figures import mu_figure
+    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.uncertainty.lft import UncertainModel
+
+    loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])
+    omega = frequencies(design.closed_loop, 160)
+    return mu_figure(robust_performance(loop, omega=omega, accuracy=1e-3, tolerance=float("inf")))
+
+
+def history_picture(design: Any) -> Figure:
+    """The search of a D-K design: levels and orders of all iterates."""
+    steps = design.history
+    mu, proved = [s.mu for s in steps], [s.gamma for s in steps]
+    return history_figure(mu, proved, [s.order for s in steps], [s.stage for s in steps])

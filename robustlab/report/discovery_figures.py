@@ -1,48 +1,155 @@
-"""Figures of a discovery: the gap before and after, a held-out stretch, the evidence of every step, what remains.
-
-Figure of a residual force without a name: over each coordinate with bands, shares, and the map that corrects it.
-
-The page and the facts of a discovery, for ``robustlab data discover --out`` and for recipes.
-"""
+"""Figures of a discovery: gap before and after, a held-out stretch, the evidence of each step, what force is left."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.identification.naming.discovery_result import Discovery, NamingStep
-from robustlab.identification.naming.discovery_text import compared, headline, in_words, with_interval
+from robustlab.identification.naming.discovery_text import compared, headline
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
-from robustlab.provenance import Provenance
-from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label, save_figure
-from robustlab.report.html import render
-from robustlab.result import plain
+from robustlab.report.figures import (
+    COLOURS,
+    axis_label,
+    headroom,
+    house_style,
+    legend_below,
+    new_figure,
+    plain_label,
+    stem,
+    zero_line,
+)
 
-__all__ = [
-    "CAPTIONS",
-    "discovery_figures",
-    "evidence_figure",
-    "gap_figure",
-    "stretch_figure",
-    "residual_force_figure",
-    "caption",
-    "facts",
-    "write_page",
-]
+__all__ = ["CAPTIONS", "discovery_figures", "evidence_figure", "gap_figure", "residual_force_figure", "stretch_figure"]
 
+
+Index = NDArray[np.int_]
+
+MODELS = {"nominal": COLOURS["worst"], "refitted": COLOURS["sample"], "updated": COLOURS["nominal"]}
+STRETCH = 4  # windows shown of a held-out stretch
+APART = 0.06  # of a window, between windows that do not follow each other
+SHOWN = 9  # hypotheses of a step
+TIE = 3.0  # log evidence; less is no difference, and the axis is linear there
+LONG_TITLE = 92
 
 COLUMNS = 2
 ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
+
+CAPTIONS = {
+    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
+    "stretch": "A held-out stretch, window by window: record, nominal and updated model, and their errors below.",
+    "evidence": "The steps of the search: log evidence behind the best; blue: what was named, grey: nothing added.",
+    "force": "The force that the updated model still lacks, over each coordinate, with its 95 % band.",
+}
+
+
+def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
+    """``story``; ``stretch-q`` for every output q; ``evidence``; ``force`` where a residual force is known."""
+    figures = {"story": gap_figure(discovery)}
+    for k, output in enumerate(discovery.series.get("outputs", {}), start=1):
+        figures[f"stretch-{stem(output, k)}"] = stretch_figure(discovery, output)
+    if discovery.steps:
+        figures["evidence"] = evidence_figure(discovery)
+    if discovery.residual_force is not None and discovery.residual_force.curves:
+        figures["force"] = residual_force_figure(discovery.residual_force, discovery.unnamed, "missing force")
+    return figures
+
+
+def gap_figure(discovery: Discovery) -> Figure:
+    """For every output: bars of the held-out error of the three models, and beside them its traces over time."""
+    d = discovery
+    figure, axes = new_figure(len(d.gaps), 2, width=9.2, height=2.7, gridspec_kw={"width_ratios": [1.0, 2.1]})
+    with house_style():
+        for k, (name, gap) in enumerate(d.gaps.items()):
+            bars, traces = axes[2 * k], axes[2 * k + 1]
+            values = [getattr(gap, model) for model in MODELS]
+            bars.barh(list(MODELS), values, color=list(MODELS.values()), height=0.62)
+            bars.invert_yaxis()
+            bars.grid(visible=False, axis="y")
+            for row, value in enumerate(values):
+                share = f"{100 * value / gap.range:.3g} %" if gap.range > 0 else f"{value:.3g}"
+                bars.annotate(share, (value, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
+            bars.set_xlim(0.0, 1.28 * (max(values) or 1.0))
+            bars.set_xlabel(axis_label("rms error", gap.unit))
+            bars.set_title(plain_label(f"{name}: {compared(gap.nominal, gap.updated, 'nominal')}"))
+            bars.xaxis.set_major_locator(MaxNLocator(4))
+            signals = d.series.get("outputs", {}).get(name)
+            if signals is None:
+                traces.remove()
+                continue
+            axis = _Windows.of(d)
+            for model, colour in MODELS.items():
+                error = np.asarray(signals["measured"]) - np.asarray(signals[model])
+                traces.plot(*axis.broken(error), color=colour, lw=1.0, label=model)
+            axis.label(traces)
+            zero_line(traces)
+            traces.set_ylabel(axis_label("error", gap.unit))
+            traces.set_title("record minus simulation, held-out windows")
+            if k == 0:
+                traces.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3, columnspacing=1.2)
+                headroom(traces, below=0.2)
+        figure.suptitle(_wrapped(plain_label(headline(d))), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    return figure
+
+
+def stretch_figure(discovery: Discovery, output: str) -> Figure:
+    """Some held-out windows around the one that the nominal model misses most: signals above, errors below."""
+    d = discovery
+    signals, gap = d.series["outputs"][output], d.gaps[output]
+    measured = np.asarray(signals["measured"])
+    whole = _Windows.of(d)
+    miss = [
+        float(np.nanmean(part**2)) if np.isfinite(part).any() else 0.0
+        for part in whole.cut(measured - signals["nominal"])
+    ]
+    first = min(max(int(np.argmax(miss)) - STRETCH // 2, 0), max(len(miss) - STRETCH, 0))
+    axis = whole.some(first, STRETCH)
+    figure, (above, middle, below) = new_figure(3, 1, width=7.8, height=2.0, sharex=True)
+    with house_style():
+        above.plot(*axis.broken(measured), color=COLOURS["measured"], lw=2.4, alpha=0.45, label="record")
+        for model, line in (("nominal", (0, (4, 1.5))), ("updated", "-")):
+            values = np.asarray(signals[model])
+            above.plot(*axis.broken(values), color=MODELS[model], lw=1.3, ls=line, label=model)
+            middle.plot(*axis.broken(measured - values), color=MODELS[model], lw=1.1)
+        above.set_ylabel(axis_label(output, gap.unit))
+        above.set_title(plain_label(f"{output}, held out: each window starts from its best fitted state"))
+        above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3)
+        headroom(above, below=0.2)
+        below.plot(*axis.broken(measured - np.asarray(signals["updated"])), color=MODELS["updated"], lw=1.0)
+        middle.set_title(plain_label(f"record minus simulation: nominal (rms {gap.nominal:.3g} {gap.unit})"))
+        below.set_title(plain_label(f"updated alone, on a scale of its own (rms {gap.updated:.3g} {gap.unit})"))
+        for panel in (middle, below):
+            zero_line(panel)
+            panel.set_ylabel(axis_label("error", gap.unit))
+        axis.label(below)
+    return figure
+
+
+def evidence_figure(discovery: Discovery) -> Figure:
+    """Log evidence of the hypotheses of every step, relative to its best; linear within a tie, logarithmic beyond."""
+    steps = discovery.steps
+    shown = [_shown(step) for step in steps]
+    heights = [0.9 + 0.24 * len(entries) for entries in shown]
+    figure, axes = new_figure(
+        len(steps), 1, width=7.8, height=float(np.mean(heights)), gridspec_kw={"height_ratios": heights}
+    )
+    least = min(min((e.evidence for e in entries), default=-TIE) for entries in shown)
+    with house_style():
+        for k, (panel, step, entries) in enumerate(zip(axes, steps, shown, strict=True), start=1):
+            _ladder(panel, step, entries, least)
+            before = f" on top of {', '.join(step.named_before)}" if step.named_before else ""
+            panel.set_title(_wrapped(plain_label(f"step {k}{before}: {step.decision}"), 72), fontsize=9.0)
+        axes[-1].set_xlabel("log evidence behind the best (shaded: a tie)")
+    return figure
 
 
 def residual_force_figure(residual: ResidualForce, unnamed: UnnamedForce | None = None, name: str = "force") -> Figure:
@@ -75,191 +182,7 @@ def residual_force_figure(residual: ResidualForce, unnamed: UnnamedForce | None 
         for panel in panels[len(curves) + 1 :]:
             panel.set_visible(False)
         if curves:
-            handles, labels = _once(panels[: len(curves)])
-            figure.legend(handles, labels, loc="outside lower center", ncols=3)
-    return figure
-
-
-def _limits(curves: list[ForceCurve]) -> tuple[float, float]:
-    """One scale for all panels; single bins with a giant band do not set it."""
-    ends = np.concatenate([np.concatenate([c.low, c.high]) for c in curves] or [np.zeros(1)])
-    middles = np.concatenate([c.value for c in curves] or [np.zeros(1)])
-    low, high = np.quantile(ends, [ASIDE, 1.0 - ASIDE])
-    low, high = min(float(low), float(middles.min()), 0.0), max(float(high), float(middles.max()), 0.0)
-    edge = 0.06 * (high - low) or 1.0
-    return low - edge, high + edge
-
-
-def _curve(panel: Axes, curve: ForceCurve) -> None:
-    panel.axhline(0.0, color="#888888", lw=0.8)
-    # A line across zero speed would hide the jump there.
-    sides = (curve.x < 0, curve.x >= 0) if curve.coordinate.lower().startswith("speed") else (curve.x == curve.x,)
-    for k, side in enumerate(sides):
-        panel.fill_between(
-            curve.x[side], curve.low[side], curve.high[side], color=COLOURS["band"], alpha=0.35, lw=0,
-            label="95 % band" if k == 0 else None,
-        )  # fmt: skip
-        panel.plot(
-            curve.x[side], curve.value[side], "o-", ms=2.8, lw=1.2, color=COLOURS["nominal"],
-            label="mean over a bin" if k == 0 else None,
-        )  # fmt: skip
-    if len(sides) == 2:
-        panel.axvline(0.0, color="#888888", lw=0.8)
-    chance = "p < 0.005" if curve.p_value < 0.005 else f"p = {curve.p_value:.2g}"
-    panel.set_title(f"{plain_label(curve.coordinate)}: explains {100 * curve.share:.0f} % ({chance})")
-
-
-def _table(panel: Axes, table: ForceTable) -> None:
-    halves = table.sides() if table.kind == "speed" else ((table.grid, table.value),)
-    for k, (grid, value) in enumerate(halves):
-        label = "part of the unnamed map" if k == 0 else None
-        panel.plot(grid, value, color=COLOURS["worst"], ls=(0, (5, 1.5)), lw=1.4, label=label)
-
-
-def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None) -> None:
-    rows = [(f"f({name})", curve.share, COLOURS["nominal"]) for name, curve in residual.curves.items()]
-    rows += [(f"+ sgn(v) f({name})", share, COLOURS["band"]) for name, share in residual.dry_share.items()]
-    rows.append(("all together", residual.joint_share, COLOURS["good"]))
-    if unnamed is not None:
-        rows.append(("unnamed map", unnamed.gain, COLOURS["worst"]))
-    rows.append(("noise of the estimate", residual.noise_share, COLOURS["sample"]))
-    place = np.arange(len(rows))[::-1]
-    panel.barh(place, [100 * share for _, share, _ in rows], color=[colour for *_, colour in rows], height=0.65)
-    for y, (_, share, _) in zip(place, rows, strict=True):
-        panel.text(100 * share + 1.5, float(y), f"{100 * share:.0f}", va="center", fontsize=8)
-    panel.set_yticks(place, [plain_label(label) for label, *_ in rows], fontsize=8)
-    panel.set_xlim(0, 112)
-    panel.set_xticks([0, 25, 50, 75, 100])
-    panel.grid(axis="y", visible=False)
-    panel.set_xlabel("share of the variance, held-out [%]")
-    panel.set_title("what explains it")
-
-
-def _once(panels: list[Axes]) -> tuple[list[Artist], list[str]]:
-    """Handles and labels of all panels, each label once."""
-    found: dict[str, Artist] = {}
-    for panel in panels:
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    return list(found.values()), list(found)
-
-
-Index = NDArray[np.int_]
-
-MODELS = {"nominal": COLOURS["worst"], "refitted": COLOURS["sample"], "updated": COLOURS["nominal"]}
-STRETCH = 4  # windows shown of a held-out stretch
-APART = 0.06  # of a window, between windows that do not follow each other
-SHOWN = 9  # hypotheses of a step
-TIE = 3.0  # log evidence; less is no difference, and the axis is linear there
-LONG_TITLE = 92
-
-CAPTIONS = {
-    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
-    "stretch": "A held-out stretch, window by window: record, nominal and updated model, and their errors below.",
-    "evidence": "The steps of the search: log evidence behind the best; blue: what was named, grey: nothing added.",
-    "force": "The force that the updated model still lacks, over each coordinate, with its 95 % band.",
-}
-
-
-def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
-    """``story``; ``stretch-q`` for every output q; ``evidence``; ``force`` where a residual force is known."""
-    figures = {"story": gap_figure(discovery)}
-    for k, output in enumerate(discovery.series.get("outputs", {}), start=1):
-        # The keys become file names, and an output's name may come from a file.
-        name = output if output.isidentifier() and output.isascii() else f"output{k}"
-        figures[f"stretch-{name}"] = stretch_figure(discovery, output)
-    if discovery.steps:
-        figures["evidence"] = evidence_figure(discovery)
-    if discovery.residual_force is not None and discovery.residual_force.curves:
-        figures["force"] = residual_force_figure(discovery.residual_force, discovery.unnamed, "missing force")
-    return figures
-
-
-def gap_figure(discovery: Discovery) -> Figure:
-    """For every output: bars of the held-out error of the three models, and beside them its traces over time."""
-    d = discovery
-    figure, axes = new_figure(len(d.gaps), 2, width=9.2, height=2.7, gridspec_kw={"width_ratios": [1.0, 2.1]})
-    with house_style():
-        for k, (name, gap) in enumerate(d.gaps.items()):
-            bars, traces = axes[2 * k], axes[2 * k + 1]
-            values = [getattr(gap, model) for model in MODELS]
-            bars.barh(list(MODELS), values, color=list(MODELS.values()), height=0.62)
-            bars.invert_yaxis()
-            bars.grid(visible=False, axis="y")
-            for row, value in enumerate(values):
-                share = f"{100 * value / gap.range:.3g} %" if gap.range > 0 else f"{value:.3g}"
-                bars.annotate(share, (value, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
-            bars.set_xlim(0.0, 1.28 * (max(values) or 1.0))
-            bars.set_xlabel(axis_label("rms error", gap.unit))
-            bars.set_title(plain_label(f"{name}: {compared(gap.nominal, gap.updated, 'nominal')}"))
-            bars.xaxis.set_major_locator(_few_ticks())
-            signals = d.series.get("outputs", {}).get(name)
-            if signals is None:
-                traces.remove()
-                continue
-            axis = _Windows.of(d)
-            for model, colour in MODELS.items():
-                error = np.asarray(signals["measured"]) - np.asarray(signals[model])
-                traces.plot(*axis.broken(error), color=colour, lw=1.0, label=model)
-            axis.label(traces)
-            traces.axhline(0.0, color="#888888", lw=0.8)
-            traces.set_ylabel(axis_label("error", gap.unit))
-            traces.set_title("record minus simulation, held-out windows")
-            if k == 0:
-                traces.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3, columnspacing=1.2)
-                _room_below(traces, 0.2)
-        figure.suptitle(_wrapped(plain_label(headline(d))), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-    return figure
-
-
-def stretch_figure(discovery: Discovery, output: str) -> Figure:
-    """Some held-out windows around the one that the nominal model misses most: signals above, errors below."""
-    d = discovery
-    signals, gap = d.series["outputs"][output], d.gaps[output]
-    measured = np.asarray(signals["measured"])
-    whole = _Windows.of(d)
-    miss = [
-        float(np.nanmean(part**2)) if np.isfinite(part).any() else 0.0
-        for part in whole.cut(measured - signals["nominal"])
-    ]
-    first = min(max(int(np.argmax(miss)) - STRETCH // 2, 0), max(len(miss) - STRETCH, 0))
-    axis = whole.some(first, STRETCH)
-    figure, (above, middle, below) = new_figure(3, 1, width=7.8, height=2.0, sharex=True)
-    with house_style():
-        above.plot(*axis.broken(measured), color=COLOURS["measured"], lw=2.4, alpha=0.45, label="record")
-        for model, line in (("nominal", (0, (4, 1.5))), ("updated", "-")):
-            values = np.asarray(signals[model])
-            above.plot(*axis.broken(values), color=MODELS[model], lw=1.3, ls=line, label=model)
-            middle.plot(*axis.broken(measured - values), color=MODELS[model], lw=1.1)
-        above.set_ylabel(axis_label(output, gap.unit))
-        above.set_title(plain_label(f"{output}, held out: each window starts from its best fitted state"))
-        above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3)
-        _room_below(above, 0.2)
-        below.plot(*axis.broken(measured - np.asarray(signals["updated"])), color=MODELS["updated"], lw=1.0)
-        middle.set_title(plain_label(f"record minus simulation: nominal (rms {gap.nominal:.3g} {gap.unit})"))
-        below.set_title(plain_label(f"updated alone, on a scale of its own (rms {gap.updated:.3g} {gap.unit})"))
-        for panel in (middle, below):
-            panel.axhline(0.0, color="#888888", lw=0.8)
-            panel.set_ylabel(axis_label("error", gap.unit))
-        axis.label(below)
-    return figure
-
-
-def evidence_figure(discovery: Discovery) -> Figure:
-    """Log evidence of the hypotheses of every step, relative to its best; linear within a tie, logarithmic beyond."""
-    steps = discovery.steps
-    shown = [_shown(step) for step in steps]
-    heights = [0.9 + 0.24 * len(entries) for entries in shown]
-    figure, axes = new_figure(
-        len(steps), 1, width=7.8, height=float(np.mean(heights)), gridspec_kw={"height_ratios": heights}
-    )
-    least = min(min((e.evidence for e in entries), default=-TIE) for entries in shown)
-    with house_style():
-        for k, (panel, step, entries) in enumerate(zip(axes, steps, shown, strict=True), start=1):
-            _ladder(panel, step, entries, least)
-            before = f" on top of {', '.join(step.named_before)}" if step.named_before else ""
-            panel.set_title(_wrapped(plain_label(f"step {k}{before}: {step.decision}"), 72), fontsize=9.0)
-        axes[-1].set_xlabel("log evidence behind the best (shaded: a tie)")
+            legend_below(figure, panels[: len(curves)], 3)
     return figure
 
 
@@ -352,102 +275,60 @@ def _ladder(axes: Axes, step: NamingStep, entries: Sequence[Any], least: float) 
     axes.xaxis.set_minor_locator(FixedLocator([]))
 
 
-def _few_ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(4)
-
-
 def _wrapped(text: str, width: int = LONG_TITLE) -> str:
-    from textwrap import fill
-
     return fill(text.replace("->", "→"), width)
 
 
-def _room_below(axes: Axes, share: float) -> None:
-    """Room for a legend, as a share of the height."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low - share * (high - low), high)
+def _limits(curves: list[ForceCurve]) -> tuple[float, float]:
+    """One scale for all panels; single bins with a giant band do not set it."""
+    ends = np.concatenate([np.concatenate([c.low, c.high]) for c in curves] or [np.zeros(1)])
+    middles = np.concatenate([c.value for c in curves] or [np.zeros(1)])
+    low, high = np.quantile(ends, [ASIDE, 1.0 - ASIDE])
+    low, high = min(float(low), float(middles.min()), 0.0), max(float(high), float(middles.max()), 0.0)
+    edge = 0.06 * (high - low) or 1.0
+    return low - edge, high + edge
 
 
-TONES = {
-    "named": ("good", "✓"),
-    "no missing effect": ("good", "✓"),
-    "ambiguous": ("warn", "?"),
-    "unknown": ("warn", "?"),
-}
-MEANINGS = {
-    "named": "Every named effect is convincing, helps on data that the fit never saw, and has no rival left.",
-    "no missing effect": "What differs lies within the tolerances of the parameters and the noise of the sensors.",
-    "ambiguous": "Something is missing that more than one effect explains equally well; see the next experiment.",
-    "unknown": "Something is missing that no effect of the catalogue explains; see the force that remains.",
-}
+def _curve(panel: Axes, curve: ForceCurve) -> None:
+    zero_line(panel)
+    # A line across zero speed would hide the jump there.
+    sides = (curve.x < 0, curve.x >= 0) if curve.coordinate.lower().startswith("speed") else (curve.x == curve.x,)
+    for k, side in enumerate(sides):
+        panel.fill_between(
+            curve.x[side], curve.low[side], curve.high[side], color=COLOURS["band"], alpha=0.35, lw=0,
+            label="95 % band" if k == 0 else None,
+        )  # fmt: skip
+        panel.plot(
+            curve.x[side], curve.value[side], "o-", ms=2.8, lw=1.2, color=COLOURS["nominal"],
+            label="mean over a bin" if k == 0 else None,
+        )  # fmt: skip
+    if len(sides) == 2:
+        panel.axvline(0.0, color="#888888", lw=0.8)
+    chance = "p < 0.005" if curve.p_value < 0.005 else f"p = {curve.p_value:.2g}"
+    panel.set_title(f"{plain_label(curve.coordinate)}: explains {100 * curve.share:.0f} % ({chance})")
 
 
-def facts(d: Discovery) -> list[tuple[str, str, str]]:
-    """Label, value and source of the key numbers: effects with parameters and rivals, gap of each output."""
-    found = [
-        ("Verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains", MEANINGS[d.verdict])
-    ]
-    for e in d.effects:
-        values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
-        found.append((in_words(e), values, e.equation))
-        rivals = ", ".join(e.rivals) or "none"
-        found.append((f"{e.name}: confidence", f"{100 * e.confidence:.3g} %; cannot be told from: {rivals}", ""))
-    for r in d.rivals:
-        if r.instead_of == "none":
-            values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
-            found.append((f"Not excluded: {r.title}", values, "tolerances of other parameters may hide it"))
-    for g in d.gaps.values():
-        sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
-        found.append(
-            (f"{g.output}: rms on held-out data", f"{sizes}; {compared(g.nominal, g.updated, 'nominal')}", d.held_out)
-        )
-    return found
+def _table(panel: Axes, table: ForceTable) -> None:
+    halves = table.sides() if table.kind == "speed" else ((table.grid, table.value),)
+    for k, (grid, value) in enumerate(halves):
+        label = "part of the unnamed map" if k == 0 else None
+        panel.plot(grid, value, color=COLOURS["worst"], ls=(0, (5, 1.5)), lw=1.4, label=label)
 
 
-def caption(name: str) -> str:
-    """Caption of a figure of `discovery_figures`."""
-    return CAPTIONS[name.partition("-")[0]]
-
-
-def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:
-    """Write the figures into ``folder/figures`` and ``folder/report.html``; the paths written, the page last."""
-    figures = discovery_figures(d)
-    files = [path for name, figure in figures.items() for path in save_figure(figure, folder / "figures", name)]
-    tone, mark = TONES[d.verdict]
-    page = {
-        "verdict": {"tone": tone, "mark": mark, "headline": headline(d), "detail": MEANINGS[d.verdict]},
-        "requirements": [],
-        "steps": [_step(d, figures)],
-        "recipe": {
-            "name": "data discover",
-            "title": f"What {d.plant} lacks",
-            "description": "",
-            "text": "",
-            "overrides": {},
-        },
-        "seconds": d.seconds,
-        "seed": 0,
-        "provenance": provenance.to_json(),
-    }
-    path = folder / "report.html"
-    path.write_text(render(page, folder), encoding="utf-8")
-    return [*files, path]
-
-
-def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "name": "discover",
-        "do": "discover",
-        "title": f"{d.plant} against {', '.join(d.records)}",
-        "status": str(d.status),
-        "trustworthy": d.status.trustworthy,
-        "summary": headline(d),
-        "error": "",
-        "numbers": plain(d.to_json()),
-        "facts": [dict(zip(("label", "value", "source"), fact, strict=True)) for fact in facts(d)],
-        "notes": [f.message for f in d.findings],
-        "text": d.summary(),
-        "figures": [{"stem": name, "caption": caption(name)} for name in figures],
-    }
+def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None) -> None:
+    rows = [(f"f({name})", curve.share, COLOURS["nominal"]) for name, curve in residual.curves.items()]
+    rows += [(f"+ sgn(v) f({name})", share, COLOURS["band"]) for name, share in residual.dry_share.items()]
+    rows.append(("all together", residual.joint_share, COLOURS["good"]))
+    if unnamed is not None:
+        rows.append(("unnamed map", unnamed.gain, COLOURS["worst"]))
+    rows.append(("noise of the estimate", residual.noise_share, COLOURS["sample"]))
+    place = np.arange(len(rows))[::-1]
+    panel.barh(place, [100 * share for _, share, _ in rows], color=[colour for *_, colour in rows], height=0.65)
+    for y, (_, share, _) in zip(place, rows, strict=True):
+        panel.text(100 * share + 1.5, float(y), f"{100 * share:.0f}", va="center", fontsize=8)
+    panel.set_yticks(place, [plain_label(label) for label, *_ in rows], fontsize=8)
+    panel.set_xlim(0, 112)
+    panel.set_xticks([0, 25, 50, 75, 100])
+    panel.grid(axis="y", visible=False)
+    panel.set_xlabel("share of the variance, held-out [%]")
+    panel.set_title("what explains it")

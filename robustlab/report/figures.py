@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,7 +21,20 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-__all__ = ["COLOURS", "axis_label", "house_style", "logarithmic", "new_figure", "plain_label", "save_figure"]
+__all__ = [
+    "COLOURS",
+    "axis_label",
+    "frequency_axis",
+    "headroom",
+    "house_style",
+    "legend_below",
+    "logarithmic",
+    "new_figure",
+    "plain_label",
+    "save_figure",
+    "stem",
+    "zero_line",
+]
 
 # Okabe and Ito (2008): told apart by colour-blind readers too, and in grey print by their lightness.
 COLOURS = {
@@ -101,6 +115,40 @@ def logarithmic(axis: Axis) -> None:
         axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore[reportAttributeAccessIssue]
         axis.set_major_formatter(FuncFormatter(lambda value, _: _power_of_ten(value)))
         axis.set_minor_formatter(NullFormatter())
+
+
+def frequency_axis(axes: Axes, span: tuple[float, float] | None = None) -> None:
+    """A logarithmic axis of frequencies in rad/s, from the first to the last where they are given."""
+    logarithmic(axes.xaxis)
+    axes.set_xlabel("frequency [rad/s]")
+    if span is not None:
+        axes.set_xlim(*span)
+
+
+def zero_line(axes: Axes) -> None:
+    """A thin line where the vertical axis is zero."""
+    axes.axhline(0.0, color="#888888", lw=0.8)
+
+
+def headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
+    """Room for a legend, as shares of the height."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - below * (high - low), high + above * (high - low))
+
+
+def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = None) -> None:
+    """One legend for all panels, below them; each label once."""
+    entries: dict[str, Artist] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    columns = min(4, max(2, len(entries))) if ncols is None else ncols
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+
+
+def stem(name: str, number: int) -> str:
+    """A signal's name as part of a file's name; one from outside that is no plain word is told by its number."""
+    return name if name.isidentifier() and name.isascii() else f"output{number}"
 
 
 def _power_of_ten(value: float) -> str:

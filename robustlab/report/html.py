@@ -1,10 +1,10 @@
-"""The report of a run as one self-contained HTML page: opens offline, runs no script, reaches no network.
+"""The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
+
+The page opens offline, runs no script and reaches no network.
 
 Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
 control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
 an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
-
-The requirements of a run as a JUnit file, so that a CI system shows each of them as a test.
 """
 
 from __future__ import annotations
@@ -24,12 +24,7 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = [
-    "Verdict",
-    "render",
-    "verdict",
-    "junit_xml",
-]
+__all__ = ["Verdict", "in_words", "junit_xml", "render", "verdict"]
 
 
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
@@ -104,7 +99,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
         return _template().render(
             r=readable,
             verdict=verdict(readable),
-            found=_found,
+            found=in_words,
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
             image=lambda stem: _image(Path(folder), stem),
@@ -138,7 +133,8 @@ def _readable(value: Any) -> Any:
     return value
 
 
-def _found(value: Any) -> str:
+def in_words(value: Any) -> str:
+    """What was found for a requirement, for reading."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):

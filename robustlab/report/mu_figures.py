@@ -11,7 +11,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    axis_label,
+    frequency_axis,
+    house_style,
+    legend_below,
+    new_figure,
+    plain_label,
+)
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
@@ -41,7 +49,7 @@ def mu_figure(margin: Margin) -> Figure:
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
         axes.set_ylim(0, 1.12 * max(1.0, peak, float(np.nanmax(upper[shown], initial=0.0))))
         axes.set_ylabel("structured singular value μ")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        legend_below(figure, (axes,), 2)
     return figure
 
 
@@ -60,7 +68,7 @@ def gain_figure(worst: WorstCaseGain) -> Figure:
         tall = [worst.lower, worst.upper, float(np.nanmax(worst.gain_upper[shown], initial=0.0))]
         axes.set_ylim(0, 1.12 * max([v for v in tall if np.isfinite(v)] or [1.0]))
         axes.set_ylabel("largest singular value")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        legend_below(figure, (axes,), 2)
     return figure
 
 
@@ -74,9 +82,7 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[n
         if edges[0] < edges[1] and np.isfinite(bound):
             axes.fill_between(edges, 0, bound, color=PROVED, lw=0, label=label)
             label = None
-    logarithmic(axes.xaxis)
-    axes.set_xlim(low, high)
-    axes.set_xlabel("frequency [rad/s]")
+    frequency_axis(axes, (low, high))
     return shown
 
 
@@ -109,5 +115,5 @@ def replay_figure(replay: Replay, shown: int = 4) -> Figure:
             axes.plot(replay.t, replay.nominal[:, k], color=COLOURS["reference"], lw=1.1, label="nominal")
             axes.set_ylabel(axis_label(replay.outputs[k].name, replay.outputs[k].unit))
         panels[-1].set_xlabel("time [s]")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        legend_below(figure, panels[:1], 3)
     return figure

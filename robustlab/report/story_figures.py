@@ -11,7 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
-from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    frequency_axis,
+    headroom,
+    house_style,
+    logarithmic,
+    new_figure,
+    plain_label,
+)
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
@@ -110,9 +118,9 @@ def _mu(axes: Axes, story: Story, number: int) -> None:
         if np.isfinite(mu):
             axes.axhline(mu, color=colour, lw=0.7, alpha=0.7)
     axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), label="1: requirement met by every member")
-    logarithmic(axes.xaxis)
     omega = story.margins[0].omega
-    axes.set(xlabel="frequency [rad/s]", ylabel="μ of robust performance", xlim=(omega[0], omega[-1]))
+    frequency_axis(axes, (omega[0], omega[-1]))
+    axes.set_ylabel("μ of robust performance")
     axes.set_ylim(0, 1.35 * max(1.0, *(mu for mu in story.mu if np.isfinite(mu))))
     axes.set_title(f"{number}  What is proved: μ {fall_in_words(*story.mu)}", loc="left")
     axes.legend(loc="upper right")
@@ -124,8 +132,7 @@ def _error(axes: Axes, story: Story, number: int) -> None:
         label = f"{word}: at most {largest:.3g} {story.unit}{counted}"
         axes.plot(story.t, curve, color=colour, lw=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
+    headroom(axes, above=0.25)
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
     axes.set_title(f"{number}  Simulated machine: error {_number(ratio)} times smaller", loc="left")
     axes.legend(loc="upper right")

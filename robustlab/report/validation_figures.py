@@ -1,6 +1,6 @@
-"""Figures of a record with what the smallest Delta makes of it, and the noise that is left.
+"""Figures of a record beside a set of models: as the smallest Delta explains it, and in the envelope of all members.
 
-Figure of a record in the envelope of an uncertain model's members (thesis figures 11.5-11.20).
+The latter are figures 11.5-11.20 of the thesis.
 """
 
 from __future__ import annotations
@@ -10,13 +10,18 @@ from matplotlib.figure import Figure
 
 from robustlab.identification.comparison.envelope import SignalCoverage
 from robustlab.identification.validation import Validation
-from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    axis_label,
+    frequency_axis,
+    house_style,
+    legend_below,
+    logarithmic,
+    new_figure,
+    plain_label,
+)
 
-__all__ = [
-    "validation_figure",
-    "validation_figures",
-    "envelope_figure",
-]
+__all__ = ["envelope_figure", "validation_figure", "validation_figures"]
 
 
 def validation_figures(found: Validation) -> dict[str, Figure]:
@@ -51,8 +56,7 @@ def validation_figure(found: Validation, output: str) -> Figure:
         below.set_ylabel(axis_label("record minus model", unit))
         below.set_xlabel("time in the mean period [s]" if found.domain == "frequency" else "time [s]")
         above.set_title(plain_label(f"{found.record}: {found.verdict}"))
-        handles = [*above.get_legend_handles_labels()[0], *below.get_legend_handles_labels()[0]]
-        figure.legend(handles, [str(h.get_label()) for h in handles], loc="outside lower center", ncols=4)
+        legend_below(figure, (above, below), 4)
     return figure
 
 
@@ -65,9 +69,8 @@ def _response_figure(found: Validation, output: str) -> Figure:
         axes.plot(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="record")
         if np.isfinite(found.explained).all():
             axes.plot(found.t, found.explained[:, k], color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
-        logarithmic(axes.xaxis)
+        frequency_axis(axes)
         logarithmic(axes.yaxis)
-        axes.set_xlabel("frequency [rad/s]")
         axes.set_ylabel(f"|{plain_label(output)}| per input")
         axes.set_title(plain_label(f"{found.record}: {found.verdict}"))
         figure.legend(loc="outside lower center", ncols=3)
@@ -82,9 +85,8 @@ def _size_figure(found: Validation) -> Figure:
         for i, name in enumerate(found.blocks):
             axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=plain_label(name))
         axes.axhline(found.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 1.5)), label="gamma")
-        logarithmic(axes.xaxis)
+        frequency_axis(axes)
         axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
-        axes.set_xlabel("frequency [rad/s]")
         axes.set_ylabel("size of the block")
         axes.set_title(plain_label(f"{found.record}: the Delta that explains it"))
         figure.legend(loc="outside lower center", ncols=5)
@@ -108,6 +110,5 @@ def envelope_figure(signal: SignalCoverage) -> Figure:
         above.set_ylabel(axis_label(signal.name, signal.unit))
         below.set_ylabel(axis_label("minus nominal", signal.unit))
         below.set_xlabel("time [s]")
-        handles, labels = below.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        legend_below(figure, (below,), 4)
     return figure

@@ -1,34 +1,115 @@
-"""Figures of sampled metrics: their distribution against a limit, and which parameters matter.
+"""Figures of an uncertain model's members: responses, the worst one, how a metric is distributed, what matters for it.
 
-Figure of a campaign: how often the metric exceeds a value.
-
-Figures of step responses of an uncertain model: members, envelope, worst case (thesis figures 10.2, 10.3).
+The responses are those of figures 10.2 and 10.3 of the thesis.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
-from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    axis_label,
+    house_style,
+    legend_below,
+    logarithmic,
+    new_figure,
+    plain_label,
+    zero_line,
+)
 from robustlab.worst_case_analysis.influence import Influence
 from robustlab.worst_case_analysis.statistics import ViolationProbability
 
 __all__ = [
     "distribution_figure",
-    "influence_figure",
     "exceedance_figure",
+    "influence_figure",
     "response_figure",
     "worst_case_figure",
 ]
 
 
+MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
+SETTLED = 0.8  # the zoomed panel shows the last part of the response
 SHOWN = 12
 BINS = 40
+
+
+def response_figure(
+    t: Array,
+    samples: Array,
+    nominal: Array,
+    envelope: tuple[Array, Array],
+    *,
+    output: tuple[str, str],
+    references: Sequence[tuple[float, str]] = (),
+) -> Figure:
+    """All responses of one output: the whole time on the left, the end of it enlarged on the right.
+
+    Parameters
+    ----------
+    t
+        Times in s, shape (n_t,).
+    samples
+        Responses of the members, shape (n_samples, n_t).
+    nominal
+        Nominal response, shape (n_t,).
+    envelope
+        Smallest and largest value of all members at each time, each of shape (n_t,).
+    output
+        Name and unit.
+    references
+        Known values and what they are, drawn as lines.
+    """
+    figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
+    with house_style():
+        for axes in (whole, zoom):
+            axes.fill_between(t, *envelope, color=COLOURS["band"], alpha=0.25, lw=0, label="envelope of all members")
+            for i, curve in enumerate(samples[:MAX_CURVES]):
+                axes.plot(t, curve, color=COLOURS["sample"], lw=0.6, alpha=0.8, label="members" if i == 0 else None)
+            axes.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
+            for value, text in references:
+                axes.axhline(value, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label=plain_label(text))
+            axes.set_xlabel("time [s]")
+        whole.set_ylabel(axis_label(*output))
+        whole.set_title("whole response")
+        zoom.set_title("enlarged: the end of the response")
+        _enlarge(zoom, t, envelope, [value for value, _ in references])
+        # Not `legend_below`: two reference lines may be called the same.
+        figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def worst_case_figure(t: Array, nominal: Array, worst: Array, output: tuple[str, str], label: str) -> Figure:
+    """Nominal and worst response of one output, and their difference below."""
+    figure, (above, below) = new_figure(2, 1, width=7.6, height=2.2, sharex=True)
+    with house_style():
+        above.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
+        above.plot(t, worst, color=COLOURS["worst"], ls=(0, (6, 2)), label=plain_label(label))
+        above.set_ylabel(axis_label(*output))
+        above.legend(loc="best")
+        below.plot(t, worst - nominal, color=COLOURS["worst"])
+        zero_line(below)
+        peak = int(np.argmax(np.abs(worst - nominal)))
+        below.plot(t[peak], (worst - nominal)[peak], "o", color=COLOURS["worst"], ms=5)
+        below.set_ylabel(axis_label("deviation", output[1]))
+        below.set_xlabel("time [s]")
+    return figure
+
+
+def _enlarge(axes: Axes, t: Array, curves: Sequence[Array], values: Sequence[float]) -> None:
+    last = t >= t[0] + SETTLED * (t[-1] - t[0])
+    seen = np.concatenate([*(curve[last] for curve in curves), np.asarray(values, dtype=float)])
+    seen = seen[np.isfinite(seen)]
+    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
+    margin = 0.12 * (high - low) or 0.05 * max(abs(high), 1e-12)
+    axes.set_xlim(t[last][0], t[-1])
+    axes.set_ylim(low - margin, high + margin)
 
 
 def distribution_figure(found: ViolationProbability) -> Figure:
@@ -52,7 +133,7 @@ def distribution_figure(found: ViolationProbability) -> Figure:
         axes.set_ylabel("samples")
         text = f"P(violation) between {found.lower:.3g} and {found.upper:.3g}"
         axes.set_title(f"{text} at {100 * found.confidence:g} % confidence")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        legend_below(figure, (axes,), 3)
     return figure
 
 
@@ -87,16 +168,11 @@ def influence_figure(found: Influence, metric: str) -> Figure:
         _draw_savings(saved, found, order)
         saved.set_xlabel(axis_label(metric, found.unit))
         saved.set_title("the worst sample, one parameter nominal")
-        handles = [*shares.get_legend_handles_labels()[0], *saved.get_legend_handles_labels()[0]]
-        labels = [*shares.get_legend_handles_labels()[1], *saved.get_legend_handles_labels()[1]]
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        legend_below(figure, (shares, saved), 3)
     return figure
 
 
-def _draw_savings(axes: object, found: Influence, order: tuple[int, ...]) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(axes, Axes)
+def _draw_savings(axes: Axes, found: Influence, order: tuple[int, ...]) -> None:
     restored = np.where(np.isfinite(found.restored), found.restored, found.worst_value)
     if not np.isfinite(found.worst_value):
         axes.text(0.5, 0.5, "the worst sample has no bounded value", ha="center", transform=axes.transAxes)
@@ -150,79 +226,3 @@ def exceedance_figure(
         axes.legend(loc="best")
     logarithmic(axes.yaxis)
     return figure
-
-
-MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
-SETTLED = 0.8  # the zoomed panel shows the last part of the response
-
-
-def response_figure(
-    t: Array,
-    samples: Array,
-    nominal: Array,
-    envelope: tuple[Array, Array],
-    *,
-    output: tuple[str, str],
-    references: Sequence[tuple[float, str]] = (),
-) -> Figure:
-    """All responses of one output: the whole time on the left, the end of it enlarged on the right.
-
-    Parameters
-    ----------
-    t
-        Times in s, shape (n_t,).
-    samples
-        Responses of the members, shape (n_samples, n_t).
-    nominal
-        Nominal response, shape (n_t,).
-    envelope
-        Smallest and largest value of all members at each time, each of shape (n_t,).
-    output
-        Name and unit.
-    references
-        Known values and what they are, drawn as lines.
-    """
-    figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
-    with house_style():
-        for axes in (whole, zoom):
-            axes.fill_between(t, *envelope, color=COLOURS["band"], alpha=0.25, lw=0, label="envelope of all members")
-            for i, curve in enumerate(samples[:MAX_CURVES]):
-                axes.plot(t, curve, color=COLOURS["sample"], lw=0.6, alpha=0.8, label="members" if i == 0 else None)
-            axes.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
-            for value, text in references:
-                axes.axhline(value, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label=plain_label(text))
-            axes.set_xlabel("time [s]")
-        whole.set_ylabel(axis_label(*output))
-        whole.set_title("whole response")
-        zoom.set_title("enlarged: the end of the response")
-        _enlarge(zoom, t, envelope, [value for value, _ in references])
-        handles, labels = whole.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
-
-
-def worst_case_figure(t: Array, nominal: Array, worst: Array, output: tuple[str, str], label: str) -> Figure:
-    """Nominal and worst response of one output, and their difference below."""
-    figure, (above, below) = new_figure(2, 1, width=7.6, height=2.2, sharex=True)
-    with house_style():
-        above.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
-        above.plot(t, worst, color=COLOURS["worst"], ls=(0, (6, 2)), label=plain_label(label))
-        above.set_ylabel(axis_label(*output))
-        above.legend(loc="best")
-        below.plot(t, worst - nominal, color=COLOURS["worst"])
-        below.axhline(0.0, color="#888888", lw=0.8)
-        peak = int(np.argmax(np.abs(worst - nominal)))
-        below.plot(t[peak], (worst - nominal)[peak], "o", color=COLOURS["worst"], ms=5)
-        below.set_ylabel(axis_label("deviation", output[1]))
-        below.set_xlabel("time [s]")
-    return figure
-
-
-def _enlarge(axes: Any, t: Array, curves: Sequence[Array], values: Sequence[float]) -> None:
-    last = t >= t[0] + SETTLED * (t[-1] - t[0])
-    seen = np.concatenate([*(curve[last] for curve in curves), np.asarray(values, dtype=float)])
-    seen = seen[np.isfinite(seen)]
-    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
-    margin = 0.12 * (high - low) or 0.05 * max(abs(high), 1e-12)
-    axes.set_xlim(t[last][0], t[-1])
-    axes.set_ylim(low - margin, high + margin)

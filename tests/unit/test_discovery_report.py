@@ -29,7 +29,8 @@ from robustlab.provenance import Provenance
 from robustlab.recipe.requirements import judge
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.discovery import numbers
-from robustlab.report.discovery_figures import caption, discovery_figures, facts, stretch_figure, write_page
+from robustlab.report.discovery_figures import discovery_figures, stretch_figure
+from robustlab.report.discovery_page import caption, facts, write_page
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")

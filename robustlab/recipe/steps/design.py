@@ -161,7 +161,7 @@ class NcfStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
-        from robustlab.report.design_pictures import functions_picture
+        from robustlab.report.design_figures import functions_picture
 
         found = rl.ncf(work.values[self.of], self.W1, self.W2, factor=self.factor)
         _draw_loop(found, work)
@@ -184,7 +184,7 @@ class DkStep(DesignStep):
 
     def run(self, work: Workspace) -> Outcome:
         """A robust controller; mu proved at all frequencies."""
-        from robustlab.report.design_pictures import history_picture
+        from robustlab.report.design_figures import history_picture
 
         P, *channels = self.generalised(work)
         start = None if self.start is None else work.values[self.start]
@@ -303,7 +303,7 @@ def designed(found: Any, summary: str, work: Workspace) -> Outcome:
 
 def _draw_loop(found: Any, work: Workspace) -> None:
     """Singular values of the weighted loop with the peak, and the controller."""
-    from robustlab.report.design_pictures import loop_picture
+    from robustlab.report.design_figures import loop_picture
 
     work.draw(loop_picture(found), "loop", "The weighted closed loop with its peak, and the controller.")
 

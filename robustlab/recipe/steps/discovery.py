@@ -47,7 +47,8 @@ class DiscoverStep(Step):
         """The effects that the records show beyond the model, with their evidence; gives the updated plant."""
         from robustlab.dynamics.effects.catalogue import effect
         from robustlab.identification.naming.discovery_text import headline
-        from robustlab.report.discovery_figures import caption, discovery_figures, facts
+        from robustlab.report.discovery_figures import discovery_figures
+        from robustlab.report.discovery_page import caption, facts
 
         found = rl.discover(
             work.values[self.of],

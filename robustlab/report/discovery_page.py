@@ -1,0 +1,99 @@
+"""The page and the facts of a discovery, for ``robustlab data discover --out`` and for recipes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from robustlab.identification.naming.discovery_result import Discovery
+from robustlab.identification.naming.discovery_text import compared, headline, in_words, with_interval
+from robustlab.provenance import Provenance
+from robustlab.report.discovery_figures import CAPTIONS, discovery_figures
+from robustlab.report.figures import save_figure
+from robustlab.report.html import render
+from robustlab.result import plain
+
+__all__ = ["caption", "facts", "write_page"]
+
+TONES = {
+    "named": ("good", "✓"),
+    "no missing effect": ("good", "✓"),
+    "ambiguous": ("warn", "?"),
+    "unknown": ("warn", "?"),
+}
+MEANINGS = {
+    "named": "Every named effect is convincing, helps on data that the fit never saw, and has no rival left.",
+    "no missing effect": "What differs lies within the tolerances of the parameters and the noise of the sensors.",
+    "ambiguous": "Something is missing that more than one effect explains equally well; see the next experiment.",
+    "unknown": "Something is missing that no effect of the catalogue explains; see the force that remains.",
+}
+
+
+def facts(d: Discovery) -> list[tuple[str, str, str]]:
+    """Label, value and source of the key numbers: effects with parameters and rivals, gap of each output."""
+    found = [
+        ("Verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains", MEANINGS[d.verdict])
+    ]
+    for e in d.effects:
+        values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
+        found.append((in_words(e), values, e.equation))
+        rivals = ", ".join(e.rivals) or "none"
+        found.append((f"{e.name}: confidence", f"{100 * e.confidence:.3g} %; cannot be told from: {rivals}", ""))
+    for r in d.rivals:
+        if r.instead_of == "none":
+            values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
+            found.append((f"Not excluded: {r.title}", values, "tolerances of other parameters may hide it"))
+    for g in d.gaps.values():
+        sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
+        found.append(
+            (f"{g.output}: rms on held-out data", f"{sizes}; {compared(g.nominal, g.updated, 'nominal')}", d.held_out)
+        )
+    return found
+
+
+def caption(name: str) -> str:
+    """Caption of a figure of `discovery_figures`."""
+    return CAPTIONS[name.partition("-")[0]]
+
+
+def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:
+    """Write the figures into ``folder/figures`` and ``folder/report.html``; the paths written, the page last."""
+    figures = discovery_figures(d)
+    files = [path for name, figure in figures.items() for path in save_figure(figure, folder / "figures", name)]
+    tone, mark = TONES[d.verdict]
+    page = {
+        "verdict": {"tone": tone, "mark": mark, "headline": headline(d), "detail": MEANINGS[d.verdict]},
+        "requirements": [],
+        "steps": [_step(d, figures)],
+        "recipe": {
+            "name": "data discover",
+            "title": f"What {d.plant} lacks",
+            "description": "",
+            "text": "",
+            "overrides": {},
+        },
+        "seconds": d.seconds,
+        "seed": 0,
+        "provenance": provenance.to_json(),
+    }
+    path = folder / "report.html"
+    path.write_text(render(page, folder), encoding="utf-8")
+    return [*files, path]
+
+
+def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "name": "discover",
+        "do": "discover",
+        "title": f"{d.plant} against {', '.join(d.records)}",
+        "status": str(d.status),
+        "trustworthy": d.status.trustworthy,
+        "summary": headline(d),
+        "error": "",
+        "numbers": plain(d.to_json()),
+        "facts": [dict(zip(("label", "value", "source"), fact, strict=True)) for fact in facts(d)],
+        "notes": [f.message for f in d.findings],
+        "text": d.summary(),
+        "figures": [{"stem": name, "caption": caption(name)} for name in figures],
+    }
