@@ -19,6 +19,7 @@ from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, share
 
 __all__ = [
+    "ChangesOption",
     "DtOption",
     "EffortOption",
     "EffortOptions",
@@ -26,6 +27,7 @@ __all__ = [
     "OutOption",
     "OutputOptions",
     "PrewarpOption",
+    "RecipeArgument",
     "SeedOption",
     "TimeLimitOption",
     "assignments",
@@ -55,6 +57,18 @@ OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to writ
 DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.", show_default=False)]
 PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
+]
+RecipeArgument = Annotated[
+    str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
+]
+ChangesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="A.B=V",
+        help="Change a value: a top-level key or STEP.KEY. May be repeated.",
+        show_default=False,
+    ),
 ]
 
 

@@ -8,25 +8,15 @@ from typing import Annotated
 import typer
 
 from robustlab.cli.console import emit, table
-from robustlab.cli.options import JsonOption
+from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
 
 app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_args_is_help=True)
 
 
 @app.command()
 def check(
-    recipe: Annotated[
-        str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
-    ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="A.B=V",
-            help="Change a value: a top-level key or STEP.KEY. May be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    recipe: RecipeArgument,
+    changes: ChangesOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a recipe and the files it reads without running it; every fault is named.

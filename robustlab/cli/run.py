@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from robustlab.cli.console import emit, note, progress, table
-from robustlab.cli.options import JsonOption
+from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
+
+if TYPE_CHECKING:
+    from robustlab.recipe.run import RunResult
 
 app = typer.Typer(help="Run a recipe: steps, requirements, report.")
 
 
 @app.command()
 def run(
-    recipe: Annotated[
-        str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
-    ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="A.B=V",
-            help="Change a value: a top-level key or STEP.KEY. May be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    recipe: RecipeArgument,
+    changes: ChangesOption = None,
     out: Annotated[
         str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)
     ] = None,
@@ -43,7 +36,6 @@ def run(
     from robustlab.recipe.load import load_recipe
     from robustlab.recipe.paths import recipe_path
     from robustlab.recipe.run import run_recipe
-    from robustlab.report.html import in_words
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     folder = Path(out) if out else Path("out") / loaded.recipe.name
@@ -57,6 +49,14 @@ def run(
                 note(f"[{done + 1}/{len(loaded.recipe.step)}] {name} ({kind})")
 
         result = run_recipe(loaded, folder, begin)
+    emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
+    raise typer.Exit(result.exit_code)
+
+
+def _text(result: RunResult) -> str:
+    """What became of each requirement, and the steps without a trustworthy number."""
+    from robustlab.report.html import in_words
+
     data = result.data
     rows = [
         ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"]), q["condition"])
@@ -74,5 +74,4 @@ def run(
         f"{met} of {len(rows)} requirements met in {data['seconds']:.1f} s",
         f"report: {result.folder / 'report.html'}",
     ]
-    emit("run", {**data, "folder": str(result.folder)}, "\n\n".join(parts), as_json)
-    raise typer.Exit(result.exit_code)
+    return "\n\n".join(parts)

@@ -17,8 +17,8 @@ from pydantic import ValidationError
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.document import parse_document, read_document
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
-from robustlab.recipe.step import KINDS, Step
-from robustlab.recipe.vocabulary import RefersTo
+from robustlab.recipe.steps.contract import KINDS, Step
+from robustlab.recipe.steps.vocabulary import RefersTo
 
 __all__ = ["LoadedRecipe", "load_recipe", "parse_recipe", "references"]
 

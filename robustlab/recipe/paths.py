@@ -1,9 +1,4 @@
-"""Where the files that a recipe names are looked for, and which it may read.
-
-The recipes that come with robustlab: beside the package in a checkout, inside it when installed from a wheel.
-
-The recipe that ``robustlab recipe new`` writes: small, complete, commented, and it runs as it is.
-"""
+"""The files around a recipe: those it names and may read, the recipes that ship with robustlab, one to start from."""
 
 from __future__ import annotations
 
@@ -17,13 +12,7 @@ from robustlab.recipe.load import LoadedRecipe
 from robustlab.recipe.steps.models import LoadStep
 from robustlab.recipe.steps.records import RecordStep
 
-__all__ = [
-    "find_files",
-    "recipe_path",
-    "shipped_recipes",
-    "STARTER",
-    "write_starter",
-]
+__all__ = ["STARTER", "find_files", "recipe_path", "shipped_recipes", "write_starter"]
 
 
 def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
@@ -86,7 +75,8 @@ def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
     )
 
 
-def _folder() -> Path:
+def _shipped_folder() -> Path:
+    """Beside the package in a checkout, inside it when installed from a wheel."""
     package = Path(robustlab.__file__).parent
     installed = package / "shipped" / "recipes"
     return installed if installed.is_dir() else package.parent / "recipes"
@@ -94,7 +84,7 @@ def _folder() -> Path:
 
 def shipped_recipes() -> list[str]:
     """Names of the recipes that come with robustlab."""
-    return sorted(path.stem for path in _folder().glob("*.toml"))
+    return sorted(path.stem for path in _shipped_folder().glob("*.toml"))
 
 
 def recipe_path(given: str) -> Path:
@@ -109,7 +99,7 @@ def recipe_path(given: str) -> Path:
     if path.is_file() or path.suffix or len(path.parts) > 1:
         return path  # a path: `load_recipe` says what is wrong with it
     if given in shipped_recipes():
-        return _folder() / f"{given}.toml"
+        return _shipped_folder() / f"{given}.toml"
     names = shipped_recipes()
     hint = did_you_mean(given, names) or "robustlab recipe new NAME starts a recipe of your own"
     raise InputError(

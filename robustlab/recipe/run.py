@@ -44,7 +44,7 @@ from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.paths import find_files
 from robustlab.recipe.requirements import judge, look_up
 from robustlab.recipe.schema import Recipe
-from robustlab.recipe.step import Outcome, Step, Workspace
+from robustlab.recipe.steps.contract import Outcome, Step, Workspace
 from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 

@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal, Self, Union
 from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
-import robustlab.recipe.steps  # noqa: F401  makes the kinds of steps known
-from robustlab.recipe.step import KINDS, Step
-from robustlab.recipe.vocabulary import StepName, Strict, Text
+from robustlab.recipe.steps.contract import KINDS, Step
+from robustlab.recipe.steps.vocabulary import StepName, Strict, Text
 
 __all__ = ["Recipe", "Requirement", "json_schema", "recipe_model"]
 

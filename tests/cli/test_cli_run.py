@@ -11,7 +11,7 @@ import pytest
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.main import run
-from robustlab.recipe.step import KINDS, Outcome
+from robustlab.recipe.steps.contract import KINDS, Outcome
 
 RECIPE = """\
 schema = "robustlab.recipe/1"

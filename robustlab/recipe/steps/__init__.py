@@ -1,8 +1,8 @@
 """The kinds of steps, one file a field: each class says what a recipe may write and what is then done.
 
-These classes call the public functions of the rooms below, choose the numbers that requirements may address, and draw.
-No mathematics lives here. A new kind is a class with `robustlab.recipe.step.step` in one of these files or in a new
-one; nothing else lists it.
+Beside them stand the contract of a step and the words that they share. The classes call the public functions of the
+rooms below, choose the numbers that requirements may address, and draw; no mathematics lives here. A new kind is a
+class marked with `robustlab.recipe.steps.contract.step`, in one of these files or in a new one; nothing else lists it.
 """
 
 from importlib import import_module

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from robustlab.recipe.step import Fact, Outcome, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Workspace, quantity, step
+from robustlab.recipe.steps.vocabulary import Positive
 from robustlab.recipe.steps.worst_case import MetricStep
-from robustlab.recipe.vocabulary import Positive
 
 
 @step

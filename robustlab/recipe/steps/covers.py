@@ -10,9 +10,9 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.models import uncertain_numbers
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
     Positive,

@@ -10,9 +10,9 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, step, worst
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step, worst
 from robustlab.recipe.steps.design import designed
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
     Positive,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, step
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step
+from robustlab.recipe.steps.vocabulary import (
     Positive,
     PriorTolerance,
     ToOneModel,

@@ -9,8 +9,8 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, did_you_mean
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step, worst
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step, worst
+from robustlab.recipe.steps.vocabulary import (
     FileName,
     NumberOrPair,
     RelativeTolerance,

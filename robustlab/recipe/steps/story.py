@@ -10,8 +10,8 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
     Positive,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Count,
     Effort,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 from pydantic import Field
 
 from robustlab.errors import InputError
-from robustlab.recipe.vocabulary import Strict, Text
+from robustlab.recipe.steps.vocabulary import Strict, Text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
