@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from robustlab.recipe.steps.contract import Fact, Outcome, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import Positive
 from robustlab.recipe.steps.worst_case import MetricStep
 
@@ -74,18 +74,9 @@ def _members(step: CampaignStep) -> str:
 
 
 def _numbers(result: Any) -> dict[str, Any]:
-    numbers: dict[str, Any] = {
-        "worst": result.worst,
-        "worst_index": result.worst_index,
-        "nominal": result.nominal,
-        "done": result.done,
-        "lost": result.lost,
-        "unbounded": result.unbounded,
-        "unseen": result.unseen,
-        "delta": result.delta,
-        "digest": result.digest,
-        "quantiles": {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in result.quantiles},
-    }
+    told = ("worst", "worst_index", "nominal", "done", "lost", "unbounded", "unseen", "delta", "digest")
+    numbers = picked(result, *told)
+    numbers["quantiles"] = {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in result.quantiles}
     if result.violation is not None:
         v = result.violation
         numbers["violation"] = {"count": v.count, "of": v.of, "lower": v.lower, "upper": v.upper}

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robustlab.identification.naming.discovery_result import Discovery
+    from robustlab.provenance import Provenance
     from robustlab.record import Record
     from robustlab.result import Status
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "quantity", "step", "worst"]
+__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "picked", "quantity", "step", "worst"]
 
 # What a recipe says with ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
@@ -55,6 +56,11 @@ def quantity(value: float, unit: str = "", digits: int = 5) -> str:
     """A number with its unit for reading, for example ``779.07 rad/s``."""
     text = f"{value:.{digits}g}"
     return f"{text} {unit}" if unit and unit != "1" else text
+
+
+def picked(result: Any, *names: str) -> dict[str, Any]:
+    """Attributes of a result by name, for requirements."""
+    return {name: getattr(result, name) for name in names}
 
 
 def worst(statuses: Sequence[Status]) -> Status:
@@ -163,6 +169,12 @@ class Workspace:
         """What the record of an earlier step is: "simulated" where its recipe says so, else "measured"."""
         return "simulated" if name in self.simulated else "measured"
 
+    def provenance(self) -> Provenance:
+        """That of what the present step makes."""
+        from robustlab.provenance import Provenance
+
+        return Provenance.now(f"recipe step {self.step}", self.inputs, self.seed)
+
     def draw(self, figure: Figure, name: str, caption: str) -> None:
         """Save a figure of the present step as SVG and PNG."""
         from robustlab.report.figures import save_figure
@@ -180,10 +192,9 @@ class Workspace:
 
         A step with several results names each: ``evidence/STEP-PART.h5``.
         """
-        from robustlab.provenance import Provenance
         from robustlab.storage import save
 
         path = self.folder / "evidence" / f"{self.step}{'-' * bool(part)}{part}.h5"
         path.parent.mkdir(exist_ok=True)
-        save(path, result, Provenance.now(f"recipe step {self.step}", self.inputs, self.seed))
+        save(path, result, self.provenance())
         self.files.append(f"evidence/{path.name}")

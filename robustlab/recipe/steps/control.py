@@ -263,6 +263,15 @@ class SimulateControlStep(Step):
     unit: str = ""
     limits: dict[str, Positive] = Field({}, description="Largest magnitude of a signal; compared, not clipped.")
 
+    def _wave(self) -> tuple[Any, Any, int]:
+        """Times (n,), the reference at them, and how many of them lie between two points that are kept."""
+        import numpy as np
+
+        fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.step))
+        t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
+        share = np.clip(t / self.rise_time, 0.0, 1.0)
+        return t, self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t), fine
+
     def run(self, work: Workspace) -> Outcome:
         """A sine followed under each controller: nominal with effects, and further members of the set."""
         import numpy as np
@@ -275,19 +284,15 @@ class SimulateControlStep(Step):
         if not isinstance(plant, LinearPlant):
             raise InputError(f"step {self.of!r}", f"gave a {type(plant).__name__}", "a linear plant")
         _known_limits(self.limits, plant)
-        fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.step))
-        t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
-        share = np.clip(t / self.rise_time, 0.0, 1.0)
-        wave = self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t)
+        t, wave, fine = self._wave()
         reference = np.tile(wave[:, None], len(self.controlled))
         rows: dict[str, dict[str, Any]] = {}
         errors: dict[str, Any] = {}
         efforts: dict[str, dict[str, Any]] = {name: {} for name in self.limits}
         for name in self.controllers:
             loop = controlled_plant(plant, work.values[name], self.controlled, self.measured)
-            runs = []
-            for member in ({}, *self.members):
-                runs.append(rl.simulate(_rough(loop, plant, self.effects, member), t, reference))
+            members = [_rough(loop, plant, self.effects, member) for member in ({}, *self.members)]
+            runs = [rl.simulate(member, t, reference) for member in members]
             error = [np.column_stack([wave - run[c] for c in self.controlled]) * self.scale for run in runs]
             late = t >= self.after
             row: dict[str, Any] = {
@@ -302,7 +307,7 @@ class SimulateControlStep(Step):
             for signal in self.limits:
                 efforts[signal][name] = runs[0][signal][::fine]
         units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
-        unit = self.unit or units[self.controlled[0]]
+        unit, amplitude = self.unit or units[self.controlled[0]], quantity(self.amplitude, units[self.controlled[0]])
         panels = [TimePanel(f"error of {self.controlled[0]} [{unit}]", errors)]
         panels += [TimePanel(f"{n} [{units[n]}]", efforts[n], limit) for n, limit in self.limits.items()]
         words = ", ".join(self.effects) or "no further effect"
@@ -315,9 +320,7 @@ class SimulateControlStep(Step):
             for name, row in rows.items()
         ]
         facts = (
-            Fact(
-                "Reference", f"{quantity(self.amplitude, units[self.controlled[0]])} at {quantity(self.omega, 'rad/s')}"
-            ),
+            Fact("Reference", f"{amplitude} at {quantity(self.omega, 'rad/s')}"),
             Fact("Effects that no design knew", words),
             Fact("Further members simulated", str(len(self.members))),
             Fact("Errors count from", quantity(self.after, "s")),
@@ -372,10 +375,10 @@ class FollowTrajectoryStep(Step):
         for name in self.controllers:
             controller = LayeredController(as_model(work.values[name], name), lower, point)
             run = follow(plant, controller, path, t)
-            error = run.largest_error(self.after)
-            rows[name] = {
-                "order": controller.upper.n_states,
-                "worst_error": float(1e3 * np.linalg.norm(run.error[t >= self.after, :3], axis=1).max()),
+            rows[name], error = {"order": controller.upper.n_states}, run.largest_error(self.after)
+            curves["position"][name] = distance = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
+            rows[name] |= {
+                "worst_error": float(distance[t >= self.after].max()),
                 "position_error": float(error[:3].max()),
                 "orientation_error": float(error[3:].max()),
                 "largest_torque": float(run.largest_torque().max()),
@@ -383,7 +386,6 @@ class FollowTrajectoryStep(Step):
                 "within_limits": run.within_limits,
                 "spectral_abscissa": closed_loop(plant, controller).spectral_abscissa(),
             }
-            curves["position"][name] = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
             curves["torque"][name] = 1e3 * np.abs(run.torque).max(axis=1)
             curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
             limits = run.limits

@@ -81,7 +81,7 @@ class ExportStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """The files of a controller, with its provenance."""
-        from robustlab.provenance import Provenance, file_sha256
+        from robustlab.provenance import file_sha256
         from robustlab.statespace import as_model
 
         given = work.values[self.of]
@@ -91,7 +91,7 @@ class ExportStep(Step):
             raise InputError(
                 f"step {self.of!r}", found, "a digital one", "a step discretise with its sample time before"
             )
-        origin = Provenance.now(f"recipe step {work.step}", work.inputs, work.seed)
+        origin = work.provenance()
         limits = {name: tuple(pair) for name, pair in self.saturation.items()} or None
         digests: dict[str, str] = {}
         for suffix in FORMATS:

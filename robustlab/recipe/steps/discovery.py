@@ -72,7 +72,8 @@ class DiscoverStep(Step):
             notes.append(f"The verdict {found.verdict!r} is one that this recipe takes for an answer.")
         if found.model is not None:
             file = f"{work.step}-plant.h5"
-            _save(found, work, file)
+            rl.save(work.folder / file, found.model, work.provenance())
+            work.files.append(file)
             notes.append(f"The updated plant is in {file}.")
         if found.next_experiment is not None:
             file = f"{work.step}-next-experiment.csv"
@@ -81,13 +82,6 @@ class DiscoverStep(Step):
             notes.append(f"The signal of the next experiment is in {file}.")
         lines = tuple(Fact(*line) for line in facts(found))
         return Outcome(found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary())
-
-
-def _save(found: Discovery, work: Workspace, file: str) -> None:
-    from robustlab.provenance import Provenance
-
-    rl.save(work.folder / file, found.model, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))
-    work.files.append(file)
 
 
 def numbers(d: Discovery) -> dict[str, Any]:

@@ -133,7 +133,7 @@ class SaveStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """An object to an HDF5 file in the output folder, with its provenance."""
         from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-        from robustlab.provenance import Provenance, file_sha256
+        from robustlab.provenance import file_sha256
 
         path = work.folder / self.file
         given = work.values[self.of]
@@ -141,7 +141,7 @@ class SaveStep(Step):
             given = given.to_uncertain()
         if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
             given = given.to_model()  # a plant without effects is kept as its linear model
-        rl.save(path, given, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))
+        rl.save(path, given, work.provenance())
         work.files.append(self.file)
         digest = file_sha256(path)
         return Outcome(

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
@@ -27,7 +27,7 @@ class HinfNormStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """H-infinity norm of a model, as a proved bracket."""
         norm = rl.hinf_norm(work.values[self.of])
-        numbers = {"value": norm.value, "frequency": norm.frequency, "lower": norm.lower, "upper": norm.upper}
+        numbers = picked(norm, "value", "frequency", "lower", "upper")
         facts = (
             Fact("H-infinity norm", f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
             Fact("attained at", quantity(norm.frequency, "rad/s")),
@@ -55,7 +55,7 @@ class RobustStabilityStep(Step):
             uncertain, omega=grid, effort=self.effort, time_limit=self.time_limit, seed=work.seed
         )
         work.keep(margin)
-        numbers = {"lower": margin.lower, "upper": margin.upper, "frequency": margin.frequency, "delta": margin.delta}
+        numbers = picked(margin, "lower", "upper", "frequency", "delta")
         attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
         facts = [
             Fact("Margin, proved from below", f"{quantity(margin.lower)}: no smaller Δ destabilises"),

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Count,
@@ -170,12 +170,7 @@ class WorstCaseStep(MetricStep):
             options["n"] = self.n
         found = rl.worst_case(model, self.metric, effort=self.effort, time_limit=self.time_limit, **options)
         work.keep(found)
-        numbers = {
-            "value": found.value,
-            "nominal_value": found.nominal_value,
-            "evaluations": found.evaluations,
-            "delta": found.delta,
-        }
+        numbers = picked(found, "value", "nominal_value", "evaluations", "delta")
         where = f" at {found.location} = {quantity(found.at)}" if math.isfinite(found.at) else ""
         facts = [
             Fact(f"Worst {self.metric} found", f"{quantity(found.value, found.unit)}{where}"),
@@ -220,18 +215,8 @@ class ViolationStep(MetricStep):
         options |= {"confidence": self.confidence, "probability": self.probability}
         found = rl.violation_probability(work.uncertain(self.of), self.metric, limit, n=self.n, **options)
         work.keep(found)
-        keys = (
-            "n",
-            "violations",
-            "unbounded",
-            "probability",
-            "lower",
-            "upper",
-            "at_most",
-            "worst_value",
-            "worst_delta",
-        )
-        numbers: dict[str, Any] = {key: getattr(found, key) for key in keys}
+        numbers = picked(found, "n", "violations", "unbounded", "probability", "lower", "upper", "at_most")
+        numbers |= picked(found, "worst_value", "worst_delta")
         for key in ("shown", "samples_needed"):
             if getattr(found, key) is not None:
                 numbers[key] = getattr(found, key)
