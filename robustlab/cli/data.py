@@ -89,10 +89,10 @@ class RecordOptions:
         from robustlab.record import Record
 
         units = _units(self.unit or [])
-        sides = [None if text is None else names(text) for text in (inputs, self.outputs)]
+        wanted, told = (None if text is None else names(text) for text in (inputs, self.outputs))
         record = Record.read(
-            file, group or self.group, *sides, self.dt, units=units, clock=self.clock, delimiter=self.delimiter,
-            decimal=self.decimal, allow_gaps=self.allow_gaps,
+            file, group or self.group, wanted, told, self.dt, units=units, clock=self.clock,
+            delimiter=self.delimiter, decimal=self.decimal, allow_gaps=self.allow_gaps,
         )  # fmt: skip
         for name in record.units:
             if name in units and not same_unit(units[name], record.unit(name)):

@@ -78,7 +78,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     A field without an option of its own keeps its default; so a group can leave out what its base class asks for.
     """
     parsed: list[Parameter] = []
-    groups: dict[str, tuple[type, list[str]]] = {}
+    groups: dict[str, tuple[Any, list[str]]] = {}
     hints = get_type_hints(command, include_extras=True)
     for parameter in signature(command).parameters.values():
         kind: Any = hints[parameter.name]

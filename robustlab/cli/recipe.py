@@ -28,7 +28,7 @@ def check(
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     files = {name: str(path) for name, path in find_files(loaded).items()}
-    steps = [(name, step.do, files.get(name, "")) for name, step in loaded.recipe.step.items()]
+    steps = [(name, step.kind, files.get(name, "")) for name, step in loaded.recipe.step.items()]
     count = len(loaded.recipe.require)
     text = f"{table(steps, ('step', 'does', 'reads'))}\n\ncan be run; steps: {len(steps)}, requirements: {count}"
     result = {"recipe": str(loaded.path), "steps": [list(step) for step in steps], "requirements": count}

@@ -87,7 +87,8 @@ def recipe_model() -> type[Recipe]:
 @cache
 def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
     any_step: Any = Annotated[Union[kinds], Field(discriminator="do")]  # noqa: UP007  made of a tuple
-    return create_model("Recipe", __base__=Recipe, __doc__=Recipe.__doc__, step=(dict[StepName, any_step], STEPS))
+    steps = dict[StepName, any_step]  # pyright: ignore[reportInvalidTypeForm]  a type, made just now
+    return create_model("Recipe", __base__=Recipe, __doc__=Recipe.__doc__, step=(steps, STEPS))
 
 
 def json_schema() -> dict[str, Any]:

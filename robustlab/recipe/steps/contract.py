@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from robustlab.result import Status
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "picked", "quantity", "step", "worst"]
+__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "least_trusted", "picked", "quantity", "step"]
 
 # What a recipe says with ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
@@ -63,7 +63,7 @@ def picked(result: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(result, name) for name in names}
 
 
-def worst(statuses: Sequence[Status]) -> Status:
+def least_trusted(statuses: Sequence[Status]) -> Status:
     """The status that says least; it is that of a step with several results."""
     return max(statuses, key=list(type(statuses[0])).index)
 

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     ComplementaryWeight,
@@ -227,7 +227,7 @@ class RobustPerformanceStep(Step):
         ]
         met = [name for name, row in rows.items() if row["mu_upper"] <= 1]
         facts = (Fact("Requirement met by every member, proved", ", ".join(met) or "by none of them"),)
-        status = worst(statuses)
+        status = least_trusted(statuses)
         where = self.of if self.set is None else f"{self.of} on {self.set}"
         summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
         note = (
@@ -408,7 +408,7 @@ class FollowTrajectoryStep(Step):
             [
                 name,
                 str(row["order"]),
-                *(f"{factor * row[key]:.4g}" for key, factor in columns.items()),
+                *(f"{factor * row[key]:.4g}" for key, factor in columns),
                 "yes" if row["within_limits"] else "no",
             ]
             for name, row in rows.items()

@@ -10,7 +10,7 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step, worst
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, step
 from robustlab.recipe.steps.design import designed
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -142,7 +142,7 @@ def _with_robustness(
     )
     return replace(
         outcome, summary=sentence, numbers={**outcome.numbers, **numbers}, facts=(*outcome.facts, *facts),
-        status=worst(statuses), notes=(*outcome.notes, note),
+        status=least_trusted(statuses), notes=(*outcome.notes, note),
     )  # fmt: skip
 
 

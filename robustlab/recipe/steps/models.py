@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, did_you_mean
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step, worst
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     FileName,
     NumberOrPair,
@@ -43,7 +43,7 @@ class PlantStep(Step):
             raise PydanticCustomError("named_once", "{name} is among parameters and choices", {"name": twice[0]})
         return self
 
-    def run(self, _work: Workspace) -> Outcome:
+    def run(self, work: Workspace) -> Outcome:
         """A plant from physics, with its parameters and where they come from."""
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
         made = rl.plant(self.plant, **given, **self.choices)
@@ -171,7 +171,7 @@ class StructuralStep(Step):
             Fact(f"{name.capitalize()} rank", f"{part.rank} of {part.n_states} states") for name, part in parts.items()
         )
         statuses = [part.status for part in parts.values()]
-        return Outcome(None, f"Structure of {self.of}.", numbers, facts, worst(statuses))
+        return Outcome(None, f"Structure of {self.of}.", numbers, facts, least_trusted(statuses))
 
 
 @step
