@@ -87,7 +87,7 @@ def recipe_model() -> type[Recipe]:
 @cache
 def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
     any_step: Any = Annotated[Union[kinds], Field(discriminator="do")]  # noqa: UP007  made of a tuple
-    steps = dict[StepName, any_step]  # pyright: ignore[reportInvalidTypeForm]  a type, made just now
+    steps = dict[StepName, any_step]
     return create_model("Recipe", __base__=Recipe, __doc__=Recipe.__doc__, step=(steps, STEPS))
 
 
