@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from robustlab.errors import InputError
 from robustlab.recipe.steps.vocabulary import Strict, Text
@@ -31,6 +31,8 @@ Kind = TypeVar("Kind", bound="type[Step]")
 
 class Step(Strict):
     """What every step has; a kind of step adds its keys, ``do`` with its word among them, and `run`."""
+
+    model_config = ConfigDict(defer_build=True)  # only the union of all kinds needs a validator, see `recipe_model`
 
     gives: ClassVar[str] = "nothing"
 
