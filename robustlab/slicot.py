@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,7 +90,7 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, *, discrete: bool) -> floa
     return gain
 
 
-def _answer(routine: str, **arrays: Array) -> dict[str, Array]:
+def _answer(routine: str, **arrays: Any) -> dict[str, Array]:
     """What the child says."""
     sent = io.BytesIO()
     np.savez(sent, **arrays)
@@ -122,9 +123,9 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUTF8": "1"}
 
 
-def _ab13md(Z: Array, sizes: Array, types: Array) -> dict[str, Array]:
-    from slycot import ab13md  # pyright: ignore[reportMissingImports]
-    from slycot.exceptions import SlycotError  # pyright: ignore[reportMissingImports]
+def _ab13md(Z: Array, sizes: Array, types: Array) -> dict[str, Any]:
+    from slycot import ab13md
+    from slycot.exceptions import SlycotError
 
     bounds = np.full(len(Z), np.nan)
     for k, matrix in enumerate(Z):
@@ -135,9 +136,9 @@ def _ab13md(Z: Array, sizes: Array, types: Array) -> dict[str, Array]:
     return {"bounds": bounds}
 
 
-def _ab13dd(A: Array, B: Array, C: Array, D: Array, discrete: Array) -> dict[str, Array]:
-    from slycot import ab13dd  # pyright: ignore[reportMissingImports]
-    from slycot.exceptions import SlycotError  # pyright: ignore[reportMissingImports]
+def _ab13dd(A: Array, B: Array, C: Array, D: Array, discrete: Array) -> dict[str, Any]:
+    from slycot import ab13dd
+    from slycot.exceptions import SlycotError
 
     n, m, p = len(A), B.shape[1], len(C)
     try:

@@ -27,7 +27,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 
@@ -293,7 +293,7 @@ def _told(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
         p = plant.parameters[b.name]
         text = f"parameter {b.name} = {p.value:.6g} {p.unit}".rstrip()
         text += f", {p.meaning}" if p.meaning else ""
-        blocks.append(dataclasses.replace(b, origin=text + (f"; {p.source}" if p.source else "")))
+        blocks.append(dataclasses.replace(cast("Any", b), origin=text + (f"; {p.source}" if p.source else "")))
     return UncertainModel(uncertain.M, blocks, uncertain.operating_point)
 
 
@@ -360,7 +360,7 @@ def _gadgets(
         model, _ = delay_block(e.delay, spread, pade, e.key)
         words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade}"
         block = dataclasses.replace(
-            model.blocks[0], origin=f"{words} and a weight over what that misses; {e.values_in_words}"
+            cast("Any", model.blocks[0]), origin=f"{words} and a weight over what that misses; {e.values_in_words}"
         )
         found.append(UncertainModel(model.M, [block]))
     return found
