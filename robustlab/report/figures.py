@@ -169,11 +169,20 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Pa
     -------
     tuple of Path
         The SVG and the PNG.
+
+    Raises
+    ------
+    EnvironmentFault
+        The folder cannot be made, or a file not written.
     """
+    from robustlab.errors import EnvironmentFault
     from robustlab.files.atomic import atomic_write
 
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EnvironmentFault(str(folder), f"the folder cannot be made ({error.strerror})") from error
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     with house_style(), warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; the caption in the report has it in full.

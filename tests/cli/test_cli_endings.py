@@ -268,3 +268,20 @@ def test_a_record_without_a_hash_is_read_with_the_same_warning(folder):
     done = robustlab("data", "check", "r.h5", cwd=folder)
     assert done.returncode == 0
     assert one_line(done.stderr).startswith("warning: r.h5: the file carries no content_sha256")
+
+
+def test_a_figure_whose_folder_cannot_be_made(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    rl.save(tmp_path / "u.h5", rl.UncertainModel(MODEL, []))
+    done = robustlab("mu", tmp_path / "u.h5", "--figure", tmp_path / "file" / "x.svg")
+    assert done.returncode == 5
+    assert "cannot be made" in one_line(done.stderr.splitlines()[-1])
+
+
+def test_a_terminal_that_knows_ascii_only(tmp_path):
+    done = robustlab(
+        "run", "motor-data-sheet", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"}
+    )
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+    assert "\\xb1" in done.stdout

@@ -120,3 +120,12 @@ def test_a_signal_too_small_to_be_squared_has_no_fit():
 
     y = 1e-200 * np.sin(T)
     assert np.isnan(_gap(Signal("q", "m"), T, y, 0.1 * y, 0.1 * y).fit)
+
+
+def test_a_record_without_noise_whose_windows_do_not_show_their_whole_start():
+    t = np.arange(600) * 5e-3
+    u = np.repeat(np.random.default_rng(0).standard_normal(24), 25)
+    q = rl.simulate(rl.plant("servo-axis"), t, u)["q"]
+    found = rl.discover(rl.plant("servo-axis"), [rl.Record(t, {"u": u}, {"q": q})])
+    assert found.verdict == "no missing effect"
+    assert found.effects == ()

@@ -512,7 +512,11 @@ class _Linearised:
         """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
         n_x = self.xx.shape[1]
         inner = self.xx + damping * self.xx * np.eye(n_x)
-        both = np.asarray(np.linalg.solve(inner, np.concatenate([self.xr[:, :, None], self.xj], axis=2)), dtype=float)
+        right = np.concatenate([self.xr[:, :, None], self.xj], axis=2)
+        try:
+            both = np.asarray(np.linalg.solve(inner, right), dtype=float)
+        except np.linalg.LinAlgError:  # a part of the start that no sample of its window shows: it stays as it is
+            both = np.linalg.pinv(inner, hermitian=True) @ right
         offset, slope = both[:, :, 0], both[:, :, 1:]
         hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
         gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
