@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
-from robustlab.files.signature import Limits
 from robustlab.provenance import Traced
 from robustlab.statespace import MAX_NAME, real_array
 
@@ -152,9 +151,6 @@ class Record(Traced):
         inputs: Sequence[str] | None = None,
         outputs: Sequence[str] | None = None,
         dt: float | None = None,
-        *,
-        limits: Limits | None = None,
-        isolate: bool = True,
         **options: Any,
     ) -> Record:
         """Read a measured record from HDF5 (format 1 or plain), MATLAB ``.mat``, or CSV/TXT.
@@ -169,11 +165,9 @@ class Record(Traced):
             Names of the signals to take. With neither given, all are outputs; with inputs only, all others are.
         dt
             Sample time in s; wins over what the file says.
-        limits, isolate
-            See `robustlab.files.hdf5.read_tree`.
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
-            `robustlab.files.records.RecordOptions`.
+            `robustlab.files.records.RecordOptions`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
 
         Returns
         -------
@@ -187,8 +181,9 @@ class Record(Traced):
         """
         from robustlab.files.records import RecordOptions, read_record
 
+        reading = {name: options.pop(name) for name in ("limits", "isolate") if name in options}
         wanted = RecordOptions(group, inputs, outputs, dt, **options)
-        return cls(**read_record(path, wanted, limits, isolate))
+        return cls(**read_record(path, wanted, **reading))
 
     def to_json(self) -> dict[str, object]:
         """All samples as plain types."""

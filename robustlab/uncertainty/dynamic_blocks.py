@@ -12,7 +12,8 @@ Březina 2010, section 4.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,12 @@ from robustlab.uncertainty.interconnection import Part
 __all__ = ["weighted"]
 
 
-def weighted(m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Part], side: str) -> Part:
+def weighted(
+    m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Any], side: str, read: Callable[[Any, str], Part]
+) -> Part:
     """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`.
+
+    ``read(weight, where)`` makes M and blocks of what was given as a weight, once it is known to be wanted.
 
     Raises
     ------
@@ -45,7 +50,7 @@ def weighted(m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, P
     for i, block in enumerate(given):
         size = block.cols if side == "z" else block.rows
         if block.name in weights:
-            weight, block = _weight(block, weights[block.name], side)
+            weight, block = _weight(block, weights[block.name], side, read)
         else:
             weight = StateSpaceModel([], [], [], np.eye(size), m.dt)
         parts.append(_plain(weight, f"{i}", [f"{block.name}: {s.name}" for s in weight.states]))
@@ -72,12 +77,12 @@ def weighted(m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, P
     return model, tuple(blocks)
 
 
-def _weight(block: Block, given: Part, side: str) -> tuple[StateSpaceModel, Block]:
+def _weight(block: Block, given: Any, side: str, read: Callable[[Any, str], Part]) -> tuple[StateSpaceModel, Block]:
     """The weight on all channels of one block, and the block that is left for Delta."""
     where = f"weighted: {block.name!r}"
     if block.is_real:
         raise InputError(where, "a real parameter", "a full or complex block", "a parameter's range is its weight")
-    weight, own = given
+    weight, own = read(given, where)
     if own:
         raise InputError(where, "an uncertain weight", "a model without uncertainty")
     if weight.n_states and not weight.is_stable():

@@ -23,7 +23,7 @@ from robustlab.provenance import Traced
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft, real_array
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
 from robustlab.uncertainty.dynamic_blocks import weighted
-from robustlab.uncertainty.interconnection import Wiring, join, unique_names, wired
+from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, wired
 from robustlab.uncertainty.reduction import reduced
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
@@ -275,9 +275,7 @@ class UncertainModel(Traced):
         >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
         array([[1.5]])
         """
-        given = {name: as_uncertain(weight, f"weighted: {name!r}") for name, weight in weights.items()}
-        parts = {name: (weight.M, weight.blocks) for name, weight in given.items()}
-        return UncertainModel(*weighted(self.M, self.blocks, parts, side))
+        return UncertainModel(*weighted(self.M, self.blocks, weights, side, _part))
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Parameter values and units that belong to a Delta, for real blocks that stand for a physical parameter."""
@@ -358,6 +356,12 @@ def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
         return UncertainModel(StateSpaceModel([], [], [], gain, 0.0, where=where), ())
     model = as_model(system, where)
     return UncertainModel(model, (), model.operating_point)
+
+
+def _part(system: Any, where: str) -> Part:
+    """M and blocks of anything that `as_uncertain` takes."""
+    given = as_uncertain(system, where)
+    return given.M, given.blocks
 
 
 def product(second: Any, first: Any) -> UncertainModel:

@@ -346,6 +346,10 @@ def test_dynamic_values_that_do_not_fit():
         ({"f": np.ones((3, 1))}, "w", "1 x 1 or 2 x n"),
         ({"c": StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1)}, "z", "sample times"),
         ({"c": "heavy"}, "z", "c"),
+        # Of two faults the one that comes first in the reading: side, then names, then the weights themselves.
+        ({"d": "heavy"}, "x", "side 'x'"),
+        ({"c": "heavy", "d": 0.2}, "z", "no such block"),
+        ({"r": "heavy"}, "z", "a real parameter"),
     ],
 )
 def test_weights_that_do_not_fit(weights, side, text):

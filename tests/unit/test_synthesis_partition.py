@@ -121,6 +121,13 @@ def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missi
         calls[design]()
 
 
+@pytest.mark.parametrize(("dt", "controller_dt"), [(0.0, 0.0), (0.1, 0.1)])
+def test_a_bare_plant_hears_of_its_performance_before_the_sample_times(dt, controller_dt):
+    P = StateSpaceModel([[-0.5]], [[1.0]], [[1.0]], [[0.0]], dt)
+    with pytest.raises(InputError, match="no disturbance w and no performance output z"):
+        rl.sampled_data_norm(P, StateSpaceModel([], [], [], [[-5.0]], controller_dt))
+
+
 def test_channels_of_delta_are_no_performance():
     """Each member of the set has neither w nor z, so that no gain of it can be made small."""
     uncertain = UncertainModel(

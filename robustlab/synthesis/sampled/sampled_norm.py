@@ -150,8 +150,7 @@ def sampled_data_norm(
     ('certified', True)
     """
     where = "sampled_data_norm"
-    p, k = plant_and_controller(plant, K, n_meas, n_con, delay, where)
-    require_performance(p, where)
+    p, k = plant_and_controller(plant, K, n_meas, n_con, delay, where, performance=True)
     if not 0 < rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
     with one_thread():
@@ -159,11 +158,17 @@ def sampled_data_norm(
 
 
 def plant_and_controller(
-    plant: Any, K: Any, n_meas: int | None, n_con: int | None, delay: float, where: str
+    plant: Any, K: Any, n_meas: int | None, n_con: int | None, delay: float, where: str, *, performance: bool = False
 ) -> tuple[GeneralizedPlant, StateSpaceModel]:
-    """Plant and digital controller, the latter without names, checked: they fit, and the sample time is one."""
+    """Plant and digital controller, the latter without names, checked: they fit, and the sample time is one.
+
+    With ``performance`` the plant must have w and z beside the controls and measurements; a bare plant hears of that
+    first.
+    """
     k = as_model(getattr(K, "K", K), f"{where}: K")
     p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
+    if performance:
+        require_performance(p, where)
     check_sampling(p, k.dt, delay, where)
     if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
         raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
