@@ -19,7 +19,6 @@ MODULES = [
 @pytest.mark.parametrize("module", MODULES)
 def test_examples(module):
     result = doctest.testmod(import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
-    assert result.attempted
     assert not result.failed
 
 
