@@ -147,7 +147,7 @@ class UncertainFromStep(Step):
 
         given = work.discoveries.get(self.of, work.values[self.of])
         if self.of not in work.discoveries and not isinstance(given, Plant):
-            raise InputError(f"of = {self.of!r}", f"a {type(given).__name__}", "a discover self, or a plant")
+            raise InputError(f"of = {self.of!r}", f"a {type(given).__name__}", "a discover step, or a plant")
         amplitude = {n: (a[0], a[1]) if isinstance(a, list) else a for n, a in self.amplitude.items()}
         made = rl.uncertain_from(
             given, self.outputs, sigmas=self.sigmas, amplitude=amplitude or None, dry=self.dry, pade=self.pade
