@@ -45,7 +45,7 @@ def lines(file: Path) -> int:
 def sentence(file: Path) -> str:
     """The first sentence of a room's front door."""
     text = ast.get_docstring(ast.parse(file.read_text())) or ""
-    return " ".join(text.split("\n\n")[0].split())
+    return " ".join(text.split("\n\n")[0].split()).replace("`", "")
 
 
 def picture() -> str:
