@@ -67,11 +67,20 @@ class NamingTuning:
     second_windows: int = 18
     kept_second: int = 10  # hypotheses that enter the second round, and the last
     kept_last: int = 7
+    kept_gains: int = 3  # wrong gains beside them: at the same cost the prior may prefer one
+    full: int = 15  # iterations of a full fit
     promising: float = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
     most_stretched: float = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
 
-    # --- what is named
+    # --- the sets of effects
     most_effects: int = 5
+    most_expansions: int = 16  # sets to which effects are added before the search is called unfinished
+    prior_effect: float = 0.02  # of an effect at a place
+    prior_refinement: float = 0.3  # of a refinement, over that of the effect it refines
+    looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found
+    temperature: float = 1.0  # by which log evidence is divided: above 1, less sure
+    sure: float = 0.95  # probability of a set from which it is named, and of the sets in an answer together
+    none_else: float = 0.02  # probability of all other sets below which there are no rivals
     settling: int = 15  # iterations of the reported fits
     # A new effect must be this much more probable than none (log evidence), on top of the number of effects tried.
     convincing: float = 4.0
