@@ -144,6 +144,12 @@ class Simulator:
             model = effect.extend(model, site, v)
         return model
 
+    def seen_input(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None) -> Array:
+        """Inputs as the plant sees them, their means from each sample to the next, (n, n_u)."""
+        n_u = len(self._inputs)
+        seen = self._seen(values, self._late(values, shift))
+        return seen.reshape(-1, self.sub * seen.shape[1] // n_u, n_u).mean(axis=1)
+
     def _late(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None) -> tuple[float, ...]:
         """Time in s by which the plant sees each input late, delays included: those commute with the other maps."""
         names = [s.name for s in self.plant.inputs]
