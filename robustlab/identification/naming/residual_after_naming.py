@@ -195,7 +195,7 @@ def _known_inputs(
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     forces = motion.forces.reshape(len(used), len(laws))
     forces = np.vstack([forces[1:], forces[-1:]])
-    seen = simulator.seen_input(values).reshape(-1, simulator.sub, record.u.shape[1]).mean(axis=1)[used]
+    seen = simulator.seen_input(values)[used]
     plain = motion.states @ model.C.T
     if model.D.any():
         plain = plain + seen.reshape(len(windows.starts), windows.length, -1) @ model.D.T
