@@ -72,6 +72,12 @@ class NamingTuning:
     promising: float = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
     most_stretched: float = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
 
+    # --- clocks
+    clock_share: float = 0.25  # of a sample: standard deviation of an input's shift
+    least_steps: int = 2  # a sample
+    most_steps: int = 8  # a sample: more follow stiffer contacts and take more time
+    step_error: float = 0.1  # of the noise, by which half as long steps may change a residual
+
     # --- the sets of effects
     most_effects: int = 5
     most_expansions: int = 16  # sets to which effects are added before the search is called unfinished

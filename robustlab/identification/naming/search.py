@@ -21,13 +21,14 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, noise_ratio, whitening
+from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
 
@@ -86,6 +87,8 @@ class Found:
         Number of sets that were expanded; ``settled`` is False where the budget of them ended the search.
     interrupted
         True where the user ended it.
+    problem, held
+        As they were given, with the clock under which all was simulated.
     """
 
     sets: tuple[Visited, ...]
@@ -94,6 +97,8 @@ class Found:
     expanded: int
     settled: bool
     interrupted: bool
+    problem: Problem
+    held: Problem
 
     @property
     def best(self) -> Visited:
@@ -178,7 +183,16 @@ class _Search:
         except KeyboardInterrupt:
             interrupted = True
         order = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
-        return Found(tuple(order), self.visited[Key()], self.noise, self.expansions, settled, interrupted)
+        return Found(
+            tuple(order),
+            self.visited[Key()],
+            self.noise,
+            self.expansions,
+            settled,
+            interrupted,
+            self.problem,
+            self.held,
+        )
 
     @property
     def best(self) -> Visited:
@@ -270,14 +284,28 @@ class _Search:
         if self.sharpened and self._white(leader):
             return
         self.sharpened = True
-        order = self.tuning.ar_order if noise_ratio(self.problem, leader) < self.tuning.beyond_noise else 1
-        self.noise = whitening(self.problem, leader, order)
+        self.noise = self._noise_of(leader)
+        leader = self._clocked(self._again(leader))
+        self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.kept_last + 1]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         self.visited, self.expanded = {}, set()
 
-        def again(fit: Fit) -> Fit:
-            return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(self.tuning.full, 0.05))
+        for fit in self.workers.map(self._again, kept.values()):
+            self._visit(fit)
 
-        for fit in self.workers.map(again, kept.values()):
-            self._visit(replace(fit))
+    def _noise_of(self, fit: Fit) -> NoiseModel:
+        """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
+        near = noise_ratio(self.problem, fit) < self.tuning.beyond_noise
+        return whitening(self.problem, fit, self.tuning.ar_order if near else 1)
+
+    def _again(self, fit: Fit) -> Fit:
+        """The set fitted under the present noise and clock, from where it stands."""
+        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(self.tuning.full, 0.05))
+
+    def _clocked(self, fit: Fit) -> Fit:
+        """The best set under the input holds that suit it and steps that are short enough for it."""
+        fit, self.problem = held_inputs(self.problem, fit)
+        self.problem = short_steps(self.problem, fit)
+        self.held = self.held.under(self.problem.clock)
+        return self._again(fit)
