@@ -1,11 +1,9 @@
-"""Figures of a discovery: gap before and after, a held-out stretch, the evidence of each step, what force is left."""
+"""Figures of a discovery: gap before and after, a held-out stretch, the sets it leaves open, what force is left."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,12 +12,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.naming.discovery_result import (
-    Discovery,
-    NamingStep,
-    compared,
-    headline,
-)
+from robustlab.identification.naming.discovery_parts import SetProbability
+from robustlab.identification.naming.discovery_result import Discovery, chance, compared, headline
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.report.figures import (
     COLOURS,
@@ -33,7 +27,7 @@ from robustlab.report.figures import (
     zero_line,
 )
 
-__all__ = ["CAPTIONS", "discovery_figures", "evidence_figure", "gap_figure", "residual_force_figure", "stretch_figure"]
+__all__ = ["CAPTIONS", "discovery_figures", "gap_figure", "posterior_figure", "residual_force_figure", "stretch_figure"]
 
 
 Index = NDArray[np.int_]
@@ -41,8 +35,7 @@ Index = NDArray[np.int_]
 MODELS = {"nominal": COLOURS["worst"], "refitted": COLOURS["sample"], "updated": COLOURS["nominal"]}
 STRETCH = 4  # windows shown of a held-out stretch
 APART = 0.06  # of a window, between windows that do not follow each other
-SHOWN = 9  # hypotheses of a step
-TIE = 3.0  # log evidence; less is no difference, and the axis is linear there
+SHOWN = 9  # sets of effects
 LONG_TITLE = 92
 
 COLUMNS = 2
@@ -51,18 +44,18 @@ ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either s
 CAPTIONS = {
     "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
     "stretch": "A held-out stretch, window by window: record, nominal and updated model, and their errors below.",
-    "evidence": "The steps of the search: log evidence behind the best; blue: what was named, grey: nothing added.",
+    "posterior": "Sets of effects and how probable they are; blue: the smallest collection with 95 %.",
     "force": "The force that the updated model still lacks, over each coordinate, with its 95 % band.",
 }
 
 
 def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
-    """``story``; ``stretch-q`` for every output q; ``evidence``; ``force`` where a residual force is known."""
+    """``story``; ``stretch-q`` for every output q; ``posterior``; ``force`` where a residual force is known."""
     figures = {"story": gap_figure(discovery)}
     for k, output in enumerate(discovery.series.get("outputs", {}), start=1):
         figures[f"stretch-{stem(output, k)}"] = stretch_figure(discovery, output)
-    if discovery.steps:
-        figures["evidence"] = evidence_figure(discovery)
+    if discovery.posterior:
+        figures["posterior"] = posterior_figure(discovery)
     if discovery.residual_force is not None and discovery.residual_force.curves:
         figures["force"] = residual_force_figure(discovery.residual_force, discovery.unnamed, "missing force")
     return figures
@@ -138,21 +131,27 @@ def stretch_figure(discovery: Discovery, output: str) -> Figure:
     return figure
 
 
-def evidence_figure(discovery: Discovery) -> Figure:
-    """Log evidence of the hypotheses of every step, relative to its best; linear within a tie, logarithmic beyond."""
-    steps = discovery.steps
-    shown = [_shown(step) for step in steps]
-    heights = [0.9 + 0.24 * len(entries) for entries in shown]
-    figure, axes = new_figure(
-        len(steps), 1, width=7.8, height=float(np.mean(heights)), gridspec_kw={"height_ratios": heights}
-    )
-    least = min(min((e.evidence for e in entries), default=-TIE) for entries in shown)
+def posterior_figure(discovery: Discovery) -> Figure:
+    """Bars of the probability of the best sets of effects, with their log evidence behind the first."""
+    shown = discovery.posterior[:SHOWN]
+    open_ones = len(discovery.collection)
+    figure, (axes,) = new_figure(1, 1, width=7.8, height=1.0 + 0.28 * len(shown))
     with house_style():
-        for k, (panel, step, entries) in enumerate(zip(axes, steps, shown, strict=True), start=1):
-            _ladder(panel, step, entries, least)
-            before = f" on top of {', '.join(step.named_before)}" if step.named_before else ""
-            panel.set_title(_wrapped(plain_label(f"step {k}{before}: {step.decision}"), 72), fontsize=9.0)
-        axes[-1].set_xlabel("log evidence behind the best (shaded: a tie)")
+        for row, entry in enumerate(shown):
+            colour = COLOURS["nominal"] if row < open_ones else COLOURS["sample"]
+            axes.barh(row, 100 * entry.probability, color=colour, height=0.62)
+            behind = f", log evidence {entry.evidence:.3g}" if row else ""
+            apart = f", {entry.distance:.2g} σ apart" if row and math.isfinite(entry.distance) else ""
+            axes.annotate(
+                f"{chance(entry.probability)}{behind}{apart}".replace("-", "−"),
+                (100 * entry.probability, row), (4, 0), textcoords="offset points", va="center", fontsize=8,
+            )  # fmt: skip
+        axes.set_yticks(range(len(shown)), [fill(plain_label(_set_name(entry)), 44) for entry in shown])
+        axes.set_ylim(len(shown) - 0.4, -0.6)
+        axes.set_xlim(0.0, 145.0)
+        axes.set_xticks([0, 25, 50, 75, 100])
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("probability [%]")
     return figure
 
 
@@ -250,33 +249,9 @@ class _Windows:
         axes.set_xlabel("start of the window [s] (windows between them were fitted)")
 
 
-def _shown(step: NamingStep) -> list[Any]:
-    """The best hypotheses of a step, with the base among them."""
-    entries = list(step.ranking[:SHOWN])
-    return entries + [e for e in step.ranking[SHOWN:] if e.name == "none"]
-
-
-def _ladder(axes: Axes, step: NamingStep, entries: Sequence[Any], least: float) -> None:
-    taken = step.decision.partition(":")[0]
-    axes.set_xscale("symlog", linthresh=TIE, linscale=0.6)
-    axes.axvspan(-TIE, 0.0, color=COLOURS["band"], alpha=0.22, lw=0)
-    for row, entry in enumerate(entries):
-        colour = "#666666" if entry.name == "none" else COLOURS["nominal"] if entry.name == taken else COLOURS["worst"]
-        axes.plot([least * 3.0, entry.evidence], [row, row], color="#d5d8dc", lw=1.0, zorder=1)
-        axes.plot(entry.evidence, row, "o", color=colour, ms=6.0, mew=0, zorder=3, clip_on=False)
-        won = f"best in {100 * entry.wins:.0f} %" if entry.wins >= 0.005 else ""
-        place: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "bottom"}
-        axes.annotate(won, (entry.evidence, row), (-6, 1), fontsize=7.5, **place)
-    names = ["nothing added" if e.name == "none" else plain_label(f"{e.name} ({e.site})") for e in entries]
-    axes.set_yticks(range(len(entries)), names)
-    axes.set_ylim(len(entries) - 0.4, -0.6)
-    axes.set_xlim(min(least * 3.0, -2.0 * TIE), 0.0)
-    axes.grid(visible=False, axis="y")
-    decades = [k for k in range(1, 16) if 10.0**k <= -3.0 * least]
-    powers = [-(10.0**k) for k in decades[:: 1 + len(decades) // 5]]
-    axes.xaxis.set_major_locator(FixedLocator([*reversed(powers), -TIE, 0.0]))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
-    axes.xaxis.set_minor_locator(FixedLocator([]))
+def _set_name(entry: SetProbability) -> str:
+    unnamed = [f"unnamed {entry.unnamed}"] if entry.unnamed else []
+    return " + ".join([*entry.effects, *unnamed]) or "nothing missing"
 
 
 def _wrapped(text: str, width: int = LONG_TITLE) -> str:

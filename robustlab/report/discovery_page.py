@@ -6,7 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from robustlab.identification.naming.discovery_result import Discovery, compared, headline, in_words, with_interval
+from robustlab.identification.naming.discovery_result import (
+    Discovery,
+    chance,
+    compared,
+    headline,
+    in_words,
+    with_interval,
+)
 from robustlab.provenance import Provenance
 from robustlab.report.discovery_figures import CAPTIONS, discovery_figures
 from robustlab.report.figures import save_figure
@@ -22,7 +29,7 @@ TONES = {
     "unknown": ("warn", "?"),
 }
 MEANINGS = {
-    "named": "Every named effect is convincing, helps on data that the fit never saw, and has no rival left.",
+    "named": "The named effects are the answer with 95 % or more, and help on data that the fit never saw.",
     "no missing effect": "What differs lies within the tolerances of the parameters and the noise of the sensors.",
     "ambiguous": "Something is missing that more than one effect explains equally well; see the next experiment.",
     "unknown": "Something is missing that no effect of the catalogue explains; see the force that remains.",
@@ -37,8 +44,8 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
     for e in d.effects:
         values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
         found.append((in_words(e), values, e.equation))
-        rivals = ", ".join(e.rivals) or "none"
-        found.append((f"{e.name}: confidence", f"{100 * e.confidence:.3g} %; cannot be told from: {rivals}", ""))
+        rivals = f"; cannot be told from: {', '.join(e.rivals)}" if e.rivals else ""
+        found.append((f"{e.name}: probability", f"{chance(e.confidence)}{rivals}", "of all sets that contain it"))
     for r in d.rivals:
         if r.instead_of == "none":
             values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
@@ -93,6 +100,6 @@ def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
         "numbers": plain(d.to_json()),
         "facts": [dict(zip(("label", "value", "source"), fact, strict=True)) for fact in facts(d)],
         "notes": [f.message for f in d.findings],
-        "text": d.summary(),
+        "text": d.summary(details=True),
         "figures": [{"stem": name, "caption": caption(name)} for name in figures],
     }

@@ -11,7 +11,7 @@ from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming import discovery
-from robustlab.identification.naming.discovery_result import Rival
+from robustlab.identification.naming.discovery_parts import Rival
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
@@ -90,7 +90,7 @@ def test_friction_is_named_by_the_real_command(run, files, tmp_path):
     assert json.loads((out / "result.json").read_text(encoding="utf-8"))["effects"] == result["effects"]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "servo-axis lacks Coulomb (dry) friction" in page
-    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == ["evidence.svg", "story.svg", "stretch-q.svg"]
+    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == ["posterior.svg", "story.svg", "stretch-q.svg"]
     assert str(out / "report.html") in result["files"]
 
 
@@ -168,7 +168,7 @@ def test_figures_alone(run, files, tmp_path, answer, real):
     answer(real)
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figures", tmp_path / "f")
     assert code == 0
-    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == ["evidence.png", "story.png", "stretch-q.png"]
+    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == ["posterior.png", "story.png", "stretch-q.png"]
     assert "story.png" in err
 
 

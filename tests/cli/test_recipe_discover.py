@@ -96,7 +96,7 @@ def test_the_updated_plant_goes_on_through_the_recipe(run):
     assert [f["stem"] for f in entry(result, "naming")["figures"]] == [
         "naming-story",
         "naming-stretch-q",
-        "naming-evidence",
+        "naming-posterior",
     ]
     for name in ("naming-plant.h5", "machine.h5"):
         assert [e.effect.id for e in rl.load(result.folder / name).effects] == ["coulomb-friction"]

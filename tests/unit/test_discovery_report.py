@@ -12,17 +12,22 @@ import pytest
 import robustlab as rl
 from robustlab.cli.data import DiscoveryFiles
 from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
-from robustlab.identification.naming.discovery_result import (
-    Discovery,
+from robustlab.identification.naming.discovery_parts import (
     EffectValue,
     Gap,
+    InputClock,
     NamedEffect,
-    NamingStep,
     NominalValue,
     Rival,
-    StepEntry,
+    SearchEntry,
+    SetProbability,
+)
+from robustlab.identification.naming.discovery_result import (
+    Discovery,
+    chance,
     compared,
     headline,
+    overall,
     with_interval,
 )
 from robustlab.identification.record_check.suitability import Finding
@@ -36,8 +41,9 @@ from robustlab.report.discovery_page import caption, facts, write_page
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
-COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "f = -Fc sgn(v)", "v", (FC,), 0.97, 512.0, ())
+COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "f = -Fc sgn(v)", "v", (FC,), 0.985, 512.0, ())
 RIVAL = Rival("presliding", "Presliding", "v", "coulomb-friction", 1.4, -0.7, 0.21, (replace(FC, name="Fb"),))
+LINE = {"over": "position", "period": 0.0025, "unit": "m", "amplitude": 0.98, "force_unit": "N", "p_value": 0.005}
 WINDOWS, LENGTH, DT = 5, 40, 0.01
 
 
@@ -56,16 +62,9 @@ def series(apart: int):
 
 
 def made(**changes):
-    steps = (
-        NamingStep(
-            (),
-            (StepEntry("coulomb-friction", "v", 0.0, 0.97), StepEntry("none", "", -512.0, 0.0)),
-            "coulomb-friction: held-out error 2 % -> 0.1 % of the range",
-            0.1,
-        ),
-        NamingStep(
-            ("coulomb-friction",), (StepEntry("none", "", 0.0, 1.0),), "stop: nothing is more probable", math.nan
-        ),
+    search = (
+        SearchEntry((), -512.0, "start"),
+        SearchEntry(("coulomb-friction@v",), 0.0, "best: no move improves it"),
     )
     fields = {
         "status": Status.CONVERGED,
@@ -85,7 +84,14 @@ def made(**changes):
         "plant": "servo-axis",
         "records": ("train",),
         "window": LENGTH * DT,
-        "steps": steps,
+        "search": search,
+        "posterior": (
+            SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.985, 0.0, 0.0),
+            SetProbability(("presliding@v",), ("presliding",), 0.015, -4.2, 1.4),
+        ),
+        "clocks": (InputClock("u", "held", 0.4e-3, 0.02e-3),),
+        "free_run": {"q": Gap("q", "m", 2.0, 0.5, 0.2, 0.01)},
+        "free_run_on": "test",
         "candidates": ("coulomb-friction", "presliding", "backlash"),
         "structure": {},
         "series": series(1),
@@ -95,8 +101,11 @@ def made(**changes):
 
 
 def ambiguous(**changes):
-    effects = (replace(COULOMB, rivals=("presliding",)),)
+    effects = (replace(COULOMB, confidence=0.6, rivals=("presliding",)),)
+    sets = (("coulomb-friction", 0.6, 0.0), ("presliding", 0.38, 1.4), ("cogging", 0.02, 5.0))
+    posterior = tuple(SetProbability((f"{name}@v",), (name,), p, math.log(p / 0.6), d) for name, p, d in sets)
     fields = {"status": Status.INCONCLUSIVE, "verdict": "ambiguous", "effects": effects, "rivals": (RIVAL,)}
+    fields["posterior"] = posterior
     return made(**{**fields, **changes})
 
 
@@ -151,10 +160,11 @@ def test_what_tolerances_may_hide_is_told_beside_no_missing_effect():
 
 def test_the_first_line_is_the_verdict_in_a_sentence():
     assert made().summary().splitlines()[0] == (
-        "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % -> 0.1 % of the range."
+        "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % -> 0.1 % of the range, in free run "
+        "25 % -> 0.5 %."
     )
     assert "cannot tell which" in headline(ambiguous())
-    assert "Coulomb (dry) friction or presliding" in headline(ambiguous())
+    assert "either Coulomb (dry) friction or presliding (elastic dry friction): these" in headline(ambiguous())
     assert headline(unknown()).startswith("servo-axis lacks something that no effect of the catalogue explains")
     beyond = headline(unknown(effects=(COULOMB,)))
     assert beyond.startswith("servo-axis lacks something beyond Coulomb (dry) friction that no effect")
@@ -163,36 +173,112 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
     assert headline(made(complete=False)).endswith("; something else remains.")
 
 
-def test_effects_gap_and_parameters_are_all_there():
+def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
     text = made().summary()
+    assert len(text.splitlines()) <= 16
     for part in (
-        "Coulomb (dry) friction, coulomb-friction at v",
-        "f = -Fc sgn(v)",
+        "Coulomb (dry) friction, coulomb-friction at v: probability 98.5 %",
         "20.39 N (95 %: 20.31 to 20.47)  friction level",
-        "best in 97 % of the resampled windows",
-        "these records exclude every other effect",
-        "nominal 0.06 m (3 %), refitted 0.018 m (0.9 %), updated 0.002 m (0.1 %)",
-        "30 times smaller than nominal, 9 times smaller than refitted",
-        "windows of 0.4 s",
-        "+0.946 %; tolerance 5 % assumed",
-        "held fixed",
-        "coulomb-friction 0, none -512",
-        "stop: nothing is more probable",
+        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  9 times smaller than refitted",
+        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   20 times smaller than refitted",
+        "next: use the updated plant",
+    ):
+        assert part in text
+    for part in ("f = -Fc", "tolerance", "search", "rivals"):
+        assert part not in text
+
+
+def test_details_have_all_it_rests_on():
+    text = made().summary(details=True)
+    for part in (
+        "f = -Fc sgn(v)",
+        "nominal parameters, refitted within their tolerances:",
+        "+0.946 %: within its tolerance of 5 % (assumed)",
+        "gain          35.15 N/V (held fixed)",
+        "none: all sets without it have 1.5 % together",
+        "held from sample to sample; late by 0.4 ms (standard deviation 0.02 ms)",
+        "2 sets visited, 3 effects tried",
+        "coulomb-friction@v: best: no move improves it",
     ):
         assert part in text
     assert "next experiment" not in text
     assert "findings" not in text
 
 
+@pytest.mark.parametrize(("probability", "said"), [(0.9799, False), (0.9801, True)])
+def test_rivals_are_none_only_where_the_rest_has_below_two_per_cent(probability, said):
+    text = made(effects=(replace(COULOMB, confidence=probability),)).summary(details=True)
+    assert ("rivals      none" in text) is said
+
+
+def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
+    far = NominalValue("M", 95.1, 130.0, "kg", 129.0, 131.0, 0.05, False, beyond=True)
+    short, long = (made(nominal=(far,)).summary(details) for details in (False, True))
+    for text in (short, long):
+        assert "+36.7 %: BEYOND its tolerance of 5 % (stated)" in text
+        assert "within their tolerances" not in text
+    zero = replace(far, nominal=0.0, value=0.7, lower=0.5, upper=0.9, unit="N s/m", tolerance=1.0, beyond=False)
+    assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
+
+
 def test_rivals_say_how_far_apart_they_are():
     text = ambiguous().summary()
-    assert "Presliding, presliding at v (Fb 20.39 N): 1.4 noise sigmas apart (3 tell)" in text
-    assert "exclude every other" not in text
+    assert "60 %          coulomb-friction@v\n  38 %          presliding@v; 1.4 noise sigmas from the first" in text
+    assert "cogging" not in text  # the two have 95 % already
+    assert "Presliding, presliding at v (Fb 20.39 N): probability 21 %, 1.4 noise" in ambiguous().summary(details=True)
+
+
+def test_what_sets_have_in_common_is_told_once():
+    sets = (
+        SetProbability(("coulomb-friction@v", "cogging@v"), ("coulomb-friction", "cogging"), 0.6, 0.0, 0.0),
+        SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.3, -0.7, 1.1, "force over position"),
+        SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.1, -1.8, 2.0),
+    )
+    first = headline(ambiguous(posterior=sets)).partition(":")[0]
+    assert first == (
+        "servo-axis lacks Coulomb (dry) friction, and either cogging (force ripple), an unnamed force over position or "
+        "nothing more"
+    )
+
+
+def test_the_collection_is_the_smallest_with_95_per_cent():
+    shares = (0.5, 0.3, 0.15, 0.04, 0.01)
+    found = made(posterior=tuple(SetProbability((), (), p, 0.0) for p in shares))
+    assert [p.probability for p in found.collection] == [0.5, 0.3, 0.15]
+    assert made().collection == made().posterior[:1]
+
+
+def test_what_diverges_is_told_as_such():
+    gap = Gap("q", "m", 2.0, math.inf, math.inf, 0.01)
+    text = made(free_run={"q": gap}).summary()
+    assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike refitted" in text
+    assert "in free run diverges -> 0.5 %" in text
+    assert overall({"q": gap}, "updated") == pytest.approx(0.5)
+    assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(
+        100 * math.sqrt(2.5) * 0.005
+    )
+    assert json.dumps(plain(made(free_run={"q": gap}).to_json()), allow_nan=False)
+
+
+def test_an_interrupted_search_says_so_first():
+    stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
+    found = made(status=Status.INCONCLUSIVE, findings=(stopped,))
+    assert found.interrupted
+    assert found.summary().startswith("Interrupted; by then: servo-axis lacks Coulomb")
+    assert not made().interrupted
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"), [(0.99951, "> 99.9 %"), (0.5, "50 %"), (0.012, "1.2 %"), (4e-4, "< 0.1 %")]
+)
+def test_probabilities_in_words(probability, words):
+    assert chance(probability) == words
 
 
 def test_the_next_experiment_is_told_and_kept(tmp_path):
     d = ambiguous(next_experiment=experiment())
-    text = d.summary()
+    assert "next: measure what tells them apart: ramp u slowly through zero" in d.summary()
+    text = d.summary(details=True)
     assert "next experiment:\n  ramp u slowly through zero\n  predicted separation" in text
     assert numbers(d)["next_experiment"] == {"name": "slow ramp", "separation": 12.0}
     assert numbers(made())["next_experiment"]["name"] == "none"
@@ -207,12 +293,12 @@ def test_what_remains_and_findings_are_said():
     finding = Finding("quantisation", "q", "steps of 5e-08 m", "", "", False, {})
     text = unknown(
         structure={"share": 0.41, "p_value": 0.002, "strongest": "f(speed)"},
-        remaining_lines=({"period": 0.0025, "unit": "m"},),
+        remaining_lines=(LINE,),
         floor_excess={"q": 7.25},
         findings=(finding,),
-    ).summary()
+    ).summary(details=True)
     assert "share 0.41, p_value 0.002, strongest f(speed)" in text
-    assert "period 0.0025, unit m" in text
+    assert "0.98 N over position, period 0.0025 m (p 0.005)" in text
     assert "q: F 7.25" in text
     assert "q: steps of 5e-08 m" in text
     assert "incomplete: structure remains" in text
@@ -232,6 +318,7 @@ def test_what_remains_and_findings_are_said():
         (0.0, 0.0, "as large as nominal"),
         (math.nan, 1.0, "not comparable with nominal"),
         (1.0, math.inf, "not comparable with nominal"),
+        (math.inf, 1.0, "finite, unlike nominal"),
     ],
 )
 def test_comparisons_in_words(before, after, words):
@@ -244,6 +331,7 @@ def test_an_interval_shows_the_digits_that_it_is_worth():
     )
     assert with_interval(EffectValue("x", 1.5, "1", 1.0, 2.0, "")) == "1.5 (95 %: 1 to 2)"
     assert with_interval(EffectValue("x", 0.0, "N", -1.0, 1.0, "")) == "0 N (95 %: -1 to 1)"
+    assert with_interval(EffectValue("x", 3.0, "N", 3.0, 3.0, "")) == "3 N (held fixed)"
     assert with_interval(EffectValue("x", 2.0, "N", -math.inf, math.inf, "")) == "2 N (95 %: -inf to inf)"
 
 
@@ -256,7 +344,7 @@ def curve(axes, label):
 
 def test_the_story_shows_the_three_errors_of_every_output():
     figures = discovery_figures(made())
-    assert list(figures) == ["story", "stretch-q", "evidence"]
+    assert list(figures) == ["story", "stretch-q", "posterior"]
     bars, traces = figures["story"].axes
     assert [bar.get_width() for bar in bars.patches] == [0.06, 0.018, 0.002]
     assert "30 times smaller" in bars.get_title(loc="left")
@@ -285,13 +373,12 @@ def test_lines_break_between_windows_and_gaps_are_left_out(apart):
         assert shown == ["1.6", "3.2", "4.8", "6.4"]
 
 
-def test_the_ladder_marks_what_was_named():
-    panels = discovery_figures(made())["evidence"].axes
-    names = [label.get_text() for label in panels[0].get_yticklabels()]
-    assert names == ["coulomb-friction (v)", "nothing added"]
-    dots = {line.get_ydata()[0]: line.get_color() for line in panels[0].get_lines() if line.get_marker() == "o"}
-    assert dots == {0: "#0072B2", 1: "#666666"}
-    assert "step 2 on top of coulomb-friction" in panels[1].get_title(loc="left")
+def test_the_sets_are_drawn_with_their_probability():
+    (axes,) = discovery_figures(ambiguous())["posterior"].axes
+    assert [bar.get_width() for bar in axes.patches] == pytest.approx([60.0, 38.0, 2.0])
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["coulomb-friction@v", "presliding@v", "cogging@v"]
+    colours = [bar.get_facecolor() for bar in axes.patches]
+    assert colours[0] == colours[1] != colours[2]  # the collection of 95 %
 
 
 def test_what_remains_is_drawn_over_every_coordinate():
@@ -304,7 +391,7 @@ def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
     d = made()
     signals = {"../x$": d.series["outputs"]["q"]}
     odd = made(gaps={"../x$": d.gaps["q"]}, series={**d.series, "outputs": signals})
-    assert list(discovery_figures(odd)) == ["story", "stretch-output1", "evidence"]
+    assert list(discovery_figures(odd)) == ["story", "stretch-output1", "posterior"]
     assert all(caption(name) for name in discovery_figures(odd))
 
 

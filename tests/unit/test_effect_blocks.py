@@ -276,7 +276,7 @@ def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
     found = Discovery(
         status=rl.Status.INCONCLUSIVE, verdict="unknown", complete=False, effects=(), rivals=(), nominal=(),
         gap_before=3.0, gap_refitted=2.0, gap_after=1.0, gaps={}, held_out="test", plant="servo-axis",
-        records=("train",), window=1.0, steps=(), candidates=(), structure={},
+        records=("train",), window=1.0, candidates=(), structure={},
         residual_force=ResidualForce("N", 2.5, 0.1, {"speed": curve}, {}, 0.5, 16),
         model=servo(coulomb_friction={"Fc": 20.0}),
     )  # fmt: skip

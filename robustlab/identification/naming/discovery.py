@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.extended.simulator import Windows
@@ -25,27 +24,26 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.hypotheses.prepared_record import prepare, start_std, window_length
-from robustlab.identification.naming.discovery_result import (
-    Discovery,
+from robustlab.identification.naming.discovery_parts import (
     EffectValue,
-    Gap,
     NamedEffect,
-    NamingStep,
     NominalValue,
     Rival,
-    StepEntry,
-    Verdict,
+    SearchEntry,
+    SetProbability,
 )
+from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
+from robustlab.identification.naming.gaps import held_out_gaps
 from robustlab.identification.naming.greedy_naming import (
     Alternative,
     Naming,
+    Step,
     held_out_fit,
     in_doubt,
     name_effects,
     overtaken,
     rms_percent,
     settled,
-    spans,
     white,
 )
 from robustlab.identification.naming.ranking import noise_ratio
@@ -261,7 +259,8 @@ def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Disco
     if verdict == "unknown" and not naming.fit.hypothesis.candidates:
         rivals = ()  # nothing was named, and nothing is missing no longer stands beside them
     fit, left = naming.settled, judged.left
-    gaps, series = _gaps(held, naming)
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
+    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": naming.bare, "updated": fit})
     names = tuple(r.name for r in case.records)
     structure = {"noise_ratio": judged.noise_ratio}
     return Discovery(
@@ -271,15 +270,18 @@ def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Disco
         effects=tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates))),
         rivals=tuple(_rival(problem, a) for a in rivals),
         nominal=_nominal(problem, fit, case.stated),
-        gap_before=_overall(gaps, "nominal"),
-        gap_refitted=_overall(gaps, "refitted"),
-        gap_after=_overall(gaps, "updated"),
-        gaps=gaps,
+        gap_before=overall(gaps.windows, "nominal"),
+        gap_refitted=overall(gaps.windows, "refitted"),
+        gap_after=overall(gaps.windows, "updated"),
+        gaps=gaps.windows,
+        free_run=gaps.free_run,
+        free_run_on=gaps.free_run_on,
         held_out=case.data.held_text,
         plant=case.plant.name,
         records=names,
         window=problem.records[0].windows.length * problem.records[0].record.dt,
-        steps=tuple(_step(s) for s in naming.steps),
+        posterior=_posterior(naming, rivals),
+        search=tuple(_entry(s) for s in naming.steps),
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
         structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
         residual_force=left.curves() if left and not complete else None,
@@ -288,7 +290,7 @@ def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Disco
         floor_excess=judged.excess,
         remaining_lines=remaining_lines(left, problem.tuning) if left else (),
         findings=case.findings,
-        series=series,
+        series=gaps.series,
         model=updated_plant(problem, fit, f"fitted to {', '.join(names)}"),
         next_experiment=_next_experiment(problem, naming, rivals),
     )
@@ -338,49 +340,6 @@ def _floor_excess(case: _Case, naming: Naming) -> tuple[NoiseFloor | None, dict[
     return floor, excess
 
 
-def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]]:
-    """Windowed errors on held-out data of the three models, and their signals."""
-    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
-    plain = white(naming.noise)
-    models = {
-        key: held_out_fit(held, fit, plain)
-        for key, fit in (("nominal", as_given), ("refitted", naming.bare), ("updated", naming.settled))
-    }
-    outputs = {key: simulated_outputs(held, fit) for key, fit in models.items()}
-    measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
-    gaps: dict[str, Gap] = {}
-    richest = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
-    first = held.records[richest]
-    order = (first.windows.starts[held.chosen[richest]][:, None] + np.arange(first.windows.length)).ravel()
-    series: dict[str, Any] = {"t": first.record.t[order], "outputs": {}}
-    series["inputs"] = {s.name: first.record.inputs[s.name][order] for s in held.plant.inputs}
-    for j, column in enumerate(first.columns):
-        signal = held.plant.outputs[column]
-        if not np.isfinite(first.y[:, j]).any():
-            continue
-        rms = {
-            key: _rms([(m - y)[:, :, j] for m, y in zip(measured, values, strict=True)])
-            for key, values in outputs.items()
-        }
-        span = float(spans(held.records)[j])
-        gaps[signal.name] = Gap(signal.name, signal.unit, span, rms["nominal"], rms["refitted"], rms["updated"])
-        series["outputs"][signal.name] = {
-            "measured": measured[richest][:, :, j].ravel(),
-            **{key: values[richest][:, :, j].ravel() for key, values in outputs.items()},
-        }
-    return gaps, series
-
-
-def _rms(errors: Sequence[Array]) -> float:
-    return float(np.sqrt(np.nanmean(np.concatenate([e.ravel() for e in errors]) ** 2)))
-
-
-def _overall(gaps: Mapping[str, Gap], key: str) -> float:
-    """RMS over the outputs of the error in percent of the range."""
-    shares = [getattr(g, key) / (g.range or 1.0) for g in gaps.values()]
-    return float(100.0 * np.sqrt(np.mean(np.square(shares))))
-
-
 def _judged(case: _Case, naming: Naming, has_rivals: bool) -> _Judgement:
     data, tuning = case.data, case.data.problem.tuning
     left = left_over(data.everything(), naming.settled, naming.noise)
@@ -422,7 +381,7 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
 def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
     candidate = naming.fit.hypothesis.candidates[k]
     own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
-    confidence = max(0.0, 1.0 - sum(a.wins for a in own))
+    confidence = max(0.0, 1.0 - sum(float(a.wins) for a in own))
     step = next((s for s in naming.steps if s.taken is not None and s.entry(candidate) is not None), None)
     place = step.entry(candidate) if step else None
     evidence = place.evidence - step.ranking.base.evidence if step and place else 0.0
@@ -458,8 +417,24 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     return tuple(found)
 
 
-def _step(step: Any) -> NamingStep:
-    entries = tuple(
-        StepEntry(r.id, r.candidate.site.name if r.candidate else "", r.evidence, r.wins) for r in step.ranking.ranked
-    )
-    return NamingStep(tuple(c.effect.id for c in step.base.candidates), entries, step.decision, float(step.held_out))
+def _posterior(naming: Naming, rivals: Sequence[Alternative]) -> tuple[SetProbability, ...]:
+    """The named set and those with a rival in the place of one of its effects."""
+    named = naming.fit.hypothesis.candidates
+    found = [(named, 1.0 - sum(a.wins for a in rivals if a.instead_of), 0.0, np.nan)]
+    for a in rivals:
+        if a.instead_of is not None:
+            rest = [c for c in named if c.key != a.instead_of.key]
+            found.append(((*rest, a.candidate), a.wins, a.evidence, a.distance))
+    return tuple(
+        SetProbability(
+            tuple(f"{c.effect.id}@{c.site.name}" for c in own), tuple(c.effect.id for c in own),
+            max(0.0, float(share)), float(evidence), float(distance),
+        )
+        for own, share, evidence, distance in sorted(found, key=lambda row: -row[1])
+    )  # fmt: skip
+
+
+def _entry(step: Step) -> SearchEntry:
+    own = [*step.base.candidates, *([step.taken.candidate] if step.taken and step.taken.candidate else [])]
+    evidence = (step.taken or step.ranking.base).evidence
+    return SearchEntry(tuple(f"{c.effect.id}@{c.site.name}" for c in own), float(evidence), step.decision)

@@ -8,6 +8,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.identification.naming.discovery_parts import (
+    EffectValue,
+    Gap,
+    InputClock,
+    NamedEffect,
+    NominalValue,
+    Rival,
+    SearchEntry,
+    SetProbability,
+)
 from robustlab.result import Evidence, Status
 
 if TYPE_CHECKING:
@@ -17,159 +27,10 @@ if TYPE_CHECKING:
     from robustlab.identification.unnamed.unnamed_effect import ResidualForce, UnnamedForce
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "Discovery",
-    "EffectValue",
-    "Gap",
-    "NamedEffect",
-    "NamingStep",
-    "NominalValue",
-    "Rival",
-    "StepEntry",
-    "Verdict",
-    "compared",
-    "headline",
-    "in_words",
-    "with_interval",
-]
+__all__ = ["Discovery", "Verdict", "chance", "compared", "headline", "in_words", "overall", "with_interval"]
 
 
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
-
-
-@dataclass(frozen=True)
-class EffectValue(Evidence):
-    """One fitted parameter of an effect: value, unit, 95 % interval (posterior, given the effect), and meaning."""
-
-    name: str
-    value: float
-    unit: str
-    lower: float
-    upper: float
-    meaning: str
-
-
-@dataclass(frozen=True)
-class NominalValue(Evidence):
-    """One refitted nominal parameter: value before and after, unit, 95 % interval, and the tolerance it was given.
-
-    ``assumed`` is True where the plant states no tolerance and one was assumed.
-    """
-
-    name: str
-    nominal: float
-    value: float
-    unit: str
-    lower: float
-    upper: float
-    tolerance: float
-    assumed: bool
-
-
-@dataclass(frozen=True)
-class Rival(Evidence):
-    """An effect that these records cannot separate from a named one.
-
-    Attributes
-    ----------
-    name, title, site
-        The rival.
-    instead_of
-        Id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
-        probable as none: the tolerances of other parameters may hide it.
-    distance
-        Refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
-        effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
-        model stays from what the rival predicts.
-    evidence
-        Log evidence relative to the named effect (negative: behind).
-    wins
-        Share of bootstrap samples in which it was the best.
-    parameters
-        As it was fitted.
-    """
-
-    name: str
-    title: str
-    site: str
-    instead_of: str
-    distance: float
-    evidence: float
-    wins: float
-    parameters: tuple[EffectValue, ...]
-
-
-@dataclass(frozen=True)
-class NamedEffect(Evidence):
-    """One effect that the records show.
-
-    Attributes
-    ----------
-    name
-        Id in the catalogue.
-    title, equation, site
-        In words; as a formula; where it sits.
-    parameters
-        Fitted values with intervals.
-    confidence
-        Share of bootstrap samples of the windows in which it was the best of all candidates, 0..1.
-    evidence
-        Log evidence over the model without it.
-    rivals
-        Ids that these records cannot separate from it; empty where the name is unique.
-    """
-
-    name: str
-    title: str
-    equation: str
-    site: str
-    parameters: tuple[EffectValue, ...]
-    confidence: float
-    evidence: float
-    rivals: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Gap(Evidence):
-    """Windowed simulation error (RMS) of one output on data that the fit never saw.
-
-    Attributes
-    ----------
-    output, unit, range
-        The output, its unit, its measured range on that data.
-    nominal, refitted, updated
-        RMS of the nominal model as given, of the nominal model refitted within its tolerances, and of the updated one.
-    """
-
-    output: str
-    unit: str
-    range: float
-    nominal: float
-    refitted: float
-    updated: float
-
-
-@dataclass(frozen=True)
-class StepEntry(Evidence):
-    """One hypothesis of a step: effect id and site ("none" for nothing added), log evidence and bootstrap share."""
-
-    name: str
-    site: str
-    evidence: float
-    wins: float
-
-
-@dataclass(frozen=True)
-class NamingStep(Evidence):
-    """One step of the greedy search: what it had named before, the ranking, and what it decided.
-
-    ``held_out`` is the windowed RMS error on held-out data, in percent of the outputs' ranges, with the best addition.
-    """
-
-    named_before: tuple[str, ...]
-    ranking: tuple[StepEntry, ...]
-    decision: str
-    held_out: float
 
 
 @dataclass(frozen=True)
@@ -194,15 +55,21 @@ class Discovery(Evidence):
         Windowed RMS error on held-out data in percent of the measured range, over all outputs: nominal model, and
         updated one. ``gaps`` has each output in its unit.
     gap_refitted
-        The same of the nominal model refitted within its tolerances.
+        The same of the nominal model refitted.
     held_out
         What the gap was measured on: names of the held-out records, or the held-out blocks of the records.
+    free_run, free_run_on
+        The same errors of one simulation from the record's start to its end, without restarts; the records.
     model
         The updated plant (an `ExtendedPlant` or `LinearPlant`), ready for trim, linearise, save.
     next_experiment
         What to measure next to separate the rivals; None where there are none.
-    steps
-        The greedy search.
+    posterior
+        Sets of effects, the most probable first.
+    clocks
+        Hold and time shift of each input, as the records tell them.
+    search
+        Every set that the search visited.
     residual_force, unnamed
         Where something remains: the residual force over speed, position, time and input; its spline map.
     structure
@@ -215,7 +82,7 @@ class Discovery(Evidence):
         Length of the windows in s.
     series
         Signals of a held-out stretch for figures: ``t``, and for each output ``measured``, ``nominal``, ``refitted``,
-        ``updated`` (windowed simulation).
+        ``updated`` (windowed simulation); ``free_run`` has the same of one held-out record from its start.
     candidates
         Ids that were tried.
     seconds
@@ -236,9 +103,13 @@ class Discovery(Evidence):
     plant: str
     records: tuple[str, ...]
     window: float
-    steps: tuple[NamingStep, ...]
     candidates: tuple[str, ...]
     structure: Mapping[str, Any]
+    posterior: tuple[SetProbability, ...] = ()
+    search: tuple[SearchEntry, ...] = ()
+    clocks: tuple[InputClock, ...] = ()
+    free_run: Mapping[str, Gap] = field(default_factory=dict)
+    free_run_on: str = ""
     findings: tuple[Finding, ...] = ()
     remaining_lines: tuple[Mapping[str, Any], ...] = ()
     next_experiment: NextExperiment | None = None
@@ -266,9 +137,25 @@ class Discovery(Evidence):
 
         return uncertain_from(self, outputs, **options).model
 
-    def summary(self) -> str:
-        """The result as a few lines of text."""
-        return _text(self)
+    @property
+    def collection(self) -> tuple[SetProbability, ...]:
+        """The smallest collection of sets that has 95 % of the probability."""
+        total, found = 0.0, []
+        for entry in self.posterior:
+            if total >= COLLECTED:
+                break
+            found.append(entry)
+            total += entry.probability
+        return tuple(found)
+
+    @property
+    def interrupted(self) -> bool:
+        """True where the search was stopped by the user: the answer is what was known by then."""
+        return any(f.kind == "interrupted" for f in self.findings)
+
+    def summary(self, details: bool = False) -> str:
+        """The result as a few lines of text; with ``details`` everything that it rests on."""
+        return _text(self, details)
 
     def to_json(self, series: bool = False) -> dict[str, object]:
         """All fields but the plant object; the time series only on request."""
@@ -281,22 +168,36 @@ class Discovery(Evidence):
 # --- the text --------------------------------------------------------------------------------------------------------
 
 
-SHOWN_CANDIDATES = 4  # of each step
+COLLECTED = 0.95  # probability of the sets that an answer consists of
+ALONE = 0.02  # probability of all other sets below which a name has no rival
+SHOWN_SETS = 6  # in the short text
+SHOWN_SEARCH = 12  # most probable sets of the search
 LABEL = 14  # width of the first column
+MODELS = ("nominal", "refitted", "updated")
 
 
-def _text(d: Discovery) -> str:
-    """Verdict in a sentence, effects, gap, what remains, nominal parameters, next experiment, findings, steps."""
+def _text(d: Discovery, details: bool) -> str:
+    """Verdict in a sentence, effects with intervals, gap, what remains, what to do next; on demand all the rest."""
     lines = [headline(d), "", f"verdict: {d.verdict}, {_scope(d)}"]
-    for k, effect in enumerate(d.effects, start=1):
-        lines += ["", *_effect_lines(d, k, effect)]
+    for effect in d.effects:
+        lines += _effect_lines(d, effect, details)
     lines += [_doubt_line(r) for r in d.rivals if r.instead_of == "none"]
-    lines += ["", *_gap_lines(d), "", *_remaining_lines(d)]
+    if len(d.collection) > 1:
+        shown = d.collection if details else d.collection[:SHOWN_SETS]
+        lines += ["what the records leave open (3 noise sigmas tell):", *(_set_line(p) for p in shown)]
+        lines += [f"  and {left} more" for left in [len(d.collection) - len(shown)] if left]
+    lines += ["", *_gap_lines(d), "", *_remaining_lines(d, details)]
+    lines += [_nominal_line(p) for p in d.nominal if p.beyond and not details]
+    if not details:
+        rest = "all that it rests on: --details, summary(details=True)"
+        return "\n".join([*lines, f"next: {_next(d)}", f"named in {d.seconds:.3g} s; {rest}"])
+    within = "" if any(p.beyond for p in d.nominal) else " within their tolerances"
     for title, part in (
-        ("nominal parameters, refitted within their tolerances", [_nominal_line(p) for p in d.nominal]),
+        (f"nominal parameters, refitted{within}", [_nominal_line(p) for p in d.nominal]),
+        ("inputs between their samples", [_clock_line(c) for c in d.clocks]),
         ("next experiment", _experiment_lines(d)),
         ("findings on the records", [f"  {f.message}" for f in d.findings]),
-        (f"steps (log evidence behind the best; {len(d.candidates)} effects tried)", list(_step_lines(d.steps))),
+        (f"search (log evidence; {len(d.search)} sets visited, {len(d.candidates)} effects tried)", _search_lines(d)),
     ):
         if part:
             lines += ["", f"{title}:", *part]
@@ -305,20 +206,22 @@ def _text(d: Discovery) -> str:
 
 def headline(d: Discovery) -> str:
     """The verdict in one sentence that a person understands."""
+    early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_percent(d.gap_before)} -> {_percent(d.gap_after)} of the range"
+    if d.free_run:
+        run = [_percent(overall(d.free_run, model)) for model in ("nominal", "updated")]
+        change += f", in free run {run[0]} -> {run[1]}"
     if d.verdict == "no missing effect":
-        within = f"refitted within its tolerances its error on held-out data is {_percent(d.gap_after)} of the range"
+        error = f"refitted its error on held-out data is {_percent(d.gap_after)} of the range"
         hidden = f"; but they do not exclude {_or(r.title for r in d.rivals)}" if d.rivals else ""
-        return f"{d.plant} lacks no effect that these records show: {within}{hidden}."
+        return f"{early}{d.plant} lacks no effect that these records show: {error}{hidden}."
+    also = "" if d.complete else "; something else remains"
     if d.verdict == "named":
-        also = "" if d.complete else "; something else remains"
-        return f"{d.plant} lacks {_listed(e.title for e in d.effects)}: {change}{also}."
+        return f"{early}{d.plant} lacks {_listed(e.title for e in d.effects)}: {change}{also}."
     if d.verdict == "ambiguous":
-        choices = [_or([e.title, *(r.title for r in _rivals_of(d, e))]) for e in d.effects]
-        text = f"{d.plant} lacks {_listed(choices)}: these records cannot tell which"
-        return f"{text} ({change}{'' if d.complete else '; something else remains'})."
+        return f"{early}{d.plant} lacks {_choices(d)}: these records cannot tell which ({change}{also})."
     beyond = f" beyond {_listed(e.title for e in d.effects)}" if d.effects else ""
-    return f"{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})."
+    return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})."
 
 
 def in_words(e: NamedEffect) -> str:
@@ -327,14 +230,18 @@ def in_words(e: NamedEffect) -> str:
 
 
 def with_interval(p: EffectValue | NominalValue) -> str:
-    """Value and 95 % interval in the unit, with as many digits as the interval is worth."""
-    digits = _digits(p.value, p.upper - p.lower)
+    """Value and 95 % interval in the unit, with as many digits as the interval is worth; of no width: held fixed."""
     unit = f" {p.unit}" if p.unit and p.unit != "1" else ""
+    if p.lower == p.upper:
+        return f"{p.value:.4g}{unit} (held fixed)"
+    digits = _digits(p.value, p.upper - p.lower)
     return f"{p.value:.{digits}g}{unit} (95 %: {p.lower:.{digits}g} to {p.upper:.{digits}g})"
 
 
 def compared(before: float, after: float, name: str) -> str:
     """How the second error compares with the first, which is that of ``name``: ``46 times smaller than refitted``."""
+    if math.isinf(before) and math.isfinite(after):
+        return f"finite, unlike {name}"
     if not (math.isfinite(before) and math.isfinite(after)):
         return f"not comparable with {name}"
     if before <= 0.0 or after <= 0.0:
@@ -347,72 +254,116 @@ def compared(before: float, after: float, name: str) -> str:
     return f"{size} times {'smaller' if ratio > 1.0 else 'larger'} than {name}"
 
 
+def overall(gaps: Mapping[str, Gap], model: str) -> float:
+    """RMS over the outputs of the error of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
+    shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
+    return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
+
+
+def chance(probability: float) -> str:
+    """A probability in percent; what is as good as sure or impossible is told by a bound."""
+    if probability > 0.999:
+        return "> 99.9 %"
+    return "< 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
+
+
 def _scope(d: Discovery) -> str:
     records = ", ".join(d.records)
     return f"{'complete' if d.complete else 'incomplete: structure remains'} (records: {records}; status {d.status})"
 
 
-def _rivals_of(d: Discovery, effect: NamedEffect) -> list[Rival]:
-    return [r for r in d.rivals if r.instead_of == effect.name]
+def _choices(d: Discovery) -> str:
+    """What all sets of the collection have, then what they differ in: ``A and either B or C``."""
+    sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
+    common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
+    rest = [[_title(e) for e in own if e not in common] for own in sets]
+    if not any(rest):
+        choices = [_or([e.title, *(r.title for r in d.rivals if r.instead_of == e.name)]) for e in d.effects]
+        return _listed(choices)
+    both = _or(_listed(own) if own else f"nothing{' more' if common else ''}" for own in rest)
+    return f"{_listed(map(_title, common))}, and either {both}" if common else f"either {both}"
 
 
-def _effect_lines(d: Discovery, k: int, effect: NamedEffect) -> list[str]:
-    lines = [f"effect {k}: {in_words(effect)}", _row("equation", effect.equation)]
-    lines += [_row(p.name, f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
-    best = f"best in {100 * effect.confidence:.3g} % of the resampled windows"
-    lines.append(_row("confidence", f"{best}; log evidence {effect.evidence:+.4g} over the model without it"))
-    rivals = _rivals_of(d, effect)
-    if not rivals:
-        lines.append(_row("rivals", "none: these records exclude every other effect in its place"))
+def _title(effect: str) -> str:
+    """Title of ``"coulomb-friction@omega"``; an unnamed force is told as it is."""
+    name = effect.partition("@")[0]
+    return catalogue()[name].title if name in catalogue() else f"an unnamed {name}"
+
+
+def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]:
+    lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
+    lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
+    if not details:
+        return lines
+    lines += [_row("  equation", effect.equation)]
+    lines += [_row("  evidence", f"{effect.evidence:+.4g} (log) over the best set without it")]
+    rivals = [r for r in d.rivals if r.instead_of == effect.name]
+    if not rivals and 1.0 - effect.confidence < ALONE:
+        lines.append(_row("  rivals", f"none: all sets without it have {chance(1.0 - effect.confidence)} together"))
     for r in rivals:
         values = ", ".join(f"{p.name} {_number(p.value, p.unit)}" for p in r.parameters)
-        told = f"{_number(r.distance)} noise sigmas apart (3 tell), log evidence {r.evidence:+.3g}"
-        lines.append(_row("or", f"{r.title}, {r.name} at {r.site} ({values}): {told}, best in {100 * r.wins:.3g} %"))
+        told = f"probability {chance(r.probability)}, {_number(r.distance)} noise sigmas apart (3 tell)"
+        lines.append(_row("  or", f"{r.title}, {r.name} at {r.site} ({values}): {told}"))
     return lines
 
 
 def _doubt_line(r: Rival) -> str:
     """An effect that the tolerances of other parameters may hide."""
     values = ", ".join(with_interval(p) for p in r.parameters)
-    told = f"log evidence {r.evidence:+.3g} over none, {_number(r.distance)} noise sigmas from it (3 tell)"
+    told = f"probability {chance(r.probability)}, {_number(r.distance)} noise sigmas from none (3 tell)"
     return _row("not excluded", f"{r.title}, {r.name} at {r.site} ({values}): {told}")
 
 
+def _set_line(p: SetProbability) -> str:
+    told = " + ".join(p.effects) or "nothing missing"
+    unnamed = f" + unnamed {p.unnamed}" if p.unnamed else ""
+    apart = f"; {_number(p.distance)} noise sigmas from the first" if p.distance > 0.0 else ""
+    return _row(chance(p.probability), f"{told}{unnamed}{apart}")
+
+
 def _gap_lines(d: Discovery) -> list[str]:
-    whole = (
-        f"  all outputs   nominal {_percent(d.gap_before)}, refitted {_percent(d.gap_refitted)}, updated "
-        f"{_percent(d.gap_after)} of the range: {compared(d.gap_before, d.gap_after, 'nominal')}, "
-        f"{compared(d.gap_refitted, d.gap_after, 'refitted')}"
-    )
-    head = f"gap (rms) on data that the fit never saw: {d.held_out}; windows of {d.window:.4g} s"
-    return [head, *(_gap_line(g) for g in d.gaps.values()), *([whole] if len(d.gaps) > 1 else [])]
+    """A table: of each output the three errors in windows and in free run, and what became of the refitted one."""
+    head = f"gap (rms) on data that the fit never saw: {d.held_out}"
+    if d.free_run_on and d.free_run_on != d.held_out:
+        head += f"; free run: {d.free_run_on}"
+    rows = [("", "", *MODELS, "")]
+    for name, gap in d.gaps.items():
+        rows.append((name, f"windows of {d.window:.3g} s", *_sizes(gap)))
+        if name in d.free_run:
+            rows.append(("", "free run", *_sizes(d.free_run[name])))
+    if len(d.gaps) > 1:
+        rows.append(("all", "windows", *(_percent(overall(d.gaps, m)) for m in MODELS), ""))
+        if d.free_run:
+            rows.append(("", "free run", *(_percent(overall(d.free_run, m)) for m in MODELS), ""))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [head, *("  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)]
 
 
-def _gap_line(g: Gap) -> str:
-    def size(word: str, value: float) -> str:
-        share = f" ({_percent(100 * value / g.range)})" if g.range > 0 else ""
-        return f"{word} {_number(value, g.unit)}{share}"
+def _sizes(g: Gap) -> tuple[str, str, str, str]:
+    def size(value: float) -> str:
+        if math.isinf(value):
+            return "diverges"
+        return _number(value, g.unit) + (f" ({_percent(100 * value / g.range)})" if g.range > 0 else "")
 
-    sizes = ", ".join(size(word, getattr(g, word)) for word in ("nominal", "refitted", "updated"))
-    than = f"{compared(g.nominal, g.updated, 'nominal')}, {compared(g.refitted, g.updated, 'refitted')}"
-    return _row(g.output, f"{sizes}: {than}")
+    return size(g.nominal), size(g.refitted), size(g.updated), compared(g.refitted, g.updated, "refitted")
 
 
-def _remaining_lines(d: Discovery) -> list[str]:
-    lines = [
-        "what remains: nothing systematic was found"
-        if d.complete
-        else "what remains: the named effects do not explain everything"
-        if d.effects
-        else "what remains: unexplained"
-    ]
-    if d.structure:
-        lines.append(_row("structure", _items(d.structure)))
-    lines += [_row("line", _items(line)) for line in d.remaining_lines]
+def _remaining_lines(d: Discovery, details: bool) -> list[str]:
+    if d.complete:
+        told = "nothing systematic was found"
+    else:
+        told = "the named effects do not explain everything" if d.effects else "unexplained"
     force = d.residual_force
     if force is not None:
-        told = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
-        lines.append(_row("force", f"rms {_number(force.rms, force.unit)}; {', '.join(told)} (of held-out variance)"))
+        told += f"; a force of {_number(force.rms, force.unit)} (rms)"
+    lines = [f"remains: {told}", *(_row("line", _line(line)) for line in d.remaining_lines)]
+    if not details:
+        return lines
+    if d.structure:
+        lines.append(_row("structure", _items(d.structure)))
+    if force is not None:
+        shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
+        lines.append(_row("force", f"rms {_number(force.rms, force.unit)}; {', '.join(shares)} (of held-out variance)"))
     if d.unnamed is not None:
         over = _listed(f"{c.kind} in {c.coordinate}" for c in d.unnamed.components) or "a constant alone"
         lines.append(_row("unnamed map", f"{over} removes {100 * d.unnamed.gain:.3g} % of the held-out variance"))
@@ -423,11 +374,34 @@ def _remaining_lines(d: Discovery) -> list[str]:
     return lines
 
 
+def _line(line: Mapping[str, Any]) -> str:
+    """A periodic line in the force that remains: its amplitude and period with units."""
+    size = _number(line["amplitude"], line["force_unit"])
+    return f"{size} over {line['over']}, period {_number(line['period'], line['unit'])} (p {line['p_value']:.2g})"
+
+
 def _nominal_line(p: NominalValue) -> str:
-    change = f"{100 * (p.value / p.nominal - 1):+.3g} %" if p.nominal else "nominal zero"
+    if p.lower == p.upper:
+        return _row(p.name, with_interval(p))
+    change = f", {100 * (p.value / p.nominal - 1):+.3g} %" if p.nominal else ""
+    size = f"{100 * p.tolerance:.3g} %" if p.nominal else _number(p.tolerance, p.unit)
     stated = "assumed" if p.assumed else "stated"
-    tolerance = f"tolerance {100 * p.tolerance:.3g} % {stated}" if p.tolerance else "held fixed"
-    return _row(p.name, f"{_number(p.nominal)} -> {with_interval(p)}, {change}; {tolerance}")
+    told = f"{'BEYOND its' if p.beyond else 'within its'} tolerance of {size} ({stated})"
+    return _row(p.name, f"{_number(p.nominal)} -> {with_interval(p)}{change}: {told}")
+
+
+def _clock_line(c: InputClock) -> str:
+    between = "held from sample to sample" if c.hold == "held" else "linear from sample to sample"
+    return _row(c.input, f"{between}; late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)")
+
+
+def _next(d: Discovery) -> str:
+    """One line on what to do with the answer."""
+    if d.next_experiment is not None:
+        return f"measure what tells them apart: {d.next_experiment.summary().splitlines()[0]}"
+    if not d.complete:
+        return "look at the force that remains, over speed, position, time and input (figure 'force')"
+    return "use the updated plant (.model)" if d.effects else "the model can stay as it is, refitted"
 
 
 def _experiment_lines(d: Discovery) -> list[str]:
@@ -436,12 +410,9 @@ def _experiment_lines(d: Discovery) -> list[str]:
     return [f"  {line}" for line in d.next_experiment.summary().splitlines()]
 
 
-def _step_lines(steps: Iterable[NamingStep]) -> Iterable[str]:
-    for k, step in enumerate(steps, start=1):
-        shown = [f"{e.name} {e.evidence:.4g}" for e in step.ranking[:SHOWN_CANDIDATES]]
-        shown += [f"none {e.evidence:.4g}" for e in step.ranking[SHOWN_CANDIDATES:] if e.name == "none"]
-        yield f"  {k}  {', '.join(shown)}"
-        yield f"     {step.decision}"
+def _search_lines(d: Discovery) -> list[str]:
+    best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
+    return [_row(f"{e.evidence:.4g}", f"{' + '.join(e.effects) or 'none'}: {e.decision}") for e in best]
 
 
 def _row(label: str, text: str) -> str:
@@ -480,4 +451,4 @@ def _number(value: float, unit: str = "") -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{value:.3g} %"
+    return "diverges" if math.isinf(value) else f"{value:.3g} %"

@@ -81,7 +81,9 @@ class DiscoverStep(Step):
             work.files.append(file)
             notes.append(f"The signal of the next experiment is in {file}.")
         lines = tuple(Fact(*line) for line in facts(found))
-        return Outcome(found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary())
+        return Outcome(
+            found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary(details=True)
+        )
 
 
 def numbers(d: Discovery) -> dict[str, Any]:
@@ -89,6 +91,7 @@ def numbers(d: Discovery) -> dict[str, Any]:
 
     ``verdict``, ``complete``, ``names``, ``answer`` (names and rivals), ``count``, ``gap_before``, ``gap_refitted``,
     ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``gaps.OUTPUT.updated`` in its unit;
+    ``free_run.before``, ``.refitted``, ``.after`` in percent of the range and ``free_run.outputs.OUTPUT.updated``;
     ``effects.ID.PARAMETER`` with ``lower`` and ``upper`` alike (95 %), ``confidence.ID``, ``nominal.PARAMETER``,
     ``next_experiment.name`` ("none" where no rival is left) and ``.separation``; ``line.position.period`` and
     ``.amplitude`` of the strongest line that remains over the position, and ``line.time`` alike.
@@ -96,6 +99,8 @@ def numbers(d: Discovery) -> dict[str, Any]:
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
     is not met, while a misspelt one is refused.
     """
+    from robustlab.identification.naming.discovery_result import overall
+
     effects, lower, upper, confidence = (_absent(d) for _ in range(4))
     confidence = dict.fromkeys(confidence, 0.0)
     for e in d.effects:
@@ -116,6 +121,12 @@ def numbers(d: Discovery) -> dict[str, Any]:
         "gap_after": d.gap_after,
         "gap_ratio": d.gap_before / d.gap_after if d.gap_after > 0 else math.inf,
         "gaps": {name: gap.to_json() for name, gap in d.gaps.items()},
+        "free_run": {
+            "before": overall(d.free_run, "nominal"),
+            "refitted": overall(d.free_run, "refitted"),
+            "after": overall(d.free_run, "updated"),
+            "outputs": {name: gap.to_json() for name, gap in d.free_run.items()},
+        },
         "effects": effects,
         "lower": lower,
         "upper": upper,

@@ -1,0 +1,183 @@
+"""What a discovery consists of: values with intervals, named effects and rivals, gaps, sets with probabilities."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from robustlab.result import Evidence
+
+__all__ = [
+    "EffectValue",
+    "Gap",
+    "InputClock",
+    "NamedEffect",
+    "NominalValue",
+    "Rival",
+    "SearchEntry",
+    "SetProbability",
+]
+
+
+@dataclass(frozen=True)
+class EffectValue(Evidence):
+    """One fitted parameter of an effect: value, unit, 95 % interval (posterior, given the effect), and meaning."""
+
+    name: str
+    value: float
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class NominalValue(Evidence):
+    """One refitted nominal parameter: value before and after, unit, 95 % interval, and the tolerance it was given.
+
+    ``assumed`` is True where the plant states no tolerance and one was assumed; ``beyond`` where the value left it.
+    The tolerance is relative, absolute in the parameter's unit where the nominal value is zero; 0 where the parameter
+    was held fixed.
+    """
+
+    name: str
+    nominal: float
+    value: float
+    unit: str
+    lower: float
+    upper: float
+    tolerance: float
+    assumed: bool
+    beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Rival(Evidence):
+    """An effect that these records cannot separate from a named one.
+
+    Attributes
+    ----------
+    name, title, site
+        The rival.
+    instead_of
+        Id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
+        probable as none: the tolerances of other parameters may hide it.
+    distance
+        Refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
+        effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
+        model stays from what the rival predicts.
+    evidence
+        Log evidence relative to the named effect (negative: behind).
+    probability
+        Of the most probable set that has it in that place.
+    parameters
+        As it was fitted.
+    """
+
+    name: str
+    title: str
+    site: str
+    instead_of: str
+    distance: float
+    evidence: float
+    probability: float
+    parameters: tuple[EffectValue, ...]
+
+
+@dataclass(frozen=True)
+class NamedEffect(Evidence):
+    """One effect that the records show.
+
+    Attributes
+    ----------
+    name
+        Id in the catalogue.
+    title, equation, site
+        In words; as a formula; where it sits.
+    parameters
+        Fitted values with intervals.
+    confidence
+        Its probability: that of all sets of effects that contain it, 0..1.
+    evidence
+        Log evidence over the model without it.
+    rivals
+        Ids that these records cannot separate from it; empty where the name is unique.
+    """
+
+    name: str
+    title: str
+    equation: str
+    site: str
+    parameters: tuple[EffectValue, ...]
+    confidence: float
+    evidence: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Gap(Evidence):
+    """Simulation error (RMS) of one output: in windows, or in one run from the record's start.
+
+    Attributes
+    ----------
+    output, unit, range
+        The output, its unit, its measured range on that data.
+    nominal, refitted, updated
+        RMS of the nominal model as given, of the nominal model refitted, and of the updated one; infinite where the
+        simulation diverges.
+    """
+
+    output: str
+    unit: str
+    range: float
+    nominal: float
+    refitted: float
+    updated: float
+
+
+@dataclass(frozen=True)
+class SetProbability(Evidence):
+    """A set of effects and how probable it is among all that the search visited.
+
+    Attributes
+    ----------
+    effects
+        Its effects with their places, ``"coulomb-friction@omega"``; empty: nothing is missing.
+    names
+        Their ids in the catalogue.
+    probability
+        Of this set, 0..1; over all visited sets it sums to one.
+    evidence
+        Log evidence, prior of the set included, relative to the most probable one.
+    distance
+        Refit distance from the most probable set in standard deviations of the noise (3 tell); NaN where not asked.
+    unnamed
+        The unnamed force that belongs to it (``"force over speed"``), empty where none does.
+    """
+
+    effects: tuple[str, ...]
+    names: tuple[str, ...]
+    probability: float
+    evidence: float
+    distance: float = math.nan
+    unnamed: str = ""
+
+
+@dataclass(frozen=True)
+class InputClock(Evidence):
+    """What an input does between its samples, and by how much its clock is late against the outputs', in s."""
+
+    input: str
+    hold: Literal["held", "linear"]
+    shift: float
+    std: float
+
+
+@dataclass(frozen=True)
+class SearchEntry(Evidence):
+    """One set that the search visited, in its order: effects with places, log evidence, what became of it."""
+
+    effects: tuple[str, ...]
+    evidence: float
+    decision: str
