@@ -82,7 +82,7 @@ class NamingTuning:
     most_effects: int = 5
     most_expansions: int = 16  # sets to which effects are added before the search is called unfinished
     prior_effect: float = 0.02  # of an effect at a place
-    prior_refinement: float = 0.3  # of a refinement, over that of the effect it refines
+    prior_refinement: float = 0.1  # of a refinement, over that of the effect it refines
     looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found
     temperature: float = 1.0  # by which log evidence is divided: above 1, less sure
     sure: float = 0.95  # probability of a set from which it is named, and of the sets in an answer together
