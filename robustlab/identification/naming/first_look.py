@@ -57,42 +57,48 @@ def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
 
 
 def promising(
-    problem: Problem, base: Fit, pool: Sequence[Candidate], known: Mapping[str, Array], workers: Executor,
+    problem: Problem, base: Fit, best: Fit, pool: Sequence[Candidate], known: dict[str, Array], workers: Executor,
     said: Callable[[int, int], None],
 ) -> list[Start]:  # fmt: skip
     """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
 
     Parameters
     ----------
+    best
+        The most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
     known
-        Key of an effect -> standardised parameters of base and effect that an earlier look ended with.
+        Key of an effect -> standardised parameters of base and effect that an earlier look ended with; put down here.
     said
         Called with the number of short fits done and to do.
     """
     tuning, noise = problem.tuning, base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
-    few, few_starts = _thinned(problem, base, tuning.first_windows)
-    some, some_starts = _thinned(problem, base, tuning.second_windows)
+    few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.first_windows)
+    some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.second_windows)
     few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
     some_base = few_base if some is few else some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     borrowed = few.derivatives(few_base)
+    few_ceiling = min(few_ceiling, few_base.cost - 2.0 * tuning.promising)
+    some_ceiling = min(some_ceiling, some_base.cost - 2.0 * tuning.promising)
 
     def first(job: Start) -> tuple[Start, Fit]:
-        plan = FitPlan(tuning.first, tuning.rough, draft=True, ceiling=few_base.cost - 2.0 * tuning.promising)
+        plan = FitPlan(tuning.first, tuning.rough, draft=True, ceiling=few_ceiling)
         return job, few.fit(job.hypothesis, noise, job.z, few_base.starts, plan, borrowed)
 
     def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
         job, fit = entry
-        plan = FitPlan(tuning.second, tuning.rough, draft=True, ceiling=some_base.cost - 2.0 * tuning.promising)
+        plan = FitPlan(tuning.second, tuning.rough, draft=True, ceiling=some_ceiling)
         return job, some.fit(fit.hypothesis, noise, fit.z, some_base.starts, plan)
 
     looked = []
     for done, entry in enumerate(workers.map(first, jobs), start=1):
         looked.append(entry)
         said(done, len(jobs) + tuning.kept_second)
-    best = _best_of_each(looked)
-    kept = _kept(best, few_base.cost, tuning.promising, tuning.kept_second, tuning.kept_gains)
+    nearest = _best_of_each(looked)
+    known.update({job.candidate.key: fit.z for job, fit in nearest})
+    kept = _kept(nearest, few_base.cost, tuning.promising, tuning.kept_second, tuning.kept_gains)
     nearer = _best_of_each(workers.map(second, kept))
+    known.update({job.candidate.key: fit.z for job, fit in nearer})
     kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
     return [Start(job.candidate, fit.hypothesis, fit.z) for job, fit in kept]
 
@@ -169,15 +175,16 @@ def extended(
     return Hypothesis((*kept, candidate)), np.array([*z, *candidate.standardised(start)])
 
 
-def _thinned(problem: Problem, fit: Fit, wanted: int) -> tuple[Problem, list[Array]]:
-    """Windows for a short look, and their fitted starts: half of them those that the fit explains worst.
+def _thinned(problem: Problem, fit: Fit, best: Fit, wanted: int) -> tuple[Problem, list[Array], float]:
+    """Windows for a short look, the fitted starts there, and a V beyond which nothing there can come near the best.
 
-    An effect may act in few windows (a stop, a saturation); the other half lie evenly over the records, so that what
-    explains the worst does not spoil the rest.
+    Half of them are those that the fit explains worst, since an effect may act in few windows (a stop, a saturation);
+    the other half lie evenly over the records, so that what explains the worst does not spoil the rest.
     """
     count = sum(len(c) for c in problem.chosen)
+    far = 2.0 * problem.tuning.far_behind
     if count < 2 * wanted:
-        return problem, list(fit.starts)
+        return problem, list(fit.starts), best.cost + far
     taken = np.zeros(count, dtype=bool)
     taken[:: round(2 * count / wanted)] = True
     worst = [k for k in np.argsort(-fit.window_cost) if not taken[k]]
@@ -185,4 +192,5 @@ def _thinned(problem: Problem, fit: Fit, wanted: int) -> tuple[Problem, list[Arr
     ends = np.cumsum([len(c) for c in problem.chosen])[:-1]
     masks = np.split(taken, ends)
     chosen = [c[m] for c, m in zip(problem.chosen, masks, strict=True)]
-    return problem.on(problem.records, chosen), [x[m] for x, m in zip(fit.starts, masks, strict=True)]
+    ceiling = float(best.window_cost[taken].sum() + best.z @ best.z) + far
+    return problem.on(problem.records, chosen), [x[m] for x, m in zip(fit.starts, masks, strict=True)], ceiling

@@ -29,7 +29,7 @@ from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, noise_ratio, whitening
 from robustlab.identification.naming.clock import held_inputs, short_steps
-from robustlab.identification.naming.first_look import may_follow, promising, without
+from robustlab.identification.naming.first_look import Start, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
 
 __all__ = ["Found", "Key", "Visited", "key_of", "search_sets"]
@@ -230,11 +230,14 @@ class _Search:
             self.progress(done, expected + self.tuning.kept_last, f"what could be added to {text}")
 
         known = self.looked.setdefault(key, {})
-        starts = promising(self.problem, base, open_ones, known, self.workers, said)
-        known.update({s.candidate.key: s.z for s in starts})
+        best = self.best.fit
+        starts = promising(self.problem, base, best, open_ones, known, self.workers, said)
+        ceiling = min(base.cost - 2.0 * self.tuning.promising, best.cost + 2.0 * self.tuning.far_behind)
 
-        def full(start: object) -> Fit:
-            return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, FitPlan(self.tuning.full, 0.05))
+        def full(start: Start) -> Fit:
+            gain = start.candidate.effect.gain_like
+            plan = FitPlan(self.tuning.full, 0.05, ceiling=np.inf if gain else ceiling)
+            return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
 
         for fit in self.workers.map(full, starts):
             self._visit(fit)
