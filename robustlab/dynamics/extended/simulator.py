@@ -200,33 +200,35 @@ class Simulator:
 
         if len(laws) > kernel.MAX_LAWS:
             raise InputError("effects", f"{len(laws)} force laws at once", f"at most {kernel.MAX_LAWS}")
-        n, h = len(model.A), self.dt / self.sub
-        phi, psi, ramp = self._exponential(model.A, h)
-        ports = [model.ports[law.port] for law in laws]
-        columns = np.zeros((max(1, len(laws)), n))
-        velocity, position = np.zeros_like(columns), np.zeros_like(columns)
-        parameters = np.zeros((len(columns), max([1, *(len(law.parameters) for law in laws)])))
-        memory = np.zeros((len(columns), max([1, *(law.memory for law in laws)])))
-        for j, (law, port) in enumerate(zip(laws, ports, strict=True)):
-            columns[j], velocity[j] = psi @ port.force, port.velocity
+        n, h, n_laws = len(model.A), self.dt / self.sub, len(laws)
+        phi, psi, ramp = self._exponential(model.A, 0.5 * h)
+        push, velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
+        parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in laws)])))
+        memory = np.zeros((n_laws, max([1, *(law.memory for law in laws)])))
+        for j, law in enumerate(laws):
+            port = model.ports[law.port]
+            push[j], velocity[j] = psi @ port.force, port.velocity
             if port.position is not None:
                 position[j] = port.position
             parameters[j, : len(law.parameters)] = law.parameters
+        first = second = psi @ model.B
+        if u.shape[1] > first.shape[1]:  # u1, u2: the line's means over the halves, each of which rises by u2 - u1
+            mean, rise = first, 0.5 * (ramp @ model.B)
+            first, second = np.hstack([mean - rise, rise]), np.hstack([-rise, mean + rise])
+        steps = kernel.HeldSteps(
+            np.array([phi @ phi, phi, phi]), np.array([phi @ first + second, first, second]),
+            np.array([push @ phi.T + push, push, push]), velocity, position,
+        )  # fmt: skip
         functions = tuple(law.function for law in laws)
-        functions += (kernel.no_force,) * (next(k for k in PLACES if k >= len(laws)) - len(laws))
+        functions += (kernel.no_force,) * (next(k for k in PLACES if k >= n_laws) - n_laws)
         count = len(windows.starts)
         states = np.empty((count, windows.length, n))
-        forces = np.zeros((count, windows.length, len(laws)))
+        forces = np.zeros((count, windows.length, n_laws))
         start = np.zeros((count, n))
         start[:, : model.own] = x0
         kernel.quiet_first_class_functions()
-        gamma = psi @ model.B
-        if u.shape[1] > gamma.shape[1]:  # m = (u1 + u2) / 2, s = u2 - u1
-            slope = ramp @ model.B
-            gamma = np.hstack([0.5 * gamma - slope, 0.5 * gamma + slope])
-        step = kernel.HeldStep(phi, np.ascontiguousarray(gamma), columns, velocity, position)
         run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own)
-        kernel.step_windows(functions, len(laws), step, parameters, memory, run, states, forces)
+        kernel.step_windows(functions, steps, parameters, memory, run, states, forces)
         return states, forces
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
