@@ -12,7 +12,7 @@ closed form: Coulomb's law sticks with the velocity exactly zero. Several laws a
 agree.
 
 That is second order in h. Every step is done at once and in two halves, and the states are extrapolated
-(Richardson): :math:`x = x_{h/2} + (x_{h/2} - x_h) / 3`, fourth order where the forces are smooth. A step that is too long
+(Richardson): :math:`x = x_{h/2} + (x_{h/2} - x_h) / 3`, fourth order where the forces are smooth. A step too long
 for a stiff law, where its halves bring about other forces than the whole, keeps the halves alone: extrapolated, they
 would gain energy.
 
