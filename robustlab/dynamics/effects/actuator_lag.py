@@ -50,7 +50,7 @@ class ActuatorLag(Effect):
         return signal + (before - signal) * (gone * time / h)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # A constant passes as it is; how late the rest comes is in the model of the lag itself.
+        # A constant passes as it is. The lag is a state of its own wherever delays are rational ones.
         return Footprint(site.name, "input", 1.0, 1.0)
 
 

@@ -165,6 +165,11 @@ class AttachedEffect:
         return 0.0 if found is None else found.delay
 
     @property
+    def time_constant(self) -> float:
+        """Time constant in s of a lag of an input; 0 where it is none."""
+        return self.values.get(self.effect.time_constant, 0.0)
+
+    @property
     def constant_gain(self) -> float | None:
         """The gain that the footprint has at all amplitudes, or None."""
         seen = [self.footprint(amplitude) for amplitude in (1e-6, 1.0, 1e6)]

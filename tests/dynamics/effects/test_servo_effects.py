@@ -155,6 +155,36 @@ def test_a_motor_behind_a_lag_moves_as_the_equations_say():
     assert np.abs(found - truth).max() < 1e-3 * np.abs(free - truth).max()
 
 
+def test_a_lag_is_a_state_where_delays_are_rational_and_a_parameter_of_the_set():
+    motor, T = rl.plant("dc-motor", R=(6.0, 0.0), Kf=(1e-5, 0.0)), 4e-3
+    real = rl.with_effects(motor, {"input-delay": {"d": 2e-3}, "actuator-lag": {"T": (T, 1e-3)}})
+    s = 1j * np.array([1.0, 30.0, 400.0])
+    rational = 1 - s * 1e-3 + s**2 * 4e-6 / 12
+    rational = rational / np.conj(rational)
+    bare = rl.frequency_response(motor.state_space(), s.imag)[:, :, 0]
+
+    def expected(time):
+        return bare * (rational / (1 + s * time))[:, None]
+
+    np.testing.assert_allclose(rl.frequency_response(real.linear_model(pade=2), s.imag)[:, :, 0], expected(T))
+    assert real.linear_model().n_states == 3
+    assert any("a lag of 0.004 s" in left.reason for left in real.left_out())
+    made = rl.uncertain_from(real, sigmas=2.0).model
+    lag = next(b for b in made.blocks if b.name == "actuator-lag@u")
+    assert (lag.parameter.low, lag.parameter.high) == pytest.approx((2e-3, 6e-3))
+    assert "Lag of the actuator" in lag.origin
+    for delta, time in ((0.0, T), (1.0, 6e-3), (-1.0, 2e-3), (0.4, 4.8e-3)):
+        member = made.evaluate({"actuator-lag@u": delta})
+        np.testing.assert_allclose(rl.frequency_response(member, s.imag)[:, :, 0], expected(time), rtol=1e-8)
+    known = rl.uncertain_from(rl.with_effects(motor, {"actuator-lag": {"T": T}})).model
+    assert "actuator-lag@u" not in [b.name for b in known.blocks]
+    np.testing.assert_allclose(
+        rl.frequency_response(known.nominal, s.imag)[:, :, 0], bare / (1 + s * T)[:, None], rtol=1e-9
+    )
+    with pytest.raises(InputError, match=r"lag actuator-lag@u.*stays positive"):
+        rl.uncertain_from(real, sigmas=5.0)
+
+
 # --- Coulomb friction by direction -----------------------------------------------------------------------------------
 
 LEVELS = {"F_pos": 5.0, "F_neg": 2.0}
