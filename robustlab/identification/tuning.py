@@ -32,6 +32,7 @@ class NamingTuning:
     # --- candidates
     spatial_lines: int = 3  # tried of a force over the position: more find weaker ripples, each costs fits
     finest_lines: int = 1500  # per range of the position: finer ripples are not looked for
+    line_p: float = 0.01  # probability by which a line of a force over time may be noise
 
     # --- the fit of one hypothesis
     step: float = 2e-3  # of a standardised parameter, for differences

@@ -18,6 +18,7 @@ from robustlab.identification.hypotheses.candidates import (
     nuisance_parameters,
     spatial_orders,
     stated_tolerances,
+    timed_lines,
 )
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, prepare, window_length
 from robustlab.identification.naming.greedy_naming import spans
@@ -181,6 +182,40 @@ def test_without_travel_there_are_no_lines():
     assert spatial_orders(still[:0], still[:0], still[:0], still[:0] == 0) == ()
 
 
+# --- lines over time -------------------------------------------------------------------------------------------------
+
+
+def coloured(n, seed):
+    """Noise with a smooth spectrum that falls by a hundred, and a speed with reversals."""
+    rng = np.random.default_rng(seed)
+    noise = np.convolve(rng.normal(size=n + 20), np.exp(-np.arange(21) / 5.0), "valid")
+    return noise, np.sin(np.linspace(0.0, 40.0, n))
+
+
+@pytest.mark.parametrize("f", [23.7, 50.0, 101.3])
+def test_a_line_over_time_is_found_among_coloured_noise_and_friction(f):
+    noise, v = coloured(5000, 1)
+    t = np.arange(5000) * 1e-3
+    found = timed_lines(noise + np.sin(2 * np.pi * f * t + 0.3) + 5.0 * np.sign(v) - 2.0 * v, v, 1e-3, 4.0)
+    assert found == pytest.approx((f,), abs=0.05)  # a quarter of the width of a line
+
+
+def test_the_stronger_of_two_lines_comes_first():
+    noise, v = coloured(5000, 2)
+    t = np.arange(5000) * 1e-3
+    found = timed_lines(noise + np.sin(2 * np.pi * 50 * t) + 2.0 * np.sin(2 * np.pi * 61.4 * t), v, 1e-3, 4.0)
+    assert found[:2] == pytest.approx((61.4, 50.0), abs=0.05)
+
+
+def test_noise_alone_has_a_line_over_time_as_seldom_as_stated():
+    alarms = sum(bool(timed_lines(*coloured(3000, seed), 1e-3, 4.0)) for seed in range(300))
+    assert alarms <= 9  # 3 expected of 300 at 1 %; more than 9 has the probability 0.001
+
+
+def test_a_short_record_has_no_lines_over_time():
+    assert timed_lines(np.ones(30), np.zeros(30), 1e-3, 4.0) == ()
+
+
 # --- what is tried where ---------------------------------------------------------------------------------------------
 
 T = np.arange(1000) * 2e-3
@@ -216,7 +251,7 @@ def ids(found) -> set[str]:
 
 
 ELECTRICAL = {"brush-drop", "resistance", "resistance-heating", "torque-constant"}
-AT_A_POSITION = {"cogging", "cubic-stiffness", "end-stop", "position-dependent-friction"}
+AT_A_POSITION = {"cogging", "cubic-stiffness", "end-stop", "one-sided-spring", "position-dependent-friction"}
 
 
 def test_an_axis_without_a_current_has_no_electrical_effects():
@@ -250,6 +285,30 @@ def test_what_needs_a_period_is_tried_once_for_each_line():
     assert all(len(k) == 1 for k in lines)
     assert len(set(lines)) == len(lines)
     assert len(tried("servo-axis")["coulomb-friction @ v"]) == 1
+
+
+def test_a_contact_on_one_side_is_tried_on_both_and_never_beyond_the_record():
+    upper, lower = (c for c in tried("servo-axis")["one-sided-spring @ v"])
+    assert (upper.scales.side, lower.scales.side) == (1, -1)
+    (both,) = tried("servo-axis")["end-stop @ v"]
+    for candidate, limits in ((upper, ["q0"]), (lower, ["q0"]), (both, ["q_min", "q_max"])):
+        seen = candidate.scales
+        for z in (-8.0, 0.0, 8.0):  # as far as a fit goes
+            values = candidate.values(np.full(len(candidate.parameters), z))
+            assert all(seen.lowest <= values[name] <= seen.highest for name in limits)
+            assert candidate.effect.id == "end-stop" or np.sign(values["k"]) == seen.side
+
+
+def test_a_ripple_over_time_is_tried_at_its_line():
+    axis = rl.with_effects(rl.plant("servo-axis"), {"torque-ripple": {"Ac": 5.0, "As": 5.0, "f": 41.0}})
+    ready = prepared(axis.plant)
+    run = rl.simulate(axis, T, U)
+    record = rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run")
+    ready = prepare(axis.plant, port_model(axis.plant), record, window_length(axis.plant, [record]))
+    found = [c for c in candidates(axis.plant, port_model(axis.plant), [ready]) if c.effect.id == "torque-ripple"]
+    assert found[0].starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
+    without = [c.starts for c in tried("servo-axis")["torque-ripple @ v"]]
+    assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]
 
 
 def test_the_magnitudes_are_those_of_the_record():

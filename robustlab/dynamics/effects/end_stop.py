@@ -4,11 +4,14 @@ For the upper stop, with the depth :math:`\delta = q - q_\max`,
 
 .. math:: f = -\max(0,\ k_c\, \delta + d_c\, v) \quad (\delta > 0), \qquad f = 0 \quad (\delta \le 0)
 
-and its mirror image at the lower one. Over a step the spring's force is the one whose work is exactly the difference of
-its potential :math:`k_c \max(\delta, 0)^2 / 2`, so that an undamped stop returns what it took even where a step is too
-long to see the contact; the damping acts at the change of the depth over the step. A damper that stops the motion
-within less than a step would ring: there it acts at the end velocity for the share of the way in contact, the two
-weighted by 1 and :math:`(d_c g_v / 2)^4`.
+and its mirror image at the lower one. Both limits lie within the travel that a record reaches: one that no motion
+presses on is no parameter of it (`robustlab.dynamics.effects.one_sided_spring` has a stop on one side).
+
+Over a step the spring's force is the one whose work is exactly the difference of its potential
+:math:`k_c \max(\delta, 0)^2 / 2`, so that an undamped stop returns what it took even where a step is too long to see
+the contact; the damping acts at the change of the depth over the step. A damper that stops the motion within less than
+a step would ring: there it acts at the end velocity for the share of the way in contact, the two weighted by 1 and
+:math:`(d_c g_v / 2)^4`.
 """
 
 from __future__ import annotations
@@ -22,9 +25,7 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, Q, V, law
 from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
-__all__ = ["EFFECT", "stop_force"]
-
-FAR = 5.0  # ranges of the record
+__all__ = ["EFFECT", "contact_scales", "limit_prior", "stop_force", "travel"]
 
 
 @nb.njit(cache=True)
@@ -81,34 +82,29 @@ class EndStop(Effect):
     force = stop_force
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        # A stop is looked for far beyond what the record reaches, where one that the record does not touch belongs.
-        lower, upper = _extremes(scales)
-        far = FAR * scales.position
-        stiffness, damping = _contact(scales)
+        stiffness, damping = contact_scales(scales)
         per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
         per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
         return (
-            EffectParameter("q_min", scales.position_unit, "lower limit", Prior("linear", lower - far, 0.5 * far)),
-            EffectParameter("q_max", scales.position_unit, "upper limit", Prior("linear", upper + far, 0.5 * far)),
+            EffectParameter("q_min", scales.position_unit, "lower limit", limit_prior(scales, -1)),
+            EffectParameter("q_max", scales.position_unit, "upper limit", limit_prior(scales, 1)),
             EffectParameter("kc", per_position, "stiffness of the contact", Prior("log", stiffness, 2.5)),
             EffectParameter("dc", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # The upper stop, the lower one, both: soft ones that the record presses in, and hard ones near its extremes.
-        lower, upper = _extremes(scales)
-        far = FAR * scales.position
-        stiffness, damping = _contact(scales)
-        found = []
-        for depth, harder in ((0.02, 1.0), (0.003, 5.0)):
-            inside = depth * scales.position
-            contact = {"kc": harder * stiffness, "dc": math.sqrt(harder) * damping}
-            found += [
-                {"q_min": lower - far, "q_max": upper - inside, **contact},
-                {"q_min": lower + inside, "q_max": upper + far, **contact},
-                {"q_min": lower + inside, "q_max": upper - inside, **contact},
-            ]
-        return tuple(found)
+        # Soft stops that the record presses in, and hard ones near its extremes.
+        lower, upper = travel(scales)
+        stiffness, damping = contact_scales(scales)
+        return tuple(
+            {
+                "q_min": lower + depth * (upper - lower),
+                "q_max": upper - depth * (upper - lower),
+                "kc": harder * stiffness,
+                "dc": math.sqrt(harder) * damping,
+            }
+            for depth, harder in ((0.02, 1.0), (0.003, 5.0))
+        )
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Slope of the force over the position: 0 between the limits, kc beyond them (the damping is left out).
@@ -116,16 +112,22 @@ class EndStop(Effect):
         return Footprint(site.name, "position", 0.0, values["kc"] if reached else 0.0)
 
 
-def _extremes(scales: Scales) -> tuple[float, float]:
+def travel(scales: Scales) -> tuple[float, float]:
     """Lowest and highest position of the record; around zero where not known."""
     half = 0.5 * scales.position
-    return (
-        -half if scales.lowest is None else scales.lowest,
-        half if scales.highest is None else scales.highest,
-    )
+    if scales.lowest is None or scales.highest is None or not scales.highest > scales.lowest:
+        return -half, half
+    return scales.lowest, scales.highest
 
 
-def _contact(scales: Scales) -> tuple[float, float]:
+def limit_prior(scales: Scales, side: int) -> Prior:
+    """Prior of where a contact begins, within the travel: near its upper (1) or lower (-1) end, or anywhere (0)."""
+    lower, upper = travel(scales)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    return Prior("between", middle + 0.96 * side * half, 1.5 if side else 2.0, upper, lower)
+
+
+def contact_scales(scales: Scales) -> tuple[float, float]:
     """Stiffness that gives by 1 % of the range under the record's force, and three tenths of its critical damping."""
     stiffness = scales.force / (0.01 * scales.position)
     return stiffness, 2.0 * 0.3 * math.sqrt(stiffness * scales.inertia)

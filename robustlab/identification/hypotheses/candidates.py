@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
@@ -21,9 +22,13 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.units import share
 
-__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances"]
+__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances", "timed_lines"]
 
 
+LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
+# Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
+# a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.
+LINE_FREEDOM = 0.48 * (2 * LINE_NEIGHBOURS + 1) / 1.5
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
@@ -32,7 +37,7 @@ def candidates(
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
-    An effect whose period over the position must be known is given once for each strong spatial line.
+    An effect whose period over the position or over time must be known is given once for each strong line.
     """
     model = _with_told_positions(model, records)
     found = []
@@ -71,10 +76,7 @@ def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord])
 
 
 def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
-    variants = [scales]
-    if scales.orders and effect.spatial:
-        variants = [replace(scales, orders=(k,)) for k in scales.orders]
-    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in variants]
+    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in effect.variants(scales)]
 
 
 def _scales(
@@ -117,6 +119,7 @@ def _scales(
         inertia=inertia,
         current=float(max(currents, default=1.0)) or 1.0,
         orders=_merged_orders(motion, tuning) if port.position is not None else (),
+        lines=_lines(motion, records, tuning),
         force_unit=port.unit,
         speed_unit=port.speed_unit,
         position_unit=port.position_unit,
@@ -188,6 +191,58 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTun
         wave = np.column_stack([np.cos(found[-1] * q), np.sin(found[-1] * q)])
         rest = rest - wave @ np.linalg.lstsq(wave, rest, rcond=None)[0]
     return tuple(found)
+
+
+def _lines(
+    motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequence[PreparedRecord], tuning: NamingTuning
+) -> tuple[float, ...]:
+    """Lines over time in the longest record, of which every window holds two periods."""
+    k = int(np.argmax([r.record.duration for r in records]))
+    (_, v, d, _), record = motion[k], records[k]
+    return timed_lines(d, v, record.record.dt, 2.0 / (record.windows.length * record.record.dt), tuning)
+
+
+def timed_lines(d: Array, v: Array, dt: float, lowest: float, tuning: NamingTuning = TUNING) -> tuple[float, ...]:
+    r"""Significant lines of the force d over time in Hz, from ``lowest`` up, strongest first.
+
+    A periodogram, after the part of d that depends on the direction and linearly on the speed is taken out. Of noise
+    whose spectrum is smooth the power over its mean is exponential; over the mean m of K neighbours,
+    :math:`P(p > x m) = (1 + x/K)^{-K}`. A line counts where that, times the number of frequencies looked at, is below
+    ``tuning.line_p``.
+    """
+    trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
+    rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
+    n = len(rest)
+    t, f = dt * np.arange(n), np.fft.rfftfreq(n, dt)
+    taper = np.hanning(n)
+    looked = (f >= lowest) & (f <= 0.4 / dt)  # above, two and a half samples a period, the smoother ends
+    found: list[tuple[float, float]] = []
+    for _ in range(tuning.spatial_lines):
+        keep = np.flatnonzero(looked)
+        if len(keep) < 2 * LINE_NEIGHBOURS:
+            break
+        power = np.abs(np.fft.rfft(rest * taper)) ** 2
+        around = median_filter(power, 2 * LINE_NEIGHBOURS + 1, mode="reflect") / math.log(2.0)  # the mean by the median
+        height = power[keep] / np.maximum(around[keep], 1e-300)
+        best = int(keep[np.argmax(height)])
+        if len(keep) * (1.0 + height.max() / LINE_FREEDOM) ** -LINE_FREEDOM > tuning.line_p:
+            break
+        line = _between(power, best) / (n * dt)
+        wave = np.column_stack([np.cos(2.0 * np.pi * line * t), np.sin(2.0 * np.pi * line * t)])
+        parts = np.linalg.lstsq(wave, rest, rcond=None)[0]
+        found.append((float(parts @ parts), line))
+        rest = rest - wave @ parts
+        looked[max(0, best - 2) : best + 3] = False  # what its removal leaves of it is no other line
+    return tuple(line for _, line in sorted(found, reverse=True))
+
+
+def _between(power: Array, k: int) -> float:
+    """Place of a peak of a Hann-tapered line's periodogram at k, in bins: from the larger neighbour over the peak."""
+    if not 0 < k < len(power) - 1:
+        return float(k)
+    side = 1 if power[k + 1] > power[k - 1] else -1
+    ratio = math.sqrt(power[k + side] / power[k])
+    return k + side * min(0.5, max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0)))
 
 
 def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
