@@ -205,16 +205,23 @@ def _put_gear(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 def _end_stop(r: np.random.Generator, s: Setting) -> Parameters:
-    """Two stops, between them less than half of the way that either record would range over without them."""
+    """Two stops that both records meet, where their input goes both ways: closer together until they do."""
     other = simulate(s.machine, s.other_u, s.dt, feedback=s.feedback).phi
-    way = min(np.ptp(s.free.phi), np.ptp(other)) * r.uniform(0.3, 0.5)
-    below = r.uniform(0.3, 0.7)
-    return {
-        "low": -float(way * below),
-        "high": float(way * (1 - below)),
-        "stiffness": s.torque / s.length * r.uniform(2, 10),
-        "hc": r.uniform(0.003, 0.01) / s.length,
-    }
+    way = min(np.ptp(s.free.phi), np.ptp(other)) * r.uniform(0.4, 0.6)
+    below, stiffness, hc = r.uniform(0.3, 0.7), s.torque * r.uniform(2, 10), r.uniform(0.003, 0.01)
+    p: Parameters = {}
+    for _ in range(8):
+        p = {"low": -way * below, "high": way * (1 - below), "stiffness": stiffness / s.length, "hc": hc / s.length}
+        p = {key: float(value) for key, value in p.items()}
+        stopped = [simulate(_put_end_stop(s.machine, p, s), u, s.dt, feedback=s.feedback).phi for u in (s.u, s.other_u)]
+        if all(phi.max() > p["high"] and phi.min() < p["low"] for phi in stopped):
+            break
+        way *= 0.75
+    return p
+
+
+def _put_end_stop(m: Machine, p: Parameters, s: Setting) -> Machine:
+    return m._replace(x_low=p["low"], x_high=p["high"], k_stop=p["stiffness"], c_stop=p["hc"])
 
 
 def _one_sided(r: np.random.Generator, s: Setting) -> Parameters:
@@ -352,10 +359,7 @@ EFFECTS: Mapping[str, Hidden] = {
     "cubic-stiffness": Hidden(
         lambda r, s: {"k3": s.torque * r.uniform(10e-3, 30e-3) / s.reach**3}, lambda m, p, s: m._replace(k3=p["k3"])
     ),
-    "end-stop": Hidden(
-        _end_stop,
-        lambda m, p, s: m._replace(x_low=p["low"], x_high=p["high"], k_stop=p["stiffness"], c_stop=p["hc"]),
-    ),
+    "end-stop": Hidden(_end_stop, _put_end_stop),
     "pendulum-gravity": Hidden(
         lambda r, s: {"mgl": s.torque * r.uniform(3e-3, 8e-3), "rest": r.uniform(-math.pi, math.pi)},
         lambda m, p, s: m._replace(grav=p["mgl"], x_grav=p["rest"]),

@@ -27,7 +27,7 @@ TWO_MASS = (
     "sensor-delay", "end-stop", "pendulum-gravity", "actuator-lag", "asymmetric-coulomb-friction",
     "load-dependent-friction", "torque-ripple", "one-sided-spring",
 )  # fmt: skip
-NO_AXIS = (*MOTOR_ONLY, "pendulum-gravity")
+NO_AXIS = (*MOTOR_ONLY, "pendulum-gravity", "magnitude-sensor")
 NO_ENCODER = (*CURRENT_ONLY, "magnitude-sensor")  # an encoder that counts knows its sign
 
 MOTOR = tuple(name for name in EFFECTS if name not in NO_ENCODER)
