@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
@@ -15,7 +14,7 @@ from robustlab.identification.hypotheses.candidates import nuisance_parameters, 
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.force_response import ForceResponse, force_response, plain_places
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.hypotheses.random_force import FittedWindows
+from robustlab.identification.hypotheses.random_force import START, FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import unnamed_force, unnamed_forces
 from robustlab.identification.naming.ranking import first_noise
 
@@ -48,7 +47,7 @@ class Dense:
         mean = -j @ self.z
         for w in range(count):
             own = slice(w * points, (w + 1) * points)
-            total[own, own] += self.o[w] @ kernel @ self.o[w].T + self.x[w] @ self.x[w].T
+            total[own, own] += self.o[w] @ kernel @ self.o[w].T + self.x[w] @ self.x[w].T / START
             mean[own] -= self.x[w] @ self.xi[w]
         if columns is not None:
             g = np.concatenate([self.o[w] @ columns[w] for w in range(count)])
@@ -88,7 +87,8 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
     assert len(levels) == 1 + 3 * 2
     for level in levels:
         covariance, mean = dense.covariance(level.size, level.bandwidth)
-        assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean), rel=1e-8)
+        free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all
+        assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8)
 
 
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
@@ -125,16 +125,21 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
 
 
 def measured(extra, noise=2e-5, seconds=6.0, seed=0) -> rl.Record:
-    """The axis with an extra force ``extra(t, q, v)`` in N, by an ODE solver; position with noise."""
+    """The axis with an extra force ``extra(t, q, v)`` in N, by Runge-Kutta's method; position with noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds / DT)) * DT
     u = 1.5 * np.sin(2 * np.pi * 0.9 * t) + np.repeat(rng.choice([-1.0, 1.0], len(t) // 100), 100)
 
-    def rates(now, x):
-        held = u[min(int(now / DT + 1e-9), len(u) - 1)]
-        return x[1], (GAIN * held - FV * x[1] + extra(now, x[0], x[1])) / M
+    def rate(now, held, q, v):
+        return np.array([v, (GAIN * held - FV * v + extra(now, q, v)) / M])
 
-    q = solve_ivp(rates, (0.0, t[-1]), (0.0, 0.0), t_eval=t, max_step=DT, rtol=1e-8, atol=1e-10).y[0]
+    q, x = np.zeros(len(t)), np.zeros(2)
+    for k, now in enumerate(t):
+        q[k] = x[0]
+        a = rate(now, u[k], *x)
+        b = rate(now + DT / 2, u[k], *(x + DT / 2 * a))
+        c = rate(now + DT / 2, u[k], *(x + DT / 2 * b))
+        x = x + DT / 6 * (a + 2 * b + 2 * c + rate(now + DT, u[k], *(x + DT * c)))
     return rl.Record(t, {"u": u}, {"q": q + noise * rng.normal(size=len(t))}, {"u": "V", "q": "m"})
 
 
@@ -188,6 +193,12 @@ def test_a_ripple_over_time_is_found_with_its_period_and_amplitude():
     assert best.unit == "N"
     assert best.period == pytest.approx(1.0 / 7.0, rel=0.01)
     assert best.amplitude == pytest.approx(1.2, abs=max(4 * best.amplitude_std, 0.12))
+
+
+def test_the_noise_ratio_of_a_strong_ripple_is_well_above_one():
+    problem, fit = fitted(measured(lambda t, q, v: 12.0 * np.cos(2 * np.pi * 7.0 * t + 1.0)))
+    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    assert left.forces[0].over == "line over time"
     assert left.noise_ratio > 1.5
 
 

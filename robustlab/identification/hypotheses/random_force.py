@@ -25,6 +25,9 @@ __all__ = ["FittedWindows", "NoiseLevel", "eliminated"]
 
 
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
+# Precision of a start's prior, of that in the fit: the smoother that told the start knew of no force beyond its own
+# bandwidth, and a ripple moves the start by much more than it thought possible.
+START = 0.01
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
 
 
@@ -152,10 +155,10 @@ def _without_start(gram: Array, record: ForceResponse) -> tuple[Array, Array]:
     """The window's start, which comes first, eliminated with its prior; and log det of its equations."""
     n_x = record.xi.shape[1]
     gram = gram.copy()
-    gram[:, :n_x, :n_x] += np.eye(n_x)
-    gram[:, :n_x, -1] -= record.xi
-    gram[:, -1, :n_x] -= record.xi
-    gram[:, -1, -1] += (record.xi**2).sum(axis=1)
+    gram[:, :n_x, :n_x] += START * np.eye(n_x)
+    gram[:, :n_x, -1] -= START * record.xi
+    gram[:, -1, :n_x] -= START * record.xi
+    gram[:, -1, -1] += START * (record.xi**2).sum(axis=1)
     h, right = gram[:, :n_x, :n_x], gram[:, :n_x, n_x:]
     rest = gram[:, n_x:, n_x:] - np.swapaxes(right, 1, 2) @ np.linalg.solve(h, right)
     return rest, np.linalg.slogdet(h)[1]
