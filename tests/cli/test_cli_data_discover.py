@@ -12,6 +12,7 @@ from robustlab.cli.data import app
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming import discovery
 from robustlab.identification.naming.discovery_parts import Rival
+from robustlab.identification.record_check.suitability import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
@@ -142,6 +143,25 @@ def test_an_open_verdict_is_told_in_full_and_ends_in_4(run, files, answer, real,
     assert (code, result["verdict"], result["status"]) == (4, verdict, "inconclusive")
     assert result["answer"] == [effect.name, *(r.name for r in rivals)]
     assert verdict in err
+
+
+def test_details_are_told_on_demand(run, files, answer, real):
+    answer(real)
+    short = run("discover", "servo-axis", files / "run7.h5")[1]
+    long = run("discover", "servo-axis", files / "run7.h5", "--details")[1]
+    assert len(long.splitlines()) > len(short.splitlines())
+    assert ("nominal parameters, refitted" in short, "nominal parameters, refitted" in long) == (False, True)
+
+
+def test_an_interrupted_search_tells_what_was_known_and_ends_in_130(run, files, tmp_path, answer, real):
+    stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
+    answer(replace(real, status=rl.Status.INCONCLUSIVE, findings=(stopped,)))
+    code, text, err = run("discover", "servo-axis", files / "run7.h5", "--out", tmp_path / "out", "--json")
+    result = json.loads(text)
+    assert (code, result["names"]) == (130, ["coulomb-friction"])
+    assert result["findings"][0]["kind"] == "interrupted"
+    assert "what was known by then" in err
+    assert (tmp_path / "out" / "report.html").exists()
 
 
 def test_nothing_missing_is_an_answer(run, files, answer, real):
