@@ -16,6 +16,7 @@ from robustlab.identification.record_check.suitability import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
+FIGURES = ("force", "posterior", "run-q", "story", "stretch-q")
 FC = 20.0
 
 
@@ -91,7 +92,13 @@ def test_friction_is_named_by_the_real_command(run, files, tmp_path):
     assert json.loads((out / "result.json").read_text(encoding="utf-8"))["effects"] == result["effects"]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "servo-axis lacks Coulomb (dry) friction" in page
-    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == ["posterior.svg", "story.svg", "stretch-q.svg"]
+    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == [
+        "force.svg",
+        "posterior.svg",
+        "run-q.svg",
+        "story.svg",
+        "stretch-q.svg",
+    ]
     assert str(out / "report.html") in result["files"]
 
 
@@ -188,7 +195,13 @@ def test_figures_alone(run, files, tmp_path, answer, real):
     answer(real)
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figures", tmp_path / "f")
     assert code == 0
-    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == ["posterior.png", "story.png", "stretch-q.png"]
+    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == [
+        "force.png",
+        "posterior.png",
+        "run-q.png",
+        "story.png",
+        "stretch-q.png",
+    ]
     assert "story.png" in err
 
 

@@ -260,6 +260,7 @@ def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Disco
         rivals = ()  # nothing was named, and nothing is missing no longer stands beside them
     fit, left = naming.settled, judged.left
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
+    before = left_over(case.data.everything(), naming.bare, naming.noise) if fit.hypothesis.candidates else None
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": naming.bare, "updated": fit})
     names = tuple(r.name for r in case.records)
     structure = {"noise_ratio": judged.noise_ratio}
@@ -284,7 +285,8 @@ def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Disco
         search=tuple(_entry(s) for s in naming.steps),
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
         structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
-        residual_force=left.curves() if left and not complete else None,
+        residual_force=left.curves() if left else None,
+        missing_force=before.curves() if before else None,
         unnamed=left.unnamed() if left and not complete else None,
         noise_floor=judged.floor,
         floor_excess=judged.excess,
