@@ -22,6 +22,7 @@ from robustlab.cli.options import (
     shares,
 )
 from robustlab.errors import (
+    EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
     InputError,
@@ -368,12 +369,14 @@ def discover(
     options: ModelRecordOptions,
     windows: ExcitationOptions,
     output: DiscoveryFiles,
+    details: Annotated[bool, typer.Option("--details", help="Print all that the answer rests on, too.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Name the effect that a model lacks, from measured records, and update the model with it.
 
     Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", which the result says
-    in full all the same, or the records are too poor for any verdict; 3: a record is wrong.
+    in full all the same, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C ended the
+    search, and the result says what was known by then.
 
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """
@@ -400,7 +403,10 @@ def discover(
     read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
     files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)])
-    emit("data discover", {**result, "files": files}, found.summary(), as_json)
+    emit("data discover", {**result, "files": files}, found.summary(details), as_json)
+    if found.interrupted:
+        note("interrupted: what was known by then is told")
+        raise typer.Exit(EXIT_INTERRUPTED)
     if not found.status.trustworthy:
         note(f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)")
     require_trust(found.status)

@@ -1,9 +1,10 @@
-"""Figures of a discovery: gap before and after, a held-out stretch, the sets it leaves open, what force is left."""
+"""Figures of a discovery: gaps before and after, free run, a held-out stretch, open sets, force before and after."""
 
 from __future__ import annotations
 
 import math
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,8 +13,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.naming.discovery_parts import SetProbability
-from robustlab.identification.naming.discovery_result import Discovery, chance, compared, headline
+from robustlab.identification.naming.discovery_parts import Gap, SetProbability
+from robustlab.identification.naming.discovery_result import Discovery, chance, headline
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.report.figures import (
     COLOURS,
@@ -27,7 +28,15 @@ from robustlab.report.figures import (
     zero_line,
 )
 
-__all__ = ["CAPTIONS", "discovery_figures", "gap_figure", "posterior_figure", "residual_force_figure", "stretch_figure"]
+__all__ = [
+    "CAPTIONS",
+    "discovery_figures",
+    "free_run_figure",
+    "gap_figure",
+    "posterior_figure",
+    "residual_force_figure",
+    "stretch_figure",
+]
 
 
 Index = NDArray[np.int_]
@@ -37,48 +46,52 @@ STRETCH = 4  # windows shown of a held-out stretch
 APART = 0.06  # of a window, between windows that do not follow each other
 SHOWN = 9  # sets of effects
 LONG_TITLE = 92
+DRAWN = 4000  # samples of a curve
+BEYOND = 0.6  # of the measured range, drawn of a model that leaves it
+DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "updated": "-"}
 
 COLUMNS = 2
+ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
 
 CAPTIONS = {
     "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
-    "stretch": "A held-out stretch, window by window: record, nominal and updated model, and their errors below.",
+    "run": "Free run: one simulation from the start of a held-out record to its end, without restarts; errors below.",
+    "stretch": "A held-out stretch, window by window: record and models, and their errors below.",
     "posterior": "Sets of effects and how probable they are; blue: the smallest collection with 95 %.",
-    "force": "The force that the updated model still lacks, over each coordinate, with its 95 % band.",
+    "force": "The force that the refitted and the updated model lack, over each coordinate, with its 95 % band.",
 }
 
 
 def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
-    """``story``; ``stretch-q`` for every output q; ``posterior``; ``force`` where a residual force is known."""
-    figures = {"story": gap_figure(discovery)}
-    for k, output in enumerate(discovery.series.get("outputs", {}), start=1):
-        figures[f"stretch-{stem(output, k)}"] = stretch_figure(discovery, output)
-    if discovery.posterior:
-        figures["posterior"] = posterior_figure(discovery)
-    if discovery.residual_force is not None and discovery.residual_force.curves:
-        figures["force"] = residual_force_figure(discovery.residual_force, discovery.unnamed, "missing force")
+    """``story``; ``run-q`` and ``stretch-q`` for every output q; ``posterior``; ``force`` where a force is known."""
+    d = discovery
+    figures = {"story": gap_figure(d)}
+    for k, output in enumerate(d.series.get("free_run", {}).get("outputs", {}), start=1):
+        if output in d.free_run:
+            figures[f"run-{stem(output, k)}"] = free_run_figure(d, output)
+    for k, output in enumerate(d.series.get("outputs", {}), start=1):
+        figures[f"stretch-{stem(output, k)}"] = stretch_figure(d, output)
+    if d.posterior:
+        figures["posterior"] = posterior_figure(d)
+    if d.residual_force is not None and d.residual_force.curves:
+        unnamed = None if d.complete else d.unnamed
+        figures["force"] = residual_force_figure(d.residual_force, unnamed, "missing force", d.missing_force)
     return figures
 
 
 def gap_figure(discovery: Discovery) -> Figure:
-    """For every output: bars of the held-out error of the three models, and beside them its traces over time."""
+    """For every output: bars of the held-out error of the three models in windows and in free run; errors over time."""
     d = discovery
-    figure, axes = new_figure(len(d.gaps), 2, width=9.2, height=2.7, gridspec_kw={"width_ratios": [1.0, 2.1]})
+    ratios = [1.0, 1.0, 1.9] if d.free_run else [1.0, 2.1]
+    figure, axes = new_figure(len(d.gaps), len(ratios), 10.0, 2.7, gridspec_kw={"width_ratios": ratios})
     with house_style():
         for k, (name, gap) in enumerate(d.gaps.items()):
-            bars, traces = axes[2 * k], axes[2 * k + 1]
-            values = [getattr(gap, model) for model in MODELS]
-            bars.barh(list(MODELS), values, color=list(MODELS.values()), height=0.62)
-            bars.invert_yaxis()
-            bars.grid(visible=False, axis="y")
-            for row, value in enumerate(values):
-                share = f"{100 * value / gap.range:.3g} %" if gap.range > 0 else f"{value:.3g}"
-                bars.annotate(share, (value, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
-            bars.set_xlim(0.0, 1.28 * (max(values) or 1.0))
-            bars.set_xlabel(axis_label("rms error", gap.unit))
-            bars.set_title(plain_label(f"{name}: {compared(gap.nominal, gap.updated, 'nominal')}"))
-            bars.xaxis.set_major_locator(MaxNLocator(4))
+            *bars, traces = axes[len(ratios) * k : len(ratios) * (k + 1)]
+            _bars(bars[0], gap, f"{name}: windows of {d.window:.3g} s")
+            if name in d.free_run:
+                _bars(bars[1], d.free_run[name], f"{name}: free run")
+                bars[1].set_yticklabels([])
             signals = d.series.get("outputs", {}).get(name)
             if signals is None:
                 traces.remove()
@@ -90,44 +103,40 @@ def gap_figure(discovery: Discovery) -> Figure:
             axis.label(traces)
             zero_line(traces)
             traces.set_ylabel(axis_label("error", gap.unit))
-            traces.set_title("record minus simulation, held-out windows")
+            traces.set_title("record minus simulation, windows")
             if k == 0:
                 traces.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3, columnspacing=1.2)
                 headroom(traces, below=0.2)
-        figure.suptitle(_wrapped(plain_label(headline(d))), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+        figure.suptitle(_wrapped(plain_label(headline(d)), 104), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
     return figure
+
+
+def free_run_figure(discovery: Discovery, output: str) -> Figure:
+    """One held-out record simulated from its start to its end: signals above, errors below."""
+    d, run = discovery, discovery.series["free_run"]
+    every = max(1, len(run["t"]) // DRAWN)
+    t = np.asarray(run["t"])[::every]
+    signals = {key: np.asarray(values)[::every] for key, values in run["outputs"][output].items()}
+    start = f"{output} of {run['record']}: one run from the record's start"
+    return _signals_and_errors(t, signals, d.free_run[output], start)
 
 
 def stretch_figure(discovery: Discovery, output: str) -> Figure:
     """Some held-out windows around the one that the nominal model misses most: signals above, errors below."""
     d = discovery
-    signals, gap = d.series["outputs"][output], d.gaps[output]
-    measured = np.asarray(signals["measured"])
+    signals = {key: np.asarray(values) for key, values in d.series["outputs"][output].items()}
     whole = _Windows.of(d)
     miss = [
         float(np.nanmean(part**2)) if np.isfinite(part).any() else 0.0
-        for part in whole.cut(measured - signals["nominal"])
+        for part in whole.cut(signals["measured"] - signals["nominal"])
     ]
     first = min(max(int(np.argmax(miss)) - STRETCH // 2, 0), max(len(miss) - STRETCH, 0))
     axis = whole.some(first, STRETCH)
-    figure, (above, middle, below) = new_figure(3, 1, width=7.8, height=2.0, sharex=True)
+    start = f"{output}, held out: each window starts from its best fitted state"
+    x = axis.broken(signals["measured"])[0]
+    figure = _signals_and_errors(x, {k: axis.broken(v)[1] for k, v in signals.items()}, d.gaps[output], start)
     with house_style():
-        above.plot(*axis.broken(measured), color=COLOURS["measured"], lw=2.4, alpha=0.45, label="record")
-        for model, line in (("nominal", (0, (4, 1.5))), ("updated", "-")):
-            values = np.asarray(signals[model])
-            above.plot(*axis.broken(values), color=MODELS[model], lw=1.3, ls=line, label=model)
-            middle.plot(*axis.broken(measured - values), color=MODELS[model], lw=1.1)
-        above.set_ylabel(axis_label(output, gap.unit))
-        above.set_title(plain_label(f"{output}, held out: each window starts from its best fitted state"))
-        above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3)
-        headroom(above, below=0.2)
-        below.plot(*axis.broken(measured - np.asarray(signals["updated"])), color=MODELS["updated"], lw=1.0)
-        middle.set_title(plain_label(f"record minus simulation: nominal (rms {gap.nominal:.3g} {gap.unit})"))
-        below.set_title(plain_label(f"updated alone, on a scale of its own (rms {gap.updated:.3g} {gap.unit})"))
-        for panel in (middle, below):
-            zero_line(panel)
-            panel.set_ylabel(axis_label("error", gap.unit))
-        axis.label(below)
+        axis.label(figure.axes[-1])
     return figure
 
 
@@ -155,7 +164,12 @@ def posterior_figure(discovery: Discovery) -> Figure:
     return figure
 
 
-def residual_force_figure(residual: ResidualForce, unnamed: UnnamedForce | None = None, name: str = "force") -> Figure:
+def residual_force_figure(
+    residual: ResidualForce,
+    unnamed: UnnamedForce | None = None,
+    name: str = "force",
+    before: ResidualForce | None = None,
+) -> Figure:
     """Residual force over each coordinate; below it, what share of it each explains.
 
     Parameters
@@ -166,26 +180,35 @@ def residual_force_figure(residual: ResidualForce, unnamed: UnnamedForce | None 
         The map fitted to it, drawn over the same coordinates where it has a component that is no dry pair.
     name
         What the force is called on the axes.
+    before
+        The force before the named effects were in the model, drawn behind it.
     """
-    curves = list(residual.curves.values())
+    curves = sorted(residual.curves.values(), key=_place)
+    earlier = before.curves if before is not None else {}
     rows = math.ceil((len(curves) + 1) / COLUMNS)
     figure, panels = new_figure(rows, COLUMNS, width=8.4, height=2.7)
     with house_style():
-        low, high = _limits(curves)
+        low, high = _limits([*curves, *earlier.values()])
         for panel, curve in zip(panels, curves, strict=False):
-            _curve(panel, curve)
+            zero_line(panel)
+            if curve.coordinate in earlier:
+                _curve(panel, earlier[curve.coordinate], COLOURS["worst"], COLOURS["worst"], "refitted, ")
+            _curve(panel, curve, COLOURS["nominal"], COLOURS["band"], "updated, " if earlier else "")
             if unnamed is not None:
                 for table in unnamed.components:
                     if table.coordinate == curve.coordinate and table.kind != "dry":
                         _table(panel, table)
+            panel.set_title(_explains(curve, earlier.get(curve.coordinate)))
+            edge = 0.05 * float(np.ptp(curve.x)) or 1.0
+            panel.set_xlim(float(curve.x.min()) - edge, float(curve.x.max()) + edge)
             panel.set_ylim(low, high)
             panel.set_xlabel(axis_label(curve.coordinate, curve.unit))
             panel.set_ylabel(axis_label(name, residual.unit))
-        _shares(panels[len(curves)], residual, unnamed)
+        _shares(panels[len(curves)], residual, unnamed, before)
         for panel in panels[len(curves) + 1 :]:
             panel.set_visible(False)
         if curves:
-            legend_below(figure, panels[: len(curves)], 3)
+            legend_below(figure, panels[: len(curves)], 2 if earlier and unnamed is None else 3)
     return figure
 
 
@@ -254,6 +277,64 @@ def _set_name(entry: SetProbability) -> str:
     return " + ".join([*entry.effects, *unnamed]) or "nothing missing"
 
 
+def _bars(axes: Axes, gap: Gap, title: str) -> None:
+    """Errors of the three models with their share of the range; of one that diverges a hatched bar to the end."""
+    values = [getattr(gap, model) for model in MODELS]
+    longest = max((v for v in values if math.isfinite(v)), default=1.0) or 1.0
+    for row, (value, (model, colour)) in enumerate(zip(values, MODELS.items(), strict=True)):
+        finite = math.isfinite(value)
+        axes.barh(row, value if finite else 1.1 * longest, color=colour, height=0.62, hatch="" if finite else "///")
+        share = f"{100 * value / gap.range:.3g} %" if gap.range > 0 else f"{value:.3g}"
+        at = (value if finite else 1.1 * longest, row)
+        text = share if finite else f"{model} diverges"
+        place: dict[str, Any] = {"xytext": (4, 0), "ha": "left"} if finite else {"xytext": (-4, 0), "ha": "right"}
+        axes.annotate(text, at, textcoords="offset points", va="center", fontsize=8.5, **place)
+    axes.set_yticks(range(len(values)), list(MODELS))
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlim(0.0, 1.4 * longest)
+    axes.set_xlabel(axis_label("rms error", gap.unit))
+    axes.set_title(plain_label(title))
+    axes.xaxis.set_major_locator(MaxNLocator(3))
+
+
+def _signals_and_errors(x: Array, signals: dict[str, Array], gap: Gap, title: str) -> Figure:
+    """Record and models over time; errors of all three; error of the updated one on a scale of its own."""
+    figure, (above, middle, below) = new_figure(3, 1, width=7.8, height=2.0, sharex=True)
+    measured = signals["measured"]
+    with house_style():
+        above.plot(x, measured, color=COLOURS["measured"], lw=2.4, alpha=0.45, label="record")
+        for model, colour in MODELS.items():
+            above.plot(x, signals[model], color=colour, lw=1.2, ls=DASHES[model], label=model)
+            middle.plot(x, measured - signals[model], color=colour, lw=1.0)
+        _keep_near(above, measured)
+        _keep_near(middle, measured - signals["refitted"], measured - signals["updated"], np.zeros(1))
+        above.set_ylabel(axis_label(gap.output, gap.unit))
+        above.set_title(plain_label(title))
+        above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=4)
+        headroom(above, below=0.22)
+        below.plot(x, measured - signals["updated"], color=MODELS["updated"], lw=1.0)
+        rms = ", ".join(f"{model} {getattr(gap, model):.3g}" for model in MODELS).replace("inf", "diverges")
+        middle.set_title(plain_label(f"record minus simulation: rms {rms} {gap.unit}"))
+        below.set_title("updated alone, on a scale of its own")
+        for panel in (middle, below):
+            zero_line(panel)
+            panel.set_ylabel(axis_label("error", gap.unit))
+        below.set_xlabel("time [s]")
+        below.set_xlim(float(np.nanmin(x)), float(np.nanmax(x)))
+    return figure
+
+
+def _keep_near(axes: Axes, *shown: Array) -> None:
+    """Limits that hold these curves, and of others no more than is readable beside them."""
+    values = np.concatenate(shown)
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if values.size else (-1.0, 1.0)
+    room = BEYOND * (high - low) or 1.0
+    old = axes.get_ylim()
+    axes.set_ylim(max(old[0], low - room), min(old[1], high + room))
+
+
 def _wrapped(text: str, width: int = LONG_TITLE) -> str:
     return fill(text.replace("->", "→"), width)
 
@@ -268,38 +349,48 @@ def _limits(curves: list[ForceCurve]) -> tuple[float, float]:
     return low - edge, high + edge
 
 
-def _curve(panel: Axes, curve: ForceCurve) -> None:
-    zero_line(panel)
+def _curve(panel: Axes, curve: ForceCurve, colour: str, band: str, whose: str) -> None:
     # A line across zero speed would hide the jump there.
     sides = (curve.x < 0, curve.x >= 0) if curve.coordinate.lower().startswith("speed") else (curve.x == curve.x,)
     for k, side in enumerate(sides):
         panel.fill_between(
-            curve.x[side], curve.low[side], curve.high[side], color=COLOURS["band"], alpha=0.35, lw=0,
-            label="95 % band" if k == 0 else None,
+            curve.x[side], curve.low[side], curve.high[side], color=band, alpha=0.35 if band != colour else 0.2, lw=0,
+            label=f"{whose}95 % band" if k == 0 else None,
         )  # fmt: skip
         panel.plot(
-            curve.x[side], curve.value[side], "o-", ms=2.8, lw=1.2, color=COLOURS["nominal"],
-            label="mean over a bin" if k == 0 else None,
+            curve.x[side], curve.value[side], "o-", ms=2.8, lw=1.2, color=colour,
+            label=f"{whose}mean over a bin" if k == 0 else None,
         )  # fmt: skip
     if len(sides) == 2:
         panel.axvline(0.0, color="#888888", lw=0.8)
-    chance = "p < 0.005" if curve.p_value < 0.005 else f"p = {curve.p_value:.2g}"
-    panel.set_title(f"{plain_label(curve.coordinate)}: explains {100 * curve.share:.0f} % ({chance})")
+
+
+def _place(curve: ForceCurve) -> int:
+    return next((k for k, name in enumerate(ORDER) if curve.coordinate.startswith(name)), len(ORDER))
+
+
+def _explains(curve: ForceCurve, earlier: ForceCurve | None) -> str:
+    """What share of the force follows the coordinate."""
+    name = plain_label(curve.coordinate)
+    if earlier is not None:
+        return f"{name}: explains {100 * earlier.share:.0f} % → {100 * curve.share:.0f} %"
+    sure = "p < 0.005" if curve.p_value < 0.005 else f"p = {curve.p_value:.2g}"
+    return f"{name}: explains {100 * curve.share:.0f} % ({sure})"
 
 
 def _table(panel: Axes, table: ForceTable) -> None:
     halves = table.sides() if table.kind == "speed" else ((table.grid, table.value),)
     for k, (grid, value) in enumerate(halves):
         label = "part of the unnamed map" if k == 0 else None
-        panel.plot(grid, value, color=COLOURS["worst"], ls=(0, (5, 1.5)), lw=1.4, label=label)
+        panel.plot(grid, value, color=COLOURS["limit"], ls=(0, (5, 1.5)), lw=1.4, label=label)
 
 
-def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None) -> None:
+def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None, before: ResidualForce | None) -> None:
     rows = [(f"f({name})", curve.share, COLOURS["nominal"]) for name, curve in residual.curves.items()]
     rows += [(f"+ sgn(v) f({name})", share, COLOURS["band"]) for name, share in residual.dry_share.items()]
     rows.append(("all together", residual.joint_share, COLOURS["good"]))
     if unnamed is not None:
-        rows.append(("unnamed map", unnamed.gain, COLOURS["worst"]))
+        rows.append(("unnamed map", unnamed.gain, COLOURS["limit"]))
     rows.append(("noise of the estimate", residual.noise_share, COLOURS["sample"]))
     place = np.arange(len(rows))[::-1]
     panel.barh(place, [100 * share for _, share, _ in rows], color=[colour for *_, colour in rows], height=0.65)
@@ -310,4 +401,5 @@ def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None) 
     panel.set_xticks([0, 25, 50, 75, 100])
     panel.grid(axis="y", visible=False)
     panel.set_xlabel("share of the variance, held-out [%]")
-    panel.set_title("what explains it")
+    fell = "" if before is None else f" (rms {before.rms:.3g} → {residual.rms:.3g} {residual.unit})"
+    panel.set_title(f"what explains it{fell}")

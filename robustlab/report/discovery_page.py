@@ -50,11 +50,11 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
         if r.instead_of == "none":
             values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
             found.append((f"Not excluded: {r.title}", values, "tolerances of other parameters may hide it"))
-    for g in d.gaps.values():
-        sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
-        found.append(
-            (f"{g.output}: rms on held-out data", f"{sizes}; {compared(g.nominal, g.updated, 'nominal')}", d.held_out)
-        )
+    for gaps, how, on in ((d.gaps, "windows", d.held_out), (d.free_run, "free run", d.free_run_on)):
+        for g in gaps.values():
+            sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
+            change = compared(g.refitted, g.updated, "refitted")
+            found.append((f"{g.output}: rms on held-out data, {how}", f"{sizes}; {change}", on))
     return found
 
 

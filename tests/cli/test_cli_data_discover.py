@@ -12,9 +12,11 @@ from robustlab.cli.data import app
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming import discovery
 from robustlab.identification.naming.discovery_parts import Rival
+from robustlab.identification.record_check.suitability import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
+FIGURES = ("force", "posterior", "run-q", "story", "stretch-q")
 FC = 20.0
 
 
@@ -90,7 +92,13 @@ def test_friction_is_named_by_the_real_command(run, files, tmp_path):
     assert json.loads((out / "result.json").read_text(encoding="utf-8"))["effects"] == result["effects"]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "servo-axis lacks Coulomb (dry) friction" in page
-    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == ["posterior.svg", "story.svg", "stretch-q.svg"]
+    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == [
+        "force.svg",
+        "posterior.svg",
+        "run-q.svg",
+        "story.svg",
+        "stretch-q.svg",
+    ]
     assert str(out / "report.html") in result["files"]
 
 
@@ -144,6 +152,25 @@ def test_an_open_verdict_is_told_in_full_and_ends_in_4(run, files, answer, real,
     assert verdict in err
 
 
+def test_details_are_told_on_demand(run, files, answer, real):
+    answer(real)
+    short = run("discover", "servo-axis", files / "run7.h5")[1]
+    long = run("discover", "servo-axis", files / "run7.h5", "--details")[1]
+    assert len(long.splitlines()) > len(short.splitlines())
+    assert ("nominal parameters, refitted" in short, "nominal parameters, refitted" in long) == (False, True)
+
+
+def test_an_interrupted_search_tells_what_was_known_and_ends_in_130(run, files, tmp_path, answer, real):
+    stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
+    answer(replace(real, status=rl.Status.INCONCLUSIVE, findings=(stopped,)))
+    code, text, err = run("discover", "servo-axis", files / "run7.h5", "--out", tmp_path / "out", "--json")
+    result = json.loads(text)
+    assert (code, result["names"]) == (130, ["coulomb-friction"])
+    assert result["findings"][0]["kind"] == "interrupted"
+    assert "what was known by then" in err
+    assert (tmp_path / "out" / "report.html").exists()
+
+
 def test_nothing_missing_is_an_answer(run, files, answer, real):
     answer(replace(real, verdict="no missing effect", effects=()))
     code, text, _ = run("discover", "servo-axis", files / "run7.h5")
@@ -168,7 +195,13 @@ def test_figures_alone(run, files, tmp_path, answer, real):
     answer(real)
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figures", tmp_path / "f")
     assert code == 0
-    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == ["posterior.png", "story.png", "stretch-q.png"]
+    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == [
+        "force.png",
+        "posterior.png",
+        "run-q.png",
+        "story.png",
+        "stretch-q.png",
+    ]
     assert "story.png" in err
 
 

@@ -14,6 +14,7 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import InputError
 from robustlab.identification.naming import discovery
+from robustlab.identification.record_check.suitability import Finding
 from robustlab.recipe.load import load_recipe, parse_recipe
 from robustlab.recipe.run import run_recipe
 
@@ -95,8 +96,10 @@ def test_the_updated_plant_goes_on_through_the_recipe(run):
     assert "servo-axis lacks Coulomb (dry) friction" in page
     assert [f["stem"] for f in entry(result, "naming")["figures"]] == [
         "naming-story",
+        "naming-run-q",
         "naming-stretch-q",
         "naming-posterior",
+        "naming-force",
     ]
     for name in ("naming-plant.h5", "machine.h5"):
         assert [e.effect.id for e in rl.load(result.folder / name).effects] == ["coulomb-friction"]
@@ -124,6 +127,18 @@ def test_an_open_verdict_is_an_answer_only_where_the_recipe_says_so(run, real, a
     assert said is (code == 0)
     kept = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
     assert kept["exit_code"] == code
+
+
+def test_ctrl_c_in_the_search_ends_the_recipe(run, real):
+    stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
+    with pytest.raises(KeyboardInterrupt):
+        run(DISCOVER, replace(real, status=rl.Status.INCONCLUSIVE, findings=(stopped,)))
+
+
+def test_requirements_may_ask_for_the_error_in_free_run(run):
+    conditions = require("naming.free_run.after", "at_most = 1.0") + require("naming.free_run.before", "at_least = 5.0")
+    conditions += require("naming.free_run.outputs.q.updated", "at_most = 1e-3")
+    assert run(DISCOVER + conditions).exit_code == 0
 
 
 def test_numbers_that_do_not_exist_are_refused(run):

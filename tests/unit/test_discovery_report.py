@@ -58,7 +58,13 @@ def series(apart: int):
         "refitted": y + 0.01,
         "updated": y + 1e-3 * np.cos(90 * t),
     }
-    return {"t": t, "inputs": {"u": 0 * t}, "outputs": {"q": signals}}
+    run = DT * np.arange(400)
+    free = {
+        key: np.sin(3.0 * run) + drift * run for key, drift in (("nominal", 0.2), ("refitted", 0.1), ("updated", 0.01))
+    }
+    free["measured"] = np.sin(3.0 * run)
+    free_run = {"t": run, "record": "test", "inputs": {"u": 0 * run}, "outputs": {"q": free}}
+    return {"t": t, "inputs": {"u": 0 * t}, "outputs": {"q": signals}, "free_run": free_run}
 
 
 def made(**changes):
@@ -254,9 +260,7 @@ def test_what_diverges_is_told_as_such():
     assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike refitted" in text
     assert "in free run diverges -> 0.5 %" in text
     assert overall({"q": gap}, "updated") == pytest.approx(0.5)
-    assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(
-        100 * math.sqrt(2.5) * 0.005
-    )
+    assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(math.sqrt(0.625))
     assert json.dumps(plain(made(free_run={"q": gap}).to_json()), allow_nan=False)
 
 
@@ -342,15 +346,38 @@ def curve(axes, label):
     return next(line for line in axes.get_lines() if line.get_label() == label)
 
 
-def test_the_story_shows_the_three_errors_of_every_output():
+def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free_run():
     figures = discovery_figures(made())
-    assert list(figures) == ["story", "stretch-q", "posterior"]
-    bars, traces = figures["story"].axes
-    assert [bar.get_width() for bar in bars.patches] == [0.06, 0.018, 0.002]
-    assert "30 times smaller" in bars.get_title(loc="left")
+    assert list(figures) == ["story", "run-q", "stretch-q", "posterior"]
+    windows, free, traces = figures["story"].axes
+    assert [bar.get_width() for bar in windows.patches] == [0.06, 0.018, 0.002]
+    assert [bar.get_width() for bar in free.patches] == [0.5, 0.2, 0.01]
+    assert [axes.get_title(loc="left") for axes in (windows, free)] == ["q: windows of 0.4 s", "q: free run"]
     assert figures["story"].get_suptitle().startswith("servo-axis lacks Coulomb")
     for model, error in (("nominal", -0.02), ("refitted", -0.01)):
         assert np.nanmax(curve(traces, model).get_ydata()) == pytest.approx(error)
+
+
+def test_a_model_that_diverges_is_drawn_as_one():
+    gap = Gap("q", "m", 2.0, math.inf, 0.2, 0.01)
+    d = made(free_run={"q": gap})
+    d.series["free_run"]["outputs"]["q"]["nominal"][300:] = math.nan
+    d.series["free_run"]["outputs"]["q"]["nominal"][200:300] = 1e30
+    figures = discovery_figures(d)
+    free = figures["story"].axes[1]
+    assert [text.get_text() for text in free.texts] == ["nominal diverges", "10 %", "0.5 %"]
+    above, middle, _ = figures["run-q"].axes
+    assert max(np.abs(above.get_ylim())) < 4.0  # the record has +-1
+    assert max(np.abs(middle.get_ylim())) < 1.0  # the refitted model is off by 0.4
+    assert "rms nominal diverges, refitted 0.2, updated 0.01 m" in middle.get_title(loc="left")
+
+
+def test_the_free_run_is_drawn_from_the_start_to_the_end():
+    above, _, below = discovery_figures(made())["run-q"].axes
+    x, y = curve(above, "record").get_data()
+    assert (x[0], x[-1]) == (0.0, 3.99)
+    assert y == pytest.approx(np.sin(3.0 * x))
+    assert below.get_lines()[0].get_ydata() == pytest.approx(-0.01 * x)
 
 
 @pytest.mark.parametrize("apart", [1, 4])
@@ -387,11 +414,25 @@ def test_what_remains_is_drawn_over_every_coordinate():
     assert "force" not in discovery_figures(made())
 
 
+def test_the_force_that_was_missing_is_drawn_beside_what_is_left():
+    left = unknown().residual_force
+    more = replace(left, rms=7.5, curves={k: replace(c, value=3 * c.value, share=0.9) for k, c in left.curves.items()})
+    figure = discovery_figures(made(residual_force=left, missing_force=more))["force"]
+    speed, *_, shares = figure.axes
+    assert speed.get_xlabel() == "speed [m/s]"
+    assert speed.get_title(loc="left") == "speed: explains 90 % → 40 %"
+    before, after = curve(speed, "refitted, mean over a bin"), curve(speed, "updated, mean over a bin")
+    assert before.get_ydata() == pytest.approx(3 * after.get_ydata())
+    assert "rms 7.5 → 2.5 N" in shares.get_title(loc="left")
+
+
 def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
     d = made()
     signals = {"../x$": d.series["outputs"]["q"]}
     odd = made(gaps={"../x$": d.gaps["q"]}, series={**d.series, "outputs": signals})
-    assert list(discovery_figures(odd)) == ["story", "stretch-output1", "posterior"]
+    odd = replace(odd, free_run={"../x$": d.gaps["q"]})
+    odd.series["free_run"]["outputs"]["../x$"] = odd.series["free_run"]["outputs"].pop("q")
+    assert list(discovery_figures(odd)) == ["story", "run-output1", "stretch-output1", "posterior"]
     assert all(caption(name) for name in discovery_figures(odd))
 
 

@@ -388,7 +388,7 @@ def test_a_bare_model_serves_as_plant():
     found = discovered(rubbing(), plant=model)
     assert found.names == ("coulomb-friction",)
     value = found.effects[0].parameters[0]
-    assert value.unit == "m/s2"
+    assert value.unit == "N/kg"
     assert value.value == pytest.approx(20.0 / AXIS.values["M"], rel=0.02)
 
 

@@ -132,8 +132,8 @@ def test_a_bare_model_becomes_a_plant_with_the_same_matrices():
     for there, here in zip(
         (plant.state_space().A, plant.state_space().B, plant.state_space().C), (model.A, model.B, model.C), strict=True
     ):
-        assert there.tolist() == here.tolist()
-    assert plant.values == {"gain_u": 1.0, "inertia_omega": 1.0, "damping_omega": pytest.approx(4.8e-5 / 7.2e-6)}
+        assert there == pytest.approx(here, rel=1e-14)
+    assert plant.values == pytest.approx({"gain_u": 1.0, "inertia_omega": 7.2e-6, "damping_omega": 4.8e-5})
     assert groups(plant) == {
         "gain_u": "input-gain", "inertia_omega": "inertia", "damping_omega": "viscous-friction",
     }  # fmt: skip
@@ -149,11 +149,31 @@ def test_a_bare_models_parameters_scale_its_equation_of_motion():
     assert pytest.approx(0.5 * model.B, rel=1e-13) == changed.B
 
 
-def test_a_bare_models_forces_are_accelerations():
-    joint = port_model(linear_plant_of(bare(MOTOR))).ports["omega"]
-    assert (joint.unit, joint.force.tolist()) == ("rad/s2", [0, 1, 0])
-    axis = port_model(linear_plant_of(bare(rl.plant("servo-axis")))).ports["v"]
-    assert axis.unit == "m/s2"
+@pytest.mark.parametrize(
+    ("plant", "speed", "inertia", "unit"),
+    [
+        (MOTOR, "omega", 7.2e-6, "N m"),  # J of its parameters: told by the motor's constant
+        (rl.plant("dc-motor", J=3e-5, Kb=-0.02, Km=-0.02), "omega", 3e-5, "N m"),  # wired the other way round
+        (rl.plant("mass-spring-damper", m=2.5), "v", 2.5, "N"),  # told by the force that is its input
+        (rl.plant("two-mass", J1=2e-3), "omega1", 2e-3, "N m"),
+        (rl.plant("two-mass", J1=2e-3), "omega2", None, "N m/(kg m2)"),  # only a spring drives it
+        (rl.plant("servo-axis"), "v", None, "N/kg"),  # volts act on it at once: its gain may be anything
+    ],
+)
+def test_a_bare_models_forces_have_their_unit_where_the_inertia_is_told(plant, speed, inertia, unit):
+    model = bare(plant)
+    joint = port_model(linear_plant_of(model)).ports[speed]
+    assert joint.unit == unit
+    k = model.state_names.index(speed)
+    assert joint.force == pytest.approx(np.eye(model.n_states)[k] / (inertia or 1.0), rel=1e-12)
+    assert linear_plant_of(model).values[f"inertia_{speed}"] == pytest.approx(inertia or 1.0, rel=1e-12)
+
+
+def test_a_force_on_two_bodies_tells_the_inertia_of_neither():
+    A, B = np.zeros((2, 2)), np.array([[1.0], [-0.5]])
+    states = [("v1", "m/s"), ("v2", "m/s")]
+    model = StateSpaceModel(A, B, np.eye(2), np.zeros((2, 1)), inputs=[("f", "N")], outputs=states, states=states)
+    assert {p.unit for p in port_model(linear_plant_of(model)).ports.values()} == {"N/kg"}
 
 
 def test_a_plant_stays_itself():

@@ -29,7 +29,6 @@ class ActuatorLag(Effect):
     independently = "put command and driver output on an oscilloscope and step the command"
     site_kind = "input"
     time_constant = "T"
-    substeps = 2  # as of an input delay: the mean over a whole sample leaves positions off
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("T", "s", "time constant", Prior("log", 3.0 * scales.dt, 1.2)),)

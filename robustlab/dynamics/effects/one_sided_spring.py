@@ -33,7 +33,6 @@ class OneSidedSpring(Effect):
     site_kind = "joint"
     needs_position = True
     force = stop_force
-    substeps = 4
 
     def variants(self, scales: Scales) -> tuple[Scales, ...]:
         return replace(scales, side=1), replace(scales, side=-1)

@@ -44,6 +44,7 @@ __all__ = [
 
 
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
+INERTIA_UNITS = {"rad/s": "kg m2", "m/s": "kg"}
 ASSUMED = "read off the matrices of the model"
 
 
@@ -159,7 +160,8 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
             q = _integrating_state(a, b, k)
             position = None if q is None else np.eye(n)[q]
             position_unit = "" if q is None else plant.states[q].unit
-            force_unit = SPEED_UNITS[unit] if k in _mechanical(plant) else f"{unit.removesuffix('/s')}/s2"
+            per_inertia = "" if k in _mechanical(plant) else f"/{_factor(INERTIA_UNITS[unit])}"
+            force_unit = f"{SPEED_UNITS[unit]}{per_inertia}"
             ports[name] = Port(name, "joint", force_unit, unit, position_unit, push[:, k], eye, position)
         elif unit == "A":
             ports[name] = Port(name, "current", "V", "A", "", push[:, k], eye, None)
@@ -177,9 +179,14 @@ def _integrating_state(a: Array, b: Array, velocity: int) -> int | None:
 
 @lru_cache(maxsize=64)
 def _mechanical(plant: LinearPlant) -> frozenset[int]:
-    """States whose equations carry an inertia with a unit, so that their terms are forces and not accelerations."""
-    inertias = [name for name, p in plant.parameters.items() if p.role == "inertia" and p.unit]
+    """States whose equations carry an inertia with a unit, so that their terms are forces, and not forces over it."""
+    units = INERTIA_UNITS.values()
+    inertias = [n for n, p in plant.parameters.items() if p.unit and (p.role == "inertia" or p.unit in units)]
     return frozenset[int]().union(*(_rows(plant, name) for name in inertias))
+
+
+def _factor(unit: str) -> str:
+    return f"({unit})" if " " in unit else unit
 
 
 def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
@@ -210,8 +217,10 @@ def parameter_groups(plant: LinearPlant) -> tuple[tuple[str, str, tuple[str, ...
 def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects") -> LinearPlant:
     """The plant itself, or a bare continuous model as a plant whose gains and dampings are parameters.
 
-    A model's parameters are ``gain_<input>`` (1, role input-gain), ``inertia_<v>`` (1) and ``damping_<v>``
-    (:math:`-A_{vv}`) for each velocity state v; forces at its joints are accelerations, in units of speed per second.
+    A model's parameters are ``gain_<input>`` (1, role input-gain), and for each velocity state v ``inertia_<v>`` and
+    ``damping_<v>``. The inertia J is read off the matrices where their units tell it; then the damping is
+    :math:`-J A_{vv}`, and a force at the joint is in N or N m. Elsewhere J is 1 without a unit, and a force is one per
+    inertia, in N/kg or N m/(kg m2).
 
     Raises
     ------
@@ -228,21 +237,50 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     parameters = {}
     for name, _ in plant.inputs:
         parameters[f"gain_{name}"] = Parameter(f"gain_{name}", 1.0, source=ASSUMED, role="input-gain")
-    for k, (name, _) in speeds:
-        parameters[f"inertia_{name}"] = Parameter(f"inertia_{name}", 1.0, "", 0.0, ASSUMED, role="inertia")
+    inertias = {name: _inertia_told(plant, k) for k, (name, _) in speeds}
+    for k, (name, unit) in speeds:
+        told = inertias[name]
+        parameters[f"inertia_{name}"] = Parameter(
+            f"inertia_{name}", told or 1.0, INERTIA_UNITS[unit] if told else "", 0.0, ASSUMED, role="inertia"
+        )
+        damping_unit = f"{SPEED_UNITS[unit]} s/{unit.removesuffix('/s')}" if told else "1/s"
         parameters[f"damping_{name}"] = Parameter(
-            f"damping_{name}", -plant.A[k, k], "1/s", 0.0, ASSUMED, role="viscous-friction"
+            f"damping_{name}", -plant.A[k, k] * (told or 1.0), damping_unit, 0.0, ASSUMED, role="viscous-friction"
         )
 
     def equations(p: Mapping[str, float]) -> Descriptor:
         e, f = np.eye(plant.n_states), plant.A.copy()
         g = plant.B * np.array([p[f"gain_{name}"] for name in plant.input_names])
         for k, (name, _) in speeds:
+            told = inertias[name] or 1.0
+            f[k], g[k] = told * f[k], told * g[k]
             e[k, k] = p[f"inertia_{name}"]
             f[k, k] = -p[f"damping_{name}"]
         return Descriptor(e, f, g, plant.C, plant.D)
 
     return LinearPlant("model", parameters, plant.inputs, plant.outputs, plant.states, equations=equations)
+
+
+def _inertia_told(model: StateSpaceModel, velocity: int) -> float | None:
+    r"""Inertia of a velocity state of a bare model, where an input is its force or a motor drives it; else None.
+
+    A force u that acts on nothing else: :math:`\dot v = u / J + \dots`. A motor, whose constant K is one in torque and
+    back-EMF: :math:`L \dot i = u - K v - \dots`, :math:`J \dot v = K i + \dots`, so
+    :math:`J = -A_{iv} / (B_{iu} A_{vi})`.
+    """
+    unit = model.states[velocity].unit
+    speeds = [k for k, s in enumerate(model.states) if s.unit in SPEED_UNITS]
+    for j, signal in enumerate(model.inputs):
+        if signal.unit == SPEED_UNITS[unit] and [k for k in speeds if model.B[k, j]] == [velocity]:
+            return 1.0 / abs(float(model.B[velocity, j]))
+    for c, state in enumerate(model.states):
+        volts = [j for j, signal in enumerate(model.inputs) if signal.unit == "V" and model.B[c, j]]
+        if state.unit != "A" or len(volts) != 1 or not model.A[velocity, c]:
+            continue
+        found = -float(model.A[c, velocity] / (model.B[c, volts[0]] * model.A[velocity, c]))
+        if found > 0.0:
+            return found
+    return None
 
 
 def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:

@@ -35,6 +35,7 @@ from robustlab.identification.naming.residual_after_naming import LeftOver, left
 from robustlab.identification.naming.search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
 
@@ -110,7 +111,8 @@ def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
     unsettled = left if left and not judged.complete else None
     structure = {"noise_ratio": judged.noise_ratio}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
-    curves = stages.run("residual force", unsettled.curves, None) if unsettled else None
+    curves = stages.run("residual force", left.curves, None) if left else None
+    missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if best.hypothesis.candidates else None
     unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
     findings = [*case.findings, *_search_findings(found), *stages.findings]
     return Discovery(
@@ -136,6 +138,7 @@ def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
         structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
         residual_force=curves,
+        missing_force=missing,
         unnamed=unnamed,
         noise_floor=judged.floor,
         floor_excess=judged.excess,
@@ -152,8 +155,7 @@ def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
 
 def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
     problem, held, tuning = found.problem, found.held, found.problem.tuning
-    known = [*problem.records, *(r for r in held.records if r not in problem.records)]
-    left = stages.run("residual force", lambda: left_over(problem.on(known), fit, found.noise), None)
+    left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
     lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     ratio = noise_ratio(problem, fit)
@@ -217,6 +219,18 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
         if tested.F is not None:
             excess[name] = tested.F
     return floor, excess
+
+
+def _missing_force(found: Found, bare: Fit) -> ResidualForce | None:
+    """The force that the refitted nominal model lacks."""
+    left = left_over(_everything(found), bare, found.noise)
+    return left.curves() if left else None
+
+
+def _everything(found: Found) -> Problem:
+    """All records, those held out as well."""
+    problem = found.problem
+    return problem.on([*problem.records, *(r for r in found.held.records if r not in problem.records)])
 
 
 def _search_findings(found: Found) -> list[Finding]:

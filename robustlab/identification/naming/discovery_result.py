@@ -70,8 +70,9 @@ class Discovery(Evidence):
         Hold and time shift of each input, as the records tell them.
     search
         Every set that the search visited.
-    residual_force, unnamed
-        Where something remains: the residual force over speed, position, time and input; its spline map.
+    residual_force, missing_force, unnamed
+        The force that the updated model still lacks over speed, position, time and input; the one that the refitted
+        nominal model lacked; where something remains, the spline map of the first.
     structure
         Cross-validated share of the residual force that a smooth map explains, its p-value, and over what.
     noise_floor, floor_excess
@@ -114,6 +115,7 @@ class Discovery(Evidence):
     remaining_lines: tuple[Mapping[str, Any], ...] = ()
     next_experiment: NextExperiment | None = None
     residual_force: ResidualForce | None = None
+    missing_force: ResidualForce | None = None
     unnamed: UnnamedForce | None = None
     noise_floor: NoiseFloor | None = None
     floor_excess: Mapping[str, float] = field(default_factory=dict)
@@ -354,7 +356,7 @@ def _remaining_lines(d: Discovery, details: bool) -> list[str]:
     else:
         told = "the named effects do not explain everything" if d.effects else "unexplained"
     force = d.residual_force
-    if force is not None:
+    if force is not None and not d.complete:
         told += f"; a force of {_number(force.rms, force.unit)} (rms)"
     lines = [f"remains: {told}", *(_row("line", _line(line)) for line in d.remaining_lines)]
     if not details:

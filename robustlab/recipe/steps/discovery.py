@@ -60,6 +60,8 @@ class DiscoverStep(Step):
             repeats=[work.record(name) for name in self.repeats],
             exclude=[effect(name).id for name in self.exclude],
         )
+        if found.interrupted:
+            raise KeyboardInterrupt  # a recipe that is stopped stays stopped: later steps would take the part for all
         work.keep(found)
         work.discoveries[work.step] = found
         for name, figure in discovery_figures(found).items():

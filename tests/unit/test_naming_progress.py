@@ -1,0 +1,65 @@
+"""Lines of progress: how often, and what they say of the time."""
+
+from __future__ import annotations
+
+import pytest
+
+from robustlab.identification.naming.progress import Progress
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.mark.parametrize("pause", [0.01, 0.3, 1.0])
+def test_a_line_comes_at_least_every_five_seconds_and_no_flood(pause):
+    clock, told = Clock(), []
+    progress = Progress(lambda _: told.append(clock.now), clock)
+    while clock.now < 160.0:
+        progress.step(clock.now, 200.0, "fits")
+        clock.now += pause
+    gaps = [b - a for a, b in zip([100.0, *told], told, strict=False)]
+    assert max(gaps) <= 5.0
+    assert len(told) <= 15
+
+
+def test_the_time_to_go_is_in_proportion():
+    clock, lines = Clock(), []
+    progress = Progress(lines.append, clock)
+    progress.step(0, 10, "first")  # at once: nothing to say yet
+    clock.now += 30.0
+    progress.step(2, 10, "coulomb-friction@v")
+    clock.now += 5.0
+    progress.step(0, 0, "nothing is known")
+    clock.now += 5.0
+    progress.step(12, 10, "more than was expected")
+    clock.now += 5.0
+    progress.step(10, 10, "last")
+    assert lines == [
+        "coulomb-friction@v (30 s so far, about 2 min 0 s to go)",
+        "nothing is known (35 s so far)",
+        "more than was expected (40 s so far)",
+        "last (45 s so far, about 0 s to go)",
+    ]
+
+
+def test_a_milestone_is_told_at_once_and_counts_as_a_line():
+    clock, lines = Clock(), []
+    progress = Progress(lines.append, clock)
+    clock.now += 3.0
+    progress.tell("named: coulomb-friction")
+    clock.now += 3.0
+    progress.step(1, 2, "too early")
+    assert lines == ["named: coulomb-friction"]
+
+
+def test_without_a_listener_nothing_happens():
+    progress = Progress(None)
+    progress.step(1, 2, "x")
+    progress.tell("x")
