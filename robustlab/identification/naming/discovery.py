@@ -445,16 +445,16 @@ def _rival(problem: Problem, a: Alternative) -> Rival:
 
 def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[NominalValue, ...]:
     factors, _ = problem.split(fit.hypothesis, fit.z)
-    std = {
-        name: nuisance.spread * spread
-        for nuisance, spread in zip(problem.nuisances, fit.std, strict=False)
-        for name in nuisance.names
-    }
+    moved: dict[str, list[float]] = {}
+    for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
+        for name in nuisance.names:
+            centre = z if name in factors else 0.0  # an effect that scales the group has its factor instead
+            factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
+            moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
     found = []
     for name, p in problem.plant.parameters.items():
-        factor, spread = factors.get(name, 1.0), std.get(name, 0.0)
-        ends = sorted(p.value * factor * float(np.exp(side * INTERVAL * spread)) for side in (-1.0, 1.0))
-        found.append(NominalValue(name, p.value, p.value * factor, p.unit, ends[0], ends[1], *stated[name]))
+        low, value, high = moved.get(name, [p.value] * 3)
+        found.append(NominalValue(name, p.value, value, p.unit, min(low, high), max(low, high), *stated[name]))
     return tuple(found)
 
 

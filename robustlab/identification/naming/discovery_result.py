@@ -426,7 +426,8 @@ def _remaining_lines(d: Discovery) -> list[str]:
 def _nominal_line(p: NominalValue) -> str:
     change = f"{100 * (p.value / p.nominal - 1):+.3g} %" if p.nominal else "nominal zero"
     stated = "assumed" if p.assumed else "stated"
-    tolerance = f"tolerance {100 * p.tolerance:.3g} % {stated}" if p.tolerance else "held fixed"
+    width = f"{100 * p.tolerance:.3g} %" if p.nominal else _number(p.tolerance, p.unit)
+    tolerance = f"tolerance {width} {stated}" if p.tolerance else "held fixed"
     return _row(p.name, f"{_number(p.nominal)} -> {with_interval(p)}, {change}; {tolerance}")
 
 
