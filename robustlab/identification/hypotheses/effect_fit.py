@@ -583,7 +583,7 @@ def _whiten(errors: Array, noise: NoiseModel) -> Array:
         e -= noise.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = np.nan_to_num(e / noise.std, nan=0.0, posinf=WILD, neginf=-WILD)
-    return np.clip(scaled, -WILD, WILD).reshape(len(e), -1)
+    return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
 
 
 def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:

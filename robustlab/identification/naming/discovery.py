@@ -24,7 +24,7 @@ from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_group
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.hypotheses.prepared_record import prepare, start_std, window_length
+from robustlab.identification.hypotheses.prepared_record import alike, prepare, start_std, window_length
 from robustlab.identification.naming.discovery_result import (
     Discovery,
     EffectValue,
@@ -236,7 +236,7 @@ def _data(
     length = window_length(plant, everything, tuning) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
-    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed]
+    prepared = alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     if judged:
         problem = Problem(plant, fitted, nuisances, tuning=tuning)
