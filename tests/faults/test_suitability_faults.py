@@ -160,11 +160,14 @@ def test_wrong_channels_are_found_through_gaps_and_jitter():
 
 
 def test_all_faults_are_listed_the_wrong_channel_first():
-    both = record(q=-RUN["q"], v=RUN["v"]).between(0.0, 0.4)
+    short = swing(0.5)
+    turned = {"q": short["q"], "v": -np.gradient(short["q"], short.dt)}
+    both = rl.Record(short.t, dict(short.inputs), turned, {"f": "N", "q": "m", "v": "m/s"}, "swing")
     with pytest.raises(InputError) as caught:
-        suitability(AXIS, both).require()
+        suitability(LIGHT, both).require()
     text = str(caught.value)
-    assert text.startswith("run 7: q: q seems to be measured with the other sign")
+    assert text.startswith("swing: q, v: q or v seems to be measured with the other sign")
+    assert "swing: t: lasts 0.4" in text
     assert "hint: check the wiring" in text
 
 

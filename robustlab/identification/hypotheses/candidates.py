@@ -21,7 +21,13 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
-__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances"]
+__all__ = [
+    "candidates",
+    "nuisance_parameters",
+    "spatial_orders",
+    "stated_tolerances",
+    "with_absolute_tolerances",
+]
 
 
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
@@ -227,6 +233,14 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
             effect = catalogue().get(parameter.role)  # roles are named by the effect that misjudges them
             result[name] = (ASSUMED if effect is None else effect.tolerance, True)
     return result
+
+
+def with_absolute_tolerances(plant: LinearPlant, stated: Mapping[str, tuple[float, bool]]) -> LinearPlant:
+    """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
+    that no effect has to do it in their stead.
+    """
+    zero = {n: (0.0, t) for n, (t, _) in stated.items() if t and not plant.parameters[n].value}
+    return plant.with_parameters(**zero) if zero else plant
 
 
 def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:

@@ -22,7 +22,12 @@ from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.candidates import (
+    candidates,
+    nuisance_parameters,
+    stated_tolerances,
+    with_absolute_tolerances,
+)
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.hypotheses.prepared_record import alike, prepare, start_std, window_length
 from robustlab.identification.naming.discovery_result import (
@@ -169,6 +174,7 @@ def discover(
         raise InputError("discover", "no record", "at least one")
     findings = _checked(linear, [*measured, *kept_out])
     stated = stated_tolerances(linear, tolerances)
+    linear = with_absolute_tolerances(linear, stated)
     model = port_model(linear)
     data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window, tuning)
     pool = [c for c in candidates(linear, model, data.problem.records, tuning) if c.effect.id not in left_out]
