@@ -23,7 +23,10 @@ class NamingTuning:
     fewest_windows: int = 4  # of a record that is taken at all
     points_per_window: int = 80  # into which errors are averaged: more show faster effects and take more time
     longest_guess: int = 2  # samples in a row without any output over which the input is taken as held
-    current_share: float = 2.0  # of its RMS: how far a fit may move a current at a window start that no sensor tells
+    averaged_share: float = 0.125  # of the period of the fastest motion seen: errors are averaged over no more
+    # Of the current that voltage and speed ask for: how well one is known that no sensor tells; with the inflation
+    # below a fit may move it by 0.3 of that at a window's start.
+    current_share: float = 0.01
     # Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
     # its start is told by the fit and not by it.
     start_inflation: float = 30.0

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from robustlab.identification.naming.ranking import first_noise
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
@@ -16,7 +17,6 @@ from robustlab.identification.hypotheses.force_response import ForceResponse, fo
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.hypotheses.random_force import START, FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import unnamed_force, unnamed_forces
-from robustlab.identification.naming.ranking import first_noise
 
 DT = 2e-3
 AXIS = rl.plant("servo-axis")

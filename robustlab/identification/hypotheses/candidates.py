@@ -15,14 +15,21 @@ from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
-from robustlab.units import share
 
-__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances", "timed_lines"]
+__all__ = [
+    "candidates",
+    "nuisance_parameters",
+    "spatial_orders",
+    "stated_tolerances",
+    "timed_lines",
+    "with_absolute_tolerances",
+]
 
 
 LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
@@ -246,20 +253,20 @@ def _between(power: Array, k: int) -> float:
 
 
 def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
-    """Parameter -> (relative tolerance, whether it was assumed).
+    """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit.
 
     Parameters
     ----------
     given
-        Name -> tolerance, 0.05 or ``"5%"``, that overrides the plant's own; 0 holds the parameter.
+        Name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the parameter.
 
     Raises
     ------
     InputError
-        An unknown name, a negative tolerance.
+        An unknown name, a negative tolerance, a share of the value 0.
     """
-    given = {name: share(f"tolerances: {name}", value) for name, value in (given or {}).items()}
-    for name, tolerance in given.items():
+    asked: dict[str, float] = {}
+    for name, value in (given or {}).items():
         if name not in plant.parameters:
             known = tuple(plant.parameters)
             raise InputError(
@@ -268,13 +275,15 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
                 ", ".join(known),
                 did_you_mean(name, known),
             )
-        if not tolerance >= 0 or not math.isfinite(tolerance):
-            raise InputError(f"tolerances: {name}", f"{tolerance}", "a relative tolerance, 0 or more")
+        p = plant.parameters[name]
+        asked[name] = tolerance_of(f"tolerances: {name}", value, p.value, p.unit)
+        if asked[name] < 0:
+            raise InputError(f"tolerances: {name}", f"{asked[name]}", "a tolerance of 0 or more")
     result = {}
     for name, parameter in plant.parameters.items():
-        if name in given:
-            result[name] = (float(given[name]), False)
-        elif parameter.tolerance or not parameter.role:
+        if name in asked:
+            result[name] = (asked[name], False)
+        elif parameter.tolerance or not parameter.role or not parameter.value:
             result[name] = (parameter.tolerance, False)
         else:
             effect = catalogue().get(parameter.role)  # roles are named by the effect that misjudges them
@@ -282,16 +291,43 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
     return result
 
 
+def with_absolute_tolerances(plant: LinearPlant, stated: Mapping[str, tuple[float, bool]]) -> LinearPlant:
+    """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
+    that no effect has to do it in their stead.
+    """
+    zero = {n: (0.0, t) for n, (t, _) in stated.items() if t and not plant.parameters[n].value}
+    return plant.with_parameters(**zero) if zero else plant
+
+
 def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
     r"""The groups of parameters with a tolerance r, each with a common factor :math:`e^{s z}`, z standard normal.
 
     Of a group only those with a tolerance move, by the widest of theirs.
-    :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance.
+    :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance. A
+    parameter whose value is 0 moves by :math:`s z` with :math:`s = r / \sqrt 3`, a friction never below 0. What has no
+    role is a group of its own; what stands in no equation, such as a datum for others to read, is none.
     """
-    found = []
+    found, seen = [], set[str]()
     for _, label, names in parameter_groups(plant):
+        seen.update(names)
         moving = tuple(name for name in names if tolerances[name][0] > 0)
         if moving:
             widest = max(tolerances[name][0] for name in moving)
             found.append(Nuisance(label, moving, math.log1p(widest) / math.sqrt(3.0)))
+    for name, p in plant.parameters.items():
+        tolerance = tolerances[name][0]
+        if name in seen or not tolerance or not _matters(plant, name):
+            continue
+        if p.value:
+            found.append(Nuisance(name, (name,), math.log1p(tolerance) / math.sqrt(3.0)))
+        else:
+            bounded = p.sign == "nonnegative" or p.role == "viscous-friction"
+            found.append(Nuisance(name, (name,), tolerance / math.sqrt(3.0), additive=True, never_negative=bounded))
     return tuple(found)
+
+
+def _matters(plant: LinearPlant, name: str) -> bool:
+    """Whether the parameter stands in the plant's equations."""
+    values = plant.values
+    moved = plant.matrices({**values, name: values[name] + 0.25 * plant.parameters[name].reference})
+    return any(not np.array_equal(a, b) for a, b in zip(moved, plant.matrices(values), strict=True))

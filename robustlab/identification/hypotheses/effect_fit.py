@@ -62,14 +62,19 @@ WILD = 1e6  # errors beyond this many standard deviations count as this
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What every hypothesis refits: nominal parameters that one factor scales, or the clock of an input.
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
 
     Attributes
     ----------
     label, names
-        Of the parameters.
+        Of the group, and its parameters.
     spread
-        Standard deviation of the factor's logarithm; of a clock's shift in s.
+        Standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s.
+    additive
+        The nominal value is 0: the factor is the value in its unit.
+    never_negative
+        Physics forbids negative values, as of a friction: an additive factor stops at 0.
     input
         Input whose clock may be shifted against the outputs'; empty for parameters.
     """
@@ -77,7 +82,15 @@ class Nuisance:
     label: str
     names: tuple[str, ...]
     spread: float
+    additive: bool = False
+    never_negative: bool = False
     input: str = ""
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
 
 
 @dataclass(frozen=True)
@@ -256,7 +269,7 @@ class Problem:
         for nuisance, value in zip(self.nuisances, z, strict=False):
             if nuisance.label in wrong:  # the effect's own factor is the whole factor
                 continue
-            factors.update(dict.fromkeys(nuisance.names, float(np.exp(nuisance.spread * value))))
+            factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
         values, at = [], len(self.nuisances)
         for candidate in hypothesis.candidates:
             values.append(candidate.values(z[at : at + len(candidate.parameters)]))
@@ -585,7 +598,7 @@ def _whiten(errors: Array, noise: NoiseModel) -> Array:
         e -= noise.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = np.nan_to_num(e / noise.std, nan=0.0, posinf=WILD, neginf=-WILD)
-    return np.clip(scaled, -WILD, WILD).reshape(len(e), -1)
+    return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
 
 
 def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:

@@ -112,7 +112,9 @@ def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
     structure = {"noise_ratio": judged.noise_ratio}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
     curves = stages.run("residual force", left.curves, None) if left else None
-    missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if best.hypothesis.candidates else None
+    missing = (
+        stages.run("missing force", lambda: _missing_force(found, bare), None) if best.hypothesis.candidates else None
+    )
     unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
     findings = [*case.findings, *_search_findings(found), *stages.findings]
     return Discovery(
@@ -293,17 +295,20 @@ def _rival(problem: Problem, a: Alternative) -> Rival:
 
 def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[NominalValue, ...]:
     factors, _ = problem.split(fit.hypothesis, fit.z)
-    std = {
-        name: nuisance.spread * spread
-        for nuisance, spread in zip(problem.nuisances, fit.std, strict=False)
-        for name in nuisance.names
-    }
+    moved: dict[str, list[float]] = {}
+    for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
+        for name in nuisance.names:
+            centre = z if name in factors else 0.0  # an effect that scales the group has its factor instead
+            factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
+            moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
     values = []
     for name, p in problem.plant.parameters.items():
-        factor, spread = factors.get(name, 1.0), std.get(name, 0.0)
-        ends = sorted(p.value * factor * float(np.exp(side * INTERVAL * spread)) for side in (-1.0, 1.0))
-        beyond = bool(abs(np.log(factor)) > np.log1p(stated[name][0]) + 1e-9)
-        values.append(NominalValue(name, p.value, p.value * factor, p.unit, ends[0], ends[1], *stated[name], beyond))
+        low, value, high = moved.get(name, [p.value] * 3)
+        tolerance = stated[name][0]
+        far = abs(np.log(value / p.value)) > np.log1p(tolerance) if p.value else abs(value) > tolerance
+        beyond = name in moved and bool(far)
+        ends = min(low, high), max(low, high)
+        values.append(NominalValue(name, p.value, value, p.unit, *ends, *stated[name], beyond))
     return tuple(values)
 
 

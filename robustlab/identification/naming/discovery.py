@@ -20,14 +20,20 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of, port_model
 from robustlab.errors import InputError
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.candidates import (
+    candidates,
+    nuisance_parameters,
+    stated_tolerances,
+    with_absolute_tolerances,
+)
 from robustlab.identification.hypotheses.effect_fit import Clock, Nuisance, Problem
-from robustlab.identification.hypotheses.prepared_record import prepare, window_length
+from robustlab.identification.hypotheses.prepared_record import alike, prepare, window_length
 from robustlab.identification.naming.admissible import admissible
 from robustlab.identification.naming.answer import Case, answer
 from robustlab.identification.naming.clock import clock_nuisances
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.posterior import weigh
+from robustlab.identification.naming.progress import Progress
 from robustlab.identification.naming.search import search_sets
 from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.tuning import TUNING, NamingTuning
@@ -100,16 +106,14 @@ def discover(
         raise InputError("discover", "no record", "at least one")
     findings = _checked(linear, [*measured, *kept_out])
     stated = stated_tolerances(linear, tolerances)
+    linear = with_absolute_tolerances(linear, stated)
     model = port_model(linear)
     problem, held, held_text = _problems(linear, model, measured, kept_out, stated, window, tuning)
     pool = [c for c in candidates(linear, model, problem.records, tuning) if c.effect.id not in left_out]
     case = Case(linear, measured, repeats, period, stated, findings, held_text, pool)
-
-    def said(done: int, expected: int, text: str) -> None:
-        if progress is not None and done == 1:
-            progress(text)
-
-    found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), said)
+    told = Progress(progress)
+    found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), told.step)
+    told.tell("what remains")
     return replace(answer(case, found, weigh(found)), seconds=time.perf_counter() - began)
 
 
@@ -156,7 +160,7 @@ def _problems(
     length = window_length(plant, everything, tuning) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
-    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed]
+    prepared = alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)
     nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt, tuning)

@@ -140,7 +140,7 @@ def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dic
         return ()
     for nuisance, z in zip(problem.nuisances, base.z, strict=False):
         if nuisance.label == candidate.site.name:
-            return ({candidate.parameters[0].name: float(np.exp(nuisance.spread * z))},)
+            return ({candidate.parameters[0].name: nuisance.factor(float(z))},)
     return ()
 
 
@@ -148,8 +148,9 @@ def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[Star
     """For a wrong gain: nominal parameters back at their values, and the gain at what the most stretched one had."""
     if not candidate.effect.gain_like or candidate.site.kind in ("parameter", "joint") or not problem.nuisances:
         return []
-    stretch = [n.spread * z for n, z in zip(problem.nuisances, base.z, strict=False)]
-    likely = max(stretch, key=lambda s: abs(s) if abs(s) < problem.tuning.most_stretched else 0.0)
+    scaled = [n.names and not n.additive for n in problem.nuisances]
+    stretch = [n.spread * z for n, z, own in zip(problem.nuisances, base.z, scaled, strict=False) if own]
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < problem.tuning.most_stretched else 0.0, default=0.0)
     found = []
     for sign in (1.0, -1.0):
         start = {candidate.parameters[0].name: float(np.exp(sign * likely))}
