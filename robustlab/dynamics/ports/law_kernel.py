@@ -170,6 +170,8 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                             c_v += velocity[j, i] * x[end, i]
                         q0[j], v0[j], q_free[j], v_free[j] = a, b, c_q, c_v
                         f[part, j] = f[before, j]
+                        for i in range(n_z):
+                            z_next[j, i] = memory[j, i]
                     seen[STEP] = h if part == 0 else 0.5 * h
                     seen[TIME] = t0 + (row + 0.5 if part == 2 else row) * h
                     least = -1.0  # of a motion at a port for its law to be asked again
