@@ -225,9 +225,9 @@ def _resolved(f):  # type: ignore[no-untyped-def]
     """One where a step and its two halves agree on the forces (3, n_laws), and zero where they do not."""
     unlike = 0.0
     for j in range(f.shape[1]):
-        size = abs(f[0, j]) + abs(f[1, j]) + abs(f[2, j])
+        size = UNRESOLVED * (abs(f[0, j]) + abs(f[1, j]) + abs(f[2, j]))
         if size > 0.0:
-            ratio = (f[0, j] - 0.5 * (f[1, j] + f[2, j])) / (UNRESOLVED * size)
+            ratio = (f[0, j] - 0.5 * (f[1, j] + f[2, j])) / size
             unlike += ratio * ratio * ratio * ratio
     return 1.0 / (1.0 + unlike)
 
