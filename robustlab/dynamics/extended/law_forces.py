@@ -116,7 +116,7 @@ def _presliding(law: Law, q: float) -> tuple[float, float]:
         v, force = TUNING.displacement / h, 0.0
         for _ in range(TUNING.force_passes):
             g = TUNING.compliance_share * v / max(abs(force), 1e-30)
-            found, _ = _asked(law, [q, v, q, v - g * force, 0.0, g, h, ANY_TIME], still)
+            found, _ = _asked(law, [q, v, q + TUNING.displacement, v - g * force, 0.0, g, h, ANY_TIME], still)
             if abs(found - force) <= TUNING.force_agreed * abs(found):
                 break
             force = found
