@@ -103,6 +103,7 @@ class BoucWen(Effect):
     needs_position = True
     force = hysteretic_force
     memory = 1
+    long_memory = True  # the way over which it forgets may be longer than that of a window
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (

@@ -115,6 +115,19 @@ def test_a_plant_with_gravity_rests_where_it_hangs_and_has_its_stiffness():
     assert footprint.gain_upper == footprint.offset == pytest.approx(0.05)
 
 
+def test_m_g_l_is_told_with_its_deviation():
+    """Against a million draws of both parts."""
+    motor = rl.plant("dc-motor")
+    real = rl.with_effects(motor, {"pendulum-gravity": {"G": (0.03, 0.001), "H": (-0.04, 0.002)}})
+    (gravity,) = real.effects
+    rng = np.random.default_rng(0)
+    draws = np.hypot(rng.normal(0.03, 0.001, 10**6), rng.normal(-0.04, 0.002, 10**6))
+    name, value, std = gravity.amplitude
+    assert name == "m g l"
+    assert (value, std) == pytest.approx((draws.mean(), draws.std()), rel=2e-3)
+    assert "m g l = 0.05" in gravity.values_in_words
+
+
 # --- lag -------------------------------------------------------------------------------------------------------------
 
 
