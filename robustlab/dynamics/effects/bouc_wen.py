@@ -120,7 +120,7 @@ class BoucWen(Effect):
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # In a steady loop of the position amplitude a, z goes from -m to m over the way 2 a:
         # log(1 + rho m) / rho - log(1 - m) = 2 a / q_y. The first harmonic is at most 4/pi of F_y m.
-        from scipy.optimize import brentq
+        from scipy.optimize import root_scalar
 
         rho, way = values["rho"], 2.0 * amplitude / values["qy"]
 
@@ -128,7 +128,7 @@ class BoucWen(Effect):
             return (math.log1p(rho * m) / rho if rho else m) - math.log1p(-m) - way
 
         most = 1.0 - 1e-15
-        reached = float(brentq(excess, 0.0, most)) if excess(most) > 0.0 else 1.0
+        reached = float(root_scalar(excess, bracket=(0.0, most)).root) if excess(most) > 0.0 else 1.0
         return Footprint(
             site.name, "position", 0.0, 4.0 / math.pi * values["Fy"] * reached / amplitude, offset=values["Fy"]
         )

@@ -183,6 +183,7 @@ def test_a_lag_is_a_state_where_delays_are_rational_and_a_parameter_of_the_set()
     np.testing.assert_allclose(rl.frequency_response(real.linear_model(pade=2), s.imag)[:, :, 0], expected(T))
     assert real.linear_model().n_states == 3
     assert any("a lag of 0.004 s" in left.reason for left in real.left_out())
+    rational, real = 1.0, rl.with_effects(motor, {"actuator-lag": {"T": (T, 1e-3)}})
     made = rl.uncertain_from(real, sigmas=2.0).model
     lag = next(b for b in made.blocks if b.name == "actuator-lag@u")
     assert (lag.parameter.low, lag.parameter.high) == pytest.approx((2e-3, 6e-3))
