@@ -306,7 +306,14 @@ def ids(found) -> set[str]:
 
 
 ELECTRICAL = {"brush-drop", "resistance", "resistance-heating", "torque-constant"}
-AT_A_POSITION = {"cogging", "cubic-stiffness", "end-stop", "one-sided-spring", "position-dependent-friction"}
+AT_A_POSITION = {
+    "bouc-wen",
+    "cogging",
+    "cubic-stiffness",
+    "end-stop",
+    "one-sided-spring",
+    "position-dependent-friction",
+}
 
 
 def test_an_axis_without_a_current_has_no_electrical_effects():

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numba as nb
 import numpy as np
 
 from robustlab.arrays import Array
@@ -18,6 +19,17 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.errors import InputError
 
 __all__ = ["EFFECT"]
+
+
+@nb.njit(cache=True)
+def _lagged_means(u, step):  # type: ignore[no-untyped-def]
+    """Mean of the lagged input over each step of the length ``step`` in units of T, (n,)."""
+    left, mean = math.exp(-step), -math.expm1(-step) / step
+    means, x = np.empty(len(u)), u[0]
+    for k in range(len(u)):
+        means[k] = u[k] + (x - u[k]) * mean
+        x = u[k] + (x - u[k]) * left
+    return means
 
 
 class ActuatorLag(Effect):
@@ -37,16 +49,12 @@ class ActuatorLag(Effect):
         return tuple({"T": steps * scales.dt} for steps in (1.0, 4.0, 15.0))
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        from scipy.signal import lfilter
-
         time = values["T"]
         if time < 0.0:
             raise InputError(f"effect {self.id}: T", f"{time:g} s", "a time constant of 0 s or more")
         if time == 0.0 or not len(signal):
             return signal
-        left, gone = math.exp(-h / time), -math.expm1(-h / time)
-        before = np.asarray(lfilter([0.0, gone], [1.0, -left], signal, zi=signal[:1])[0], dtype=float)
-        return signal + (before - signal) * (gone * time / h)
+        return _lagged_means(np.ascontiguousarray(signal), h / time)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # A constant passes as it is. The lag is a state of its own wherever delays are rational ones.

@@ -66,6 +66,7 @@ class Cogging(Effect):
     equation = "f = Ac cos(k q) + As sin(k q)"
     independently = "turn it slowly by hand without power"
     site_kind = "joint"
+    amplitude = ("A", "Ac", "As")
     needs_position = True
     force = cogging_force
     spatial = True

@@ -225,6 +225,8 @@ class Effect(ABC):
     scale: str = ""
     delay: str = ""  # of an effect that delays a signal: the parameter that is the delay in s
     time_constant: str = ""  # of an effect that lags an input in first order: the parameter that is its T in s
+    # Name of the amplitude that one speaks of, and the two parameters, in its unit, that are its cosine and sine part.
+    amplitude: tuple[str, ...] = ()
     # Balance of a steady point from which it takes an amount of its own.
     constant_loss: Literal["", "torque", "voltage"] = ""
     # Relative tolerance of the plant's parameters with the role `id`, where the plant states none.

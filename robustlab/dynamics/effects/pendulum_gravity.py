@@ -29,6 +29,7 @@ class PendulumGravity(Effect):
     equation = "f = -(G sin(q) + H cos(q)), m g l = sqrt(G^2 + H^2)"
     independently = "weigh the load at a known distance from the axis, or turn the axis upright"
     site_kind = "joint"
+    amplitude = ("m g l", "G", "H")
     needs_position = True
     force = cogging_force
 

@@ -69,6 +69,7 @@ class PositionDependentFriction(Effect):
     title = "Position-dependent friction"
     equation = "f = -max(0, Fc + Pc cos(k q) + Ps sin(k q)) sgn(v)"
     site_kind = "joint"
+    amplitude = ("P", "Pc", "Ps")
     needs_position = True
     force = uneven_force
     refines = "coulomb-friction"

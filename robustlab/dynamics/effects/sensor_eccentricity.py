@@ -32,6 +32,7 @@ class SensorEccentricity(Effect):
     equation = "y' = y + c cos(k y) + s sin(k y)"
     independently = "turn slowly against a second encoder"
     site_kind = "output"
+    amplitude = ("e", "c", "s")
     spatial = True
 
     def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:

@@ -37,6 +37,7 @@ class TorqueRipple(Effect):
     equation = "f = Ac cos(2 pi f t) + As sin(2 pi f t)"
     independently = "record the position while the machine stands under power"
     site_kind = "joint"
+    amplitude = ("A", "Ac", "As")
     force = ripple_force
     timed = True
 

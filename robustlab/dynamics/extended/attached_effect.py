@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -99,7 +100,19 @@ class AttachedEffect:
     def values_in_words(self) -> str:
         """Equation, values and source."""
         said = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
+        if self.amplitude is not None:
+            said += f", {self.amplitude[0]} = {self.amplitude[1]:.6g}"
         return f"{self.effect.equation} with {said}" + (f"; {self.source}" if self.source else "")
+
+    @property
+    def amplitude(self) -> tuple[str, float, float] | None:
+        """Name, value and standard deviation (of uncorrelated parts) of what `Effect.amplitude` names."""
+        if not self.effect.amplitude:
+            return None
+        name, *parts = self.effect.amplitude
+        size = math.hypot(*(self.values[p] for p in parts))
+        spread = math.hypot(*(self.values[p] * self.std.get(p, 0.0) for p in parts))
+        return name, size, spread / size if size else 0.0
 
     @property
     def on_signal(self) -> bool:

@@ -118,7 +118,7 @@ def _presliding(law: Law, q: float) -> tuple[float, float]:
         v, force, after = TUNING.displacement / h, 0.0, z
         for _ in range(TUNING.force_passes):
             g = TUNING.compliance_share * v / max(abs(force), 1e-30)
-            found, after = _asked(law, [q, v, q, v - g * force, 0.0, g, h, ANY_TIME], z)
+            found, after = _asked(law, [q, v, q + TUNING.displacement, v - g * force, 0.0, g, h, ANY_TIME], z)
             if abs(found - force) <= TUNING.force_agreed * abs(found):
                 break
             force = found

@@ -49,6 +49,9 @@ IDS = [
     "asymmetric-coulomb-friction",
     "torque-ripple",
     "one-sided-spring",
+    "bouc-wen",
+    "load-dependent-friction",
+    "magnitude-sensor",
 ]
 PLANTS = ["dc-motor", "servo-axis", "two-mass", "mass-spring-damper", "linear-actuator"]
 AT_JOINT = {"force_unit": "N m", "speed_unit": "rad/s", "position_unit": "rad"}

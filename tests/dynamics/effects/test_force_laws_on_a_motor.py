@@ -91,6 +91,11 @@ DRY = {
         lambda q: 0.01 + 0.004 * np.cos(4 * q) - 0.003 * np.sin(4 * q),
     ),
     "gear-efficiency": ({"eta": 0.8}, lambda q, v, T: 0.2 * abs(T), lambda q: 0.0),
+    "load-dependent-friction": (
+        {"kd": 0.1, "kb": 0.5},
+        lambda q, v, T: np.where(T * v > 0, 0.1, 0.5) * abs(T),
+        lambda q: 0.0,
+    ),
 }
 SMOOTH = {
     "asymmetric-viscous-friction": (JOINT, {"dFv": 3e-5}, {"force": lambda t, q, v, i: -3e-5 * abs(v)}),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
 from scipy.special import ellipk
 
 import robustlab as rl
@@ -114,6 +115,19 @@ def test_a_plant_with_gravity_rests_where_it_hangs_and_has_its_stiffness():
     assert footprint.gain_upper == footprint.offset == pytest.approx(0.05)
 
 
+def test_m_g_l_is_told_with_its_deviation():
+    """Against a million draws of both parts."""
+    motor = rl.plant("dc-motor")
+    real = rl.with_effects(motor, {"pendulum-gravity": {"G": (0.03, 0.001), "H": (-0.04, 0.002)}})
+    (gravity,) = real.effects
+    rng = np.random.default_rng(0)
+    draws = np.hypot(rng.normal(0.03, 0.001, 10**6), rng.normal(-0.04, 0.002, 10**6))
+    name, value, std = gravity.amplitude
+    assert name == "m g l"
+    assert (value, std) == pytest.approx((draws.mean(), draws.std()), rel=2e-3)
+    assert "m g l = 0.05" in gravity.values_in_words
+
+
 # --- lag -------------------------------------------------------------------------------------------------------------
 
 
@@ -169,6 +183,7 @@ def test_a_lag_is_a_state_where_delays_are_rational_and_a_parameter_of_the_set()
     np.testing.assert_allclose(rl.frequency_response(real.linear_model(pade=2), s.imag)[:, :, 0], expected(T))
     assert real.linear_model().n_states == 3
     assert any("a lag of 0.004 s" in left.reason for left in real.left_out())
+    rational, real = 1.0, rl.with_effects(motor, {"actuator-lag": {"T": (T, 1e-3)}})
     made = rl.uncertain_from(real, sigmas=2.0).model
     lag = next(b for b in made.blocks if b.name == "actuator-lag@u")
     assert (lag.parameter.low, lag.parameter.high) == pytest.approx((2e-3, 6e-3))
@@ -209,6 +224,125 @@ def test_it_is_coulomb_friction_of_the_mean_level_and_a_load_of_half_the_differe
     two = turned([("coulomb-friction", {"Fc": 3.5}), ("constant-load", {"T0": 1.5})], 3000, 1e-3, u=u)
     assert (one[:, 1] == 0).sum() > 100
     np.testing.assert_allclose(one, two, atol=1e-12)
+
+
+# --- load-dependent friction -----------------------------------------------------------------------------------------
+
+
+def test_a_gear_takes_one_share_while_driven_and_another_while_braking():
+    force = np.where(np.arange(2000) < 1000, 3.0, -3.0)
+    v = turned([("load-dependent-friction", {"kd": 0.2, "kb": 0.6})], 2000, 1e-3, u=force)[:, 1]
+    assert v[1000] == pytest.approx(0.8 * 3.0, rel=1e-9)
+    stop = v[1000] / (1.6 * 3.0)
+    assert v[1400] == pytest.approx(v[1000] - 1.6 * 3.0 * 0.4, rel=1e-9)
+    assert v[-1] == pytest.approx(-0.8 * 3.0 * (0.999 - stop), rel=1e-9)
+
+
+def test_with_two_equal_shares_it_is_the_gears_efficiency():
+    u = 9.0 * np.sin(np.linspace(0, 30, 3000)) * np.linspace(0, 1, 3000)
+    one = turned([("load-dependent-friction", {"kd": 0.25, "kb": 0.25})], 3000, 1e-3, u=u)
+    two = turned([("gear-efficiency", {"eta": 0.75})], 3000, 1e-3, u=u)
+    np.testing.assert_allclose(one, two, atol=1e-10)
+
+
+def test_a_gear_that_takes_all_is_not_moved():
+    states = turned([("load-dependent-friction", {"kd": 1.5, "kb": 0.5})], 50, 1e-3, u=np.full(50, 7.0))
+    assert (states == 0.0).all()
+
+
+# --- hysteretic spring -----------------------------------------------------------------------------------------------
+
+YIELDING = {"Fy": 0.5 * FAST**2, "qy": 0.4}
+
+
+def hysteresis(rho, h, n, x0=(1.0, 0.0)):
+    """An oscillator with Bouc and Wen's spring, n samples."""
+    level, width = YIELDING["Fy"], YIELDING["qy"]
+
+    def rate(t, x):
+        q, v, z = x
+        slope = 1.0 - abs(z) if v * z >= 0.0 else 1.0 + rho * abs(z)
+        return [v, -level * z - FAST**2 * q, v * slope / width]
+
+    t = np.arange(n) * h
+    return solve_ivp(rate, (0, t[-1]), [*x0, 0.0], t_eval=t, rtol=1e-9, atol=1e-11, max_step=2e-4).y[0]
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.3, 2.0])
+def test_a_hysteretic_spring_swings_as_its_equation_says_and_to_second_order(rho):
+    values, errors = {**YIELDING, "rho": rho}, []
+    for h in (5e-4, 2.5e-4):
+        n = round(0.04 / h) + 1
+        found = turned([("bouc-wen", values)], n, h, (1.0, 0.0), plant=disc(FAST**2))[:, 0]
+        errors.append(np.abs(found - hysteresis(rho, h, n)).max())
+    assert errors[1] < 0.33 * errors[0]
+    assert errors[1] < 0.02
+
+
+def test_a_slow_loop_has_the_area_and_the_corners_of_its_branches():
+    """Between the ends -m and m of z over the way 2 a, from the closed form of both branches."""
+    level, width, rho, a, n = 2.0, 0.3, 0.5, 0.25, 4000
+    m = brentq(lambda m: math.log1p(rho * m) / rho - math.log1p(-m) - 2 * a / width, 0.0, 1 - 1e-12)
+    back = width * math.log1p(rho * m) / rho
+    up = quad(lambda s: (1 - (1 + rho * m) * math.exp(-rho * s / width)) / rho, 0, back)[0]
+    up += quad(lambda s: 1 - math.exp(-(s - back) / width), back, 2 * a)[0]
+    slow, t = 2 * math.pi / (n * 1e-3), np.arange(6 * n) * 1e-3
+    # A stiff guide forces the motion q = a sin: the law's own force hardly changes it.
+    guide = 1e8
+    plant = disc(guide, 2 * math.sqrt(guide))
+    u = guide * a * np.sin(slow * t) + 2 * math.sqrt(guide) * a * slow * np.cos(slow * t)
+    pairs = [(effect("bouc-wen"), ROUND)]
+    run = Simulator(plant, pairs, u[:, None], 1e-3)
+    motion = run.run(
+        {}, [{"Fy": level, "qy": width, "rho": rho}], np.array([[0.0, a * slow]]), Windows(np.r_[0], 6 * n)
+    )
+    q, f = motion.states[0, 4 * n :, 0], motion.forces[0, 4 * n :, 0]
+    assert np.abs(f).max() == pytest.approx(level * m, rel=1e-3)
+    area = -np.sum(f[1 : n + 1] * np.diff(q[: n + 1]))  # a force is that of the step before its sample
+    assert area == pytest.approx(2 * level * up, rel=1e-3)
+    footprint = effect("bouc-wen").footprint(ROUND, {"Fy": level, "qy": width, "rho": rho}, a)
+    assert footprint.gain_upper == pytest.approx(4 / math.pi * level * m / a)
+    first = 2 * np.mean(-f[:n] * np.sin(slow * (t[:n] - 5e-4))) / a
+    assert footprint.gain_lower < first < footprint.gain_upper
+
+
+def test_with_rho_one_it_is_dahls_friction():
+    u = 9.0 * np.sin(np.linspace(0, 30, 6000))
+    one = turned([("bouc-wen", {"Fy": 4.0, "qy": 0.2, "rho": 1.0})], 6000, 5e-4, u=u)
+    two = turned([("presliding", {"Fc": 4.0, "sigma0": 20.0})], 6000, 5e-4, u=u)
+    np.testing.assert_allclose(one, two, atol=0.02 * np.ptp(one[:, 1]))
+    assert np.ptp(one[:, 0]) > 0.2  # beyond the displacement to yield
+
+
+@settings(deadline=None, max_examples=100, derandomize=True)
+@given(
+    st.floats(-3, 3).map(lambda e: 10.0**e), st.floats(-4, 2).map(lambda e: 10.0**e), st.floats(0, 5),
+    st.floats(-20, 20), st.integers(0, 9),
+)  # fmt: skip
+def test_a_hysteretic_spring_stays_within_its_force_and_comes_to_rest(level, width, rho, v0, seed):
+    """However stiff: no more than F_y, and no energy out of nothing over a free swing."""
+    u = np.random.default_rng(seed).normal(size=400) * 0.1
+    run = Simulator(disc(), [(effect("bouc-wen"), ROUND)], u[:, None], 1e-3)
+    values = {"Fy": level, "qy": width, "rho": rho}
+    motion = run.run({}, [values], np.array([[0.0, v0]]), Windows(np.r_[0], 400))
+    assert np.abs(motion.forces).max() <= level * (1 + 1e-9)
+    assert np.isfinite(motion.states).all()
+    free = Simulator(disc(), [(effect("bouc-wen"), ROUND)], 0.0 * u[:, None], 1e-3)
+    v = free.run({}, [values], np.array([[0.0, v0]]), Windows(np.r_[0], 400)).states[0, :, 1]
+    assert np.abs(v).max() <= abs(v0) * (1 + 1e-6) + 1e-12
+
+
+# --- a sensor without a sign -----------------------------------------------------------------------------------------
+
+
+def test_a_sensor_without_a_sign_shows_the_size():
+    motor, t = rl.plant("dc-motor"), np.arange(400) * 1e-3
+    u = 6.0 * np.sin(20 * t)
+    shown = rl.with_effects(motor, {"magnitude-sensor@i": {"c": 0.05}})
+    plain, told = (rl.simulate(p, t, {"u": u}) for p in (motor, shown))
+    assert plain["i"].min() < -0.1
+    np.testing.assert_allclose(told["i"], np.abs(plain["i"] - 0.05), atol=1e-12)
+    np.testing.assert_allclose(told["phi"], plain["phi"], rtol=1e-12)
 
 
 # --- ripple over time ------------------------------------------------------------------------------------------------
