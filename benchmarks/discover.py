@@ -5,7 +5,7 @@ not run again, and one that was refused, failed, crashed or ran out of time is a
 order is seed by seed, shuffled within a seed: a run that is cut short (``--minutes``, Ctrl-C) is a fair sample. Then
 the figures of `discover_figures` are printed. ``--peer`` runs PySINDy on the same cases; ``--report`` runs nothing.
 
-Seeds: 1-99 for tuning, 9001-9099 for checking; 77001-77099 are run once, at the very end.
+Seeds: 1-99 for tuning, 9001-9099 for checking; 77001-77099 (``--last``) are run once, at the very end.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ Kind = Literal["single", "none", "outside", "pairs", "poor"]
 Line = dict[str, Any]
 
 DEFAULT_SEEDS = "1-2"  # whoever reports figures names seeds that were never used
+LAST = range(77001, 77100)  # seeds that must be unknown to whoever tunes
 LIMIT = 900.0  # s of wall time for one case
 SETS = 12  # of the posterior that a line keeps
 
@@ -403,6 +404,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--limit", type=float, default=LIMIT, help="wall time in s after which a case is given up")
     parser.add_argument("--store", type=Path, help="file of one JSON line a case; what it holds is not run again")
     parser.add_argument("--peer", action="store_true", help="PySINDy on the same cases (pip install robustlab[bench])")
+    parser.add_argument("--last", action="store_true", help="the last seeds, after which nothing is tuned any more")
     parser.add_argument("--report", action="store_true", help="run nothing: print the figures of what --store holds")
     asked = parser.parse_args(argv)
     if asked.report:
@@ -413,6 +415,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(report([line for line in stored(asked.store) if _asked_for(line, asked)]))
         return
     seeds = asked.seeds or _seeds(DEFAULT_SEEDS)
+    if set(seeds) & set(LAST) and not asked.last:
+        parser.error(f"seeds {LAST[0]}-{LAST[-1]} are run once, at the very end: --last")
     wanted = list(tasks(asked.condition, seeds, asked.classes, asked.family, asked.peer))
     if asked.classes and (strange := set(asked.classes) - {"+".join(t.effects) for t in wanted}):
         parser.error(f"no class {', '.join(sorted(strange))} in these conditions")

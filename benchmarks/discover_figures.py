@@ -155,6 +155,10 @@ def _settled(line: Line) -> bool:
     )
 
 
+def _left_open(line: Line) -> bool:
+    return line["status"] == "ok" and not _named(line) and not _settled(line)
+
+
 def _at_last(line: Line) -> Line:
     """The answer with the proposed experiment; an experiment that fails is no success."""
     if "after" in line:
@@ -213,7 +217,7 @@ def _bars(lines: Sequence[Line]) -> list[Row]:
     rich = [x for x in lines if x["condition"] in RICH]
     poor = _of(lines, "poor")
     # Whom the record did not tell, and of them who got an experiment.
-    left_open = [x for x in poor if x["status"] == "ok" and not _named(x) and not _settled(x)]
+    left_open = [x for x in poor if _left_open(x)]
     one = [x for x in _of(lines, "single", "none", "pairs") if _named(x) and len(x["names"]) == 1]
     there = [x for x in rich if x["status"] == "ok"]
     families = [f for f in FAMILIES if any(x["family"] == f for x in rich)]
@@ -229,6 +233,11 @@ def _bars(lines: Sequence[Line]) -> list[Row]:
         _share(
             "poor excitation: left open, named after the proposed experiment",
             ("after" in x and _settled(_at_last(x)) for x in left_open), 0.9,
+        ),
+        _share("  of these a sure wrong name after it", (_sure_and_wrong(_at_last(x)) for x in left_open)),
+        _share(
+            "  proposals that ask for a sensor the rig has not",
+            (bool(x["experiment"]["foreign"]) for x in poor if "experiment" in x),
         ),
         _share("95 % intervals hold the truth", map(_holds, _values(lines)), 0.90, 0.99),
         _number("held-out error / that of the true machine's model, median", _ratios(rich), 50, 1.1),
@@ -323,7 +332,9 @@ def _failures(lines: Sequence[Line]) -> str:
         "none": _gives_a_name,
         "outside": lambda x: not _flagged(x),
         "pairs": lambda x: not _top(x),
-        "poor": lambda x: _sure_and_wrong(x) or not _truth_in_answer(x),
+        "poor": lambda x: (
+            _sure_and_wrong(x) or not _truth_in_answer(x) or (_left_open(x) and not _settled(_at_last(x)))
+        ),
     }
     rows = [f"  {x['key'].split(' | ', 1)[1]}: {_said(x)}" for x in lines if wrong[x["kind"]](x)]
     return "\n".join([f"== failing cases: {len(rows)} of {len(lines)}", *rows])
@@ -333,7 +344,11 @@ def _said(line: Line) -> str:
     if line["status"] != "ok":
         return line["status"]
     sets = ", ".join(f"{'+'.join(names) or 'none'} {p:.2f}" for names, p, _ in line["posterior"][:3])
-    return f"{line['verdict']}{'' if line['complete'] else ' (incomplete)'}; {sets or 'none'}"
+    said = f"{line['verdict']}{'' if line['complete'] else ' (incomplete)'}; {sets or 'none'}"
+    after = line.get("after")
+    return (
+        f"{said}; after {line['experiment']['name']}: {after['verdict']} {'+'.join(after['names'])}" if after else said
+    )
 
 
 # --- the peer --------------------------------------------------------------------------------------------------------

@@ -31,8 +31,7 @@ def _pendulum(p: Values) -> Told:
     return ("G", g) if abs(g) > abs(h) else ("H", h)
 
 
-# No entry: gear efficiency, load-dependent friction, heating, Bouc-Wen and the like, whose hidden physics is another
-# parametrisation on purpose, and effects without a parameter.
+# No entry: heating, whose hidden physics is another parametrisation on purpose.
 MAIN: Mapping[str, Callable[[Values], Told]] = {
     "coulomb-friction": _same("Fc", "Fc"),
     "stribeck-friction": _same("Fc", "Fc"),
@@ -42,6 +41,10 @@ MAIN: Mapping[str, Callable[[Values], Told]] = {
     "quadratic-drag": _same("c", "c"),
     "position-dependent-friction": _same("Fc", "Fc"),
     "cogging": _wave("A", "a", "Ac", "As", -1.0),  # the load is against the force
+    "gear-efficiency": _same("eta", "eta"),
+    "load-dependent-friction": _same("driven", "kd"),
+    "bouc-wen": lambda p: ("Fy", p["k"] * p["yield"]),
+    "magnitude-sensor": lambda p: ("c", 0.0),
     "backlash": _same("gap", "gap"),
     "flexible-coupling": _same("frequency", "f"),
     "input-delay": _same("delay", "d"),

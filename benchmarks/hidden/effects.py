@@ -148,9 +148,9 @@ def _presliding(r: np.random.Generator, s: Setting) -> Parameters:
 
 
 def _asymmetric(r: np.random.Generator, s: Setting) -> Parameters:
-    low = s.machine.b_pos
-    high = low + s.torque / s.speed * r.uniform(3e-5, 8e-5)
-    return {"b_pos": high, "b_neg": low} if r.random() < 0.5 else {"b_pos": low, "b_neg": high}
+    """About the plant's own coefficient, which a shift of the mean would make wrong as well."""
+    b, x = s.machine.b_pos, _sign(r) * r.uniform(0.4, 0.8)
+    return {"b_pos": b * (1 + x), "b_neg": b * (1 - x)}
 
 
 def _position_friction(r: np.random.Generator, s: Setting) -> Parameters:
@@ -198,9 +198,14 @@ def _backlash(r: np.random.Generator, s: Setting) -> Parameters:
     }
 
 
-def _put_gear(m: Machine, p: Parameters, s: Setting) -> Machine:
-    w, J = 2 * math.pi * 1000.0, _reduced(m, p["share"])
-    m = _put_shaft(m, p["share"], J * w**2, c_s=2 * 0.3 * J * w, loss=1 / p["eta"] - 1)
+def _put_gear(m: Machine, driven: float, braking: float, share: float, s: Setting) -> Machine:
+    """Losses of a gear before the share of the inertia.
+
+    ``driven`` and ``braking`` are those of the torque T that moves the whole: J a = (1 - driven) T and (1 + braking) T.
+    """
+    w, J = 2 * math.pi * 1000.0, _reduced(m, share)
+    m = _put_shaft(m, share, J * w**2, c_s=2 * 0.3 * J * w)
+    m = m._replace(loss=driven / (1 - driven) / share, loss_back=braking / (1 + braking) / share)
     return _bristle(m, 5e-3 * s.torque, STIFF * s.length, 0.1)
 
 
@@ -234,17 +239,10 @@ def _one_sided(r: np.random.Generator, s: Setting) -> Parameters:
 
 
 def _load_dependent(r: np.random.Generator, s: Setting) -> Parameters:
-    """Friction in proportion to what the gear transmits, other when the load drives the motor than the other way."""
-    low, high = r.uniform(0.1, 0.25), r.uniform(0.3, 0.55)
-    drive, back = (low, high) if r.random() < 0.5 else (high, low)
-    return {"Fc": s.torque * r.uniform(2e-3, 5e-3), "drive": drive, "back": back, "share": r.uniform(0.5, 0.7)}
-
-
-def _put_load_dependent(m: Machine, p: Parameters, s: Setting) -> Machine:
-    if not m.J2:
-        w, J = 2 * math.pi * 1000.0, _reduced(m, p["share"])
-        m = _put_shaft(m, p["share"], J * w**2, c_s=2 * 0.3 * J * w)
-    return _dry(m, p["Fc"], s, Fc=p["Fc"], loss=p["drive"], loss_back=p["back"])
+    """Another loss when the load drives the motor than the other way round."""
+    low, high = r.uniform(0.05, 0.12), r.uniform(0.2, 0.35)
+    driven, braking = (low, high) if r.random() < 0.5 else (high, low)
+    return {"driven": driven, "braking": braking, "share": r.uniform(0.5, 0.7)}
 
 
 def _asymmetric_coulomb(r: np.random.Generator, s: Setting) -> Parameters:
@@ -267,17 +265,16 @@ def _ripple(r: np.random.Generator, s: Setting) -> Parameters:
 
 
 def _bouc_wen(r: np.random.Generator, s: Setting) -> Parameters:
+    """Wen's exponent 1; gamma = 1/2 would come back along a straight line, 0 is dry friction with a soft contact."""
     return {
         "k": s.torque * r.uniform(15e-3, 30e-3) / (0.1 * s.reach),
-        "elastic": r.uniform(0.03, 0.06),
         "yield": s.reach * r.uniform(0.05, 0.1),
-        "gamma": r.uniform(-0.3, 0.2),
-        "n": 1.0 if r.random() < 0.5 else 2.0,
+        "gamma": r.uniform(0.25, 0.48),
     }
 
 
 def _put_bouc_wen(m: Machine, p: Parameters, s: Setting) -> Machine:
-    return m._replace(k_h=p["k"], share_h=p["elastic"], x_h=p["yield"], gamma_h=p["gamma"], n_h=p["n"])
+    return m._replace(k_h=p["k"], x_h=p["yield"], gamma_h=p["gamma"])
 
 
 def _heating(r: np.random.Generator, s: Setting) -> Parameters:
@@ -312,7 +309,7 @@ EFFECTS: Mapping[str, Hidden] = {
     "stribeck-friction": Hidden(
         _stribeck, lambda m, p, s: _dry(m, p["Fc"] + p["dF"], s, Fc=p["Fc"], dF=p["dF"], vs=p["vs"])
     ),
-    "presliding": Hidden(_presliding, lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.1)._replace(Fc=p["Fc"])),
+    "presliding": Hidden(_presliding, lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.03)._replace(Fc=p["Fc"])),
     "asymmetric-viscous-friction": Hidden(_asymmetric, lambda m, p, s: m._replace(b_pos=p["b_pos"], b_neg=p["b_neg"])),
     "constant-load": Hidden(
         lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, lambda m, p, s: m._replace(T0=p["T0"])
@@ -325,14 +322,17 @@ EFFECTS: Mapping[str, Hidden] = {
         lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"]),
     ),
     "cogging": Hidden(_cogging, lambda m, p, s: m._replace(A=p["A"], n=p["n"], a_A=p["a"])),
-    "gear-efficiency": Hidden(lambda r, s: {"eta": r.uniform(0.6, 0.85), "share": r.uniform(0.5, 0.7)}, _put_gear),
+    "gear-efficiency": Hidden(
+        lambda r, s: {"eta": r.uniform(0.65, 0.88), "share": r.uniform(0.5, 0.7)},
+        lambda m, p, s: _put_gear(m, 1 - p["eta"], 1 - p["eta"], p["share"], s),
+    ),
     "backlash": Hidden(_backlash, _put_backlash),
     "flexible-coupling": Hidden(_flexible, _put_flexible),
     "input-delay": Hidden(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, lambda m, p, s: m._replace(delay=p["delay"])),
     "input-dead-zone": Hidden(
         lambda r, s: {"V": s.setup.largest * r.uniform(1 / 60, 1 / 20)}, lambda m, p, s: m._replace(dead=p["V"])
     ),
-    "brush-drop": Hidden(lambda r, s: {"V": r.uniform(0.3, 1.0)}, lambda m, p, s: m._replace(Vb=p["V"], i_s=4e-3)),
+    "brush-drop": Hidden(lambda r, s: {"V": r.uniform(0.3, 1.0)}, lambda m, p, s: m._replace(Vb=p["V"], i_s=1e-3)),
     "input-saturation": Hidden(
         lambda r, s: {"limit": s.setup.largest * r.uniform(0.5, 0.8)}, lambda m, p, s: m._replace(limit=p["limit"])
     ),
@@ -366,7 +366,9 @@ EFFECTS: Mapping[str, Hidden] = {
     ),
     "actuator-lag": Hidden(lambda r, s: {"T": r.uniform(2e-3, 20e-3)}, lambda m, p, s: m._replace(lag=p["T"])),
     "asymmetric-coulomb-friction": Hidden(_asymmetric_coulomb, _put_asymmetric_coulomb),
-    "load-dependent-friction": Hidden(_load_dependent, _put_load_dependent),
+    "load-dependent-friction": Hidden(
+        _load_dependent, lambda m, p, s: _put_gear(m, p["driven"], p["braking"], p["share"], s)
+    ),
     "bouc-wen": Hidden(_bouc_wen, _put_bouc_wen),
     "torque-ripple": Hidden(
         _ripple,

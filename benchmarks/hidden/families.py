@@ -19,13 +19,14 @@ OSCILLATOR = (
     "sensor-delay", "cubic-stiffness", "end-stop", "actuator-lag", "asymmetric-coulomb-friction", "bouc-wen",
     "torque-ripple", "one-sided-spring", "magnitude-sensor",
 )  # fmt: skip
-# It has its shaft already; springs to ground are no part of such a drive, but stops and a pendulum on it are.
+# It has its shaft already, and no friction of its own to be uneven; springs to ground are no part of such a drive, but
+# stops and a pendulum on it are.
 TWO_MASS = (
     "inertia", "viscous-friction", "stiffness", "coulomb-friction", "stribeck-friction", "presliding",
-    "asymmetric-viscous-friction", "constant-load", "quadratic-drag", "position-dependent-friction", "cogging",
+    "constant-load", "quadratic-drag", "position-dependent-friction", "cogging",
     "input-delay", "input-dead-zone", "input-saturation", "input-gain", "sensor-gain", "sensor-eccentricity",
     "sensor-delay", "end-stop", "pendulum-gravity", "actuator-lag", "asymmetric-coulomb-friction",
-    "load-dependent-friction", "torque-ripple", "one-sided-spring",
+    "torque-ripple", "one-sided-spring",
 )  # fmt: skip
 NO_AXIS = (*MOTOR_ONLY, "pendulum-gravity", "magnitude-sensor")
 NO_ENCODER = (*CURRENT_ONLY, "magnitude-sensor")  # an encoder that counts knows its sign

@@ -89,11 +89,9 @@ class Machine(NamedTuple):
     rip: float = 0.0  # ripple over time rip sin(rip_w t + rip_a)
     rip_w: float = 0.0
     rip_a: float = 0.0
-    k_h: float = 0.0  # hysteretic spring to ground: stiffness, elastic share, Bouc-Wen constants
-    share_h: float = 0.0
+    k_h: float = 0.0  # hysteretic spring to ground: stiffness, yield, constant of Bouc and Wen (exponent 1)
     x_h: float = 1.0
     gamma_h: float = 0.0
-    n_h: float = 2.0
     side: float = 0.0  # one-sided spring: side (+1, -1, 0 none), place, stiffness
     x_side: float = 0.0
     k_side: float = 0.0
@@ -269,7 +267,7 @@ def _loads(m, phi, om, x):
     if m.side != 0.0:
         load += m.side * m.k_side * max(0.0, m.side * (phi - m.x_side))
     if m.k_h != 0.0:
-        load += m.k_h * (m.share_h * phi + (1.0 - m.share_h) * x)
+        load += m.k_h * x
     if phi > m.x_high:
         load += max(0.0, m.k_stop * (phi - m.x_high) * (1.0 + m.c_stop * om))
     elif phi < m.x_low:
@@ -304,8 +302,7 @@ def _rates(m, u, R, external, travel, z0, tau, phi, om, p, v, i, x):
     dx = 0.0
     if m.k_h != 0.0:
         r = x / m.x_h
-        full = abs(r) ** m.n_h
-        dx = om * (1.0 - m.gamma_h * full) - (1.0 - m.gamma_h) * abs(om) * math.copysign(full, r)
+        dx = om * (1.0 - m.gamma_h * abs(r)) - (1.0 - m.gamma_h) * abs(om) * r
     dom = (torque + external - _loads(m, phi, om, x) - dry - shaft) / m.J1
     return dom, dv, di, dx
 

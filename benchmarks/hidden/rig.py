@@ -74,7 +74,7 @@ class Rig:
         """A run; of a continuous input with a finer clock, of which every BETWEEN-th tick is a sample."""
         if u.fine is None:
             return simulate(machine, u.samples, self.dt, **more)
-        held = {k: np.repeat(v, BETWEEN) if isinstance(v, np.ndarray) else v for k, v in more.items()}
+        held: dict[str, Any] = {k: np.repeat(v, BETWEEN) if isinstance(v, np.ndarray) else v for k, v in more.items()}
         fine = simulate(machine, u.fine, self.dt / BETWEEN, **held)
         return Run(**{k: v[::BETWEEN] for k, v in vars(fine).items()} | {"u": u.samples})
 

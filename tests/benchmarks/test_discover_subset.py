@@ -4,7 +4,7 @@ import json
 from functools import lru_cache
 
 import pytest
-from discover import CONDITIONS, USUAL, Setup, Task, run_case, stored, tasks
+from discover import CONDITIONS, USUAL, Setup, Task, main, run_case, stored, tasks
 from discover_figures import answer, best_set, is_right, report, wilson
 from discover_truth import main_parameter
 from hidden import FAMILIES, make_case
@@ -241,6 +241,12 @@ def test_a_run_that_is_cut_short_is_a_fair_sample():
             spread = (share / len(first)) ** 0.5
             assert abs(sum(part(t) == x for t in first) / len(first) - share) < 4 * spread
     assert list(tasks(["pairs"], [5])) == [t for t in of_seed if t.condition == "pairs"]
+
+
+def test_the_last_seeds_are_not_run_by_accident(capsys):
+    with pytest.raises(SystemExit):
+        main(["--seeds", "5,77001-77003"])
+    assert "--last" in capsys.readouterr().err
 
 
 def test_wilson():
