@@ -173,6 +173,8 @@ def discover(
     if not measured:
         raise InputError("discover", "no record", "at least one")
     findings = _checked(linear, [*measured, *kept_out])
+    measured, kept_out, told = _from_near(linear, measured, kept_out)
+    findings += told
     stated = stated_tolerances(linear, tolerances)
     linear = with_absolute_tolerances(linear, stated)
     model = port_model(linear)
@@ -228,6 +230,24 @@ def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ..
         found.require()
         findings.extend(found.findings)
     return tuple(findings)
+
+
+def _from_near(
+    plant: LinearPlant, measured: list[Record], kept_out: list[Record]
+) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
+    """The records with positions that are far from zero counted from within the strokes, and a word on it."""
+    from robustlab.identification.record_check.position_datum import counted_from, position_datum
+    from robustlab.identification.record_check.suitability import Finding
+
+    datum = position_datum(plant, [*measured, *kept_out])
+    told = tuple(
+        Finding(
+            "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
+            f"take {at:.9g} off {name} where the updated plant is compared with records", False, {"datum": at},
+        )
+        for name, at in datum.items()
+    )  # fmt: skip
+    return *([counted_from(r, datum) for r in side] if datum else side for side in (measured, kept_out)), told
 
 
 def _data(

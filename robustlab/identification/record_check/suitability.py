@@ -429,7 +429,9 @@ def _unexcited(
     if inputs and len(constant) == len(inputs):
         what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
         free = not any(record[name].any() for name in constant)
-        told = "free motion alone, which tells no gain of an input" if free else "a constant load cannot be told from it"
+        told = (
+            "free motion alone, which tells no gain of an input" if free else "a constant load cannot be told from it"
+        )
         told = "no output leaves its noise either" if nothing else told
         text = f"constant: {what}; {told}"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
