@@ -247,7 +247,9 @@ def _from_near(
         )
         for name, at in datum.items()
     )  # fmt: skip
-    return *([counted_from(r, datum) for r in side] if datum else side for side in (measured, kept_out)), told
+    if not datum:
+        return measured, kept_out, ()
+    return [counted_from(r, datum) for r in measured], [counted_from(r, datum) for r in kept_out], told
 
 
 def _data(

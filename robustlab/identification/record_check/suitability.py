@@ -407,7 +407,8 @@ def _too_short(response: Response, record: Record) -> list[Finding]:
     A mode that decays more slowly than the record lasts moves within it as an integrator would: it is told, no more.
     """
     slowest, period = response.slowest_time_constant(), longest_period(response.model)
-    text, evidence = f"lasts {record.duration:.6g} s", {"duration": record.duration, "time_constant": slowest}
+    text = f"lasts {record.duration:.6g} s"
+    evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
     if record.duration < period:
         expected = f"at least one period of the model's slowest oscillation, {period:.6g} s"
         hint = f"record {3 * period:.3g} s or more"

@@ -140,7 +140,7 @@ class Response:
 
 def _rates(model: StateSpaceModel) -> NDArray[np.complex128]:
     """The poles in 1/s, of a discrete model too."""
-    poles = model.poles()
+    poles = model.poles().astype(np.complex128)
     return np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
 
 
