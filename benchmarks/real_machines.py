@@ -30,6 +30,9 @@ from robustlab.statespace import Signal
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
+FITTED, JUDGED = (20, 25, 28), (22, 27)  # runs of the brushless motor
+
+
 @dataclass(frozen=True)
 class Machine:
     """A nominal plant, records to fit and records to judge."""
@@ -74,7 +77,7 @@ def odrive(data: Path, series: str, measured: bool) -> Machine:
             return record(group, f"run{k:02d}", i if measured else steps, {"q": "phi"})
 
         plant = axis("rad", "N m", "A", (2.5e-4, 0.10), (0.06, 0.20))
-        return Machine(plant, [run(k) for k in (20, 25, 28)], [run(k) for k in (22, 27)])
+        return Machine(plant, [run(k) for k in FITTED], [run(k) for k in JUDGED])
 
 
 def cart(data: Path) -> Machine:

@@ -19,6 +19,7 @@ from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (
     candidates,
     nuisance_parameters,
+    periods_seen,
     spatial_orders,
     stated_tolerances,
     timed_lines,
@@ -228,6 +229,34 @@ def test_two_ripples_come_with_the_stronger_first():
     found = spatial_orders(q, 0.01 * np.sin(8 * q) + 0.03 * np.sin(31 * q), v, v != 0)
     assert found[0] == pytest.approx(31.0, abs=0.1)
     assert any(abs(k - 8.0) < 0.1 for k in found)
+
+
+def test_less_than_two_periods_are_a_curve_and_no_line():
+    q, v = unequal_travel()
+    k = 1.5 * 2 * np.pi / np.ptp(q)
+    assert all(found >= 2 * 2 * np.pi / np.ptp(q) for found in spatial_orders(q, np.cos(k * q), v, v != 0))
+
+
+def test_records_in_different_places_show_the_periods_of_one_stroke():
+    """Two strokes of 0.2 m, 1 m apart: a wave of 0.15 m is a curve there, though it fits eight times in between."""
+    stroke = 0.1 - 0.1 * np.cos(np.linspace(0.0, 4 * np.pi, 2000))
+    q = np.concatenate([stroke, stroke + 1.0])
+    v = np.gradient(q)
+    k = 2 * np.pi / 0.15
+    within = spatial_orders(q, np.cos(k * q), v, v != 0, stroke=0.2)
+    assert within
+    assert min(within) >= 2 * 2 * np.pi / 0.2
+    fine = 2 * np.pi / 0.02
+    assert spatial_orders(q, np.cos(fine * q), v, v != 0, stroke=0.2)[0] == pytest.approx(fine, rel=0.01)
+
+
+def test_periods_are_counted_in_the_longest_stroke():
+    axis = rl.plant("servo-axis")
+    ready = prepared(axis)
+    position = port_model(axis).ports["v"].position
+    travel = np.ptp(ready.record["q"])
+    assert periods_seen(2 * np.pi / travel, position, [ready]) == pytest.approx(1.0, rel=0.01)
+    assert periods_seen(6 * np.pi / travel, position, [ready, ready]) == pytest.approx(3.0, rel=0.01)
 
 
 def test_without_travel_there_are_no_lines():

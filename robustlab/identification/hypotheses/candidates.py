@@ -18,13 +18,16 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
-from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
 __all__ = [
+    "FEWEST_PERIODS",
     "candidates",
     "nuisance_parameters",
+    "periods_seen",
     "spatial_orders",
     "stated_tolerances",
     "timed_lines",
@@ -36,6 +39,7 @@ LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say 
 # Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
 # a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.
 LINE_FREEDOM = 0.48 * (2 * LINE_NEIGHBOURS + 1) / 1.5
+FEWEST_PERIODS = 2.0  # of an effect over the position, in one stroke
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
@@ -159,7 +163,8 @@ def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]], tuning: 
     v = np.concatenate([m[1] for m in motion])
     d = np.concatenate([m[2] for m in motion])
     moving = np.abs(v) > 0.01 * np.abs(v).max(initial=0.0)
-    plain, flipped = (spatial_orders(q, force, v, moving, tuning) for force in (d, d * np.sign(v)))
+    stroke = max(float(np.ptp(m[0])) for m in motion)
+    plain, flipped = (spatial_orders(q, force, v, moving, tuning, stroke) for force in (d, d * np.sign(v)))
     merged: list[float] = []
     for pair in zip(plain, flipped, strict=False):
         for k in pair:
@@ -168,11 +173,23 @@ def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]], tuning: 
     return tuple(merged[: 2 * tuning.spatial_lines])
 
 
-def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTuning = TUNING) -> tuple[float, ...]:
+def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -> float:
+    """Periods of a spatial frequency k (rad per unit of position) in the longest stroke of any of the records.
+
+    ``position`` (n_x,) is the row of the states that k counts over. Below `FEWEST_PERIODS` a wave is a curve like any
+    other: constant, slope and a bend, which a spring, a stop or a load in one place makes as well.
+    """
+    return abs(k) * max(float(np.ptp(r.smoothed.x @ position)) for r in records) / (2.0 * np.pi)
+
+
+def spatial_orders(
+    q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTuning = TUNING, stroke: float = math.inf
+) -> tuple[float, ...]:
     """Strongest spatial frequencies of the force d over the position q, in rad per unit of q, strongest first.
 
     A periodogram over the position, after the part of d that depends on the direction and linearly on the speed is
-    taken out. Frequencies below one period in the range are trends and no lines.
+    taken out. Frequencies below two periods in the ``stroke`` (the longest of one record, where q holds several in
+    different places), or in the whole range of q, are curves and no lines.
     """
     q, d, v = q[moving], d[moving], v[moving]
     span = float(np.ptp(q)) if len(q) else 0.0
@@ -185,7 +202,8 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTun
     place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
     padded = 8 * bins
     k = 2.0 * np.pi / span * bins / padded * np.arange(padded // 2 + 1)
-    keep = (k >= 2.0 * np.pi / span) & (k <= 2.0 * np.pi / span * min(tuning.finest_lines, bins / 4))
+    lowest = FEWEST_PERIODS * 2.0 * np.pi / min(span, stroke)
+    keep = (k >= lowest) & (k <= 2.0 * np.pi / span * min(tuning.finest_lines, bins / 4))
     k = k[keep]
     found: list[float] = []
     # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.

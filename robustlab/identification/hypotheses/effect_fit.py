@@ -39,6 +39,7 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales,
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.sampled_input import Hold
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -49,7 +50,6 @@ __all__ = [
     "FitPlan",
     "Hypothesis",
     "NoiseModel",
-    "Nuisance",
     "Problem",
     "Setting",
     "predicted",
@@ -59,39 +59,6 @@ __all__ = [
 
 
 WILD = 1e6  # errors beyond this many standard deviations count as this
-
-
-@dataclass(frozen=True)
-class Nuisance:
-    """What every hypothesis refits: nominal parameters that a common factor of their references scales
-    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
-
-    Attributes
-    ----------
-    label, names
-        Of the group, and its parameters.
-    spread
-        Standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s.
-    additive
-        The nominal value is 0: the factor is the value in its unit.
-    never_negative
-        Physics forbids negative values, as of a friction: an additive factor stops at 0.
-    input
-        Input whose clock may be shifted against the outputs'; empty for parameters.
-    """
-
-    label: str
-    names: tuple[str, ...]
-    spread: float
-    additive: bool = False
-    never_negative: bool = False
-    input: str = ""
-
-    def factor(self, z: float) -> float:
-        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
-        if not self.additive:
-            return float(np.exp(self.spread * z))
-        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
 
 
 @dataclass(frozen=True)

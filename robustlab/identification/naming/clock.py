@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Nuisance, Problem
+from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Problem
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.tuning import NamingTuning
 
 __all__ = ["clock_nuisances", "held_inputs", "short_steps", "step_error"]

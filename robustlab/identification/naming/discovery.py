@@ -26,7 +26,8 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Clock, Nuisance, Problem
+from robustlab.identification.hypotheses.effect_fit import Clock, Problem
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import alike, prepare, window_length
 from robustlab.identification.naming.admissible import admissible
 from robustlab.identification.naming.answer import Case, answer
@@ -105,15 +106,19 @@ def discover(
     if not measured:
         raise InputError("discover", "no record", "at least one")
     findings = _checked(linear, [*measured, *kept_out])
+    measured, kept_out, told = _from_near(linear, measured, kept_out)
+    findings += told
+    measured, kept_out, told = _from_near(linear, measured, kept_out)
+    findings += told
     stated = stated_tolerances(linear, tolerances)
     linear = with_absolute_tolerances(linear, stated)
     model = port_model(linear)
     problem, held, held_text = _problems(linear, model, measured, kept_out, stated, window, tuning)
     pool = [c for c in candidates(linear, model, problem.records, tuning) if c.effect.id not in left_out]
     case = Case(linear, measured, repeats, period, stated, findings, held_text, pool)
-    told = Progress(progress)
-    found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), told.step)
-    told.tell("what remains")
+    said = Progress(progress)
+    found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), said.step)
+    said.tell("what remains")
     return replace(answer(case, found, weigh(found)), seconds=time.perf_counter() - began)
 
 
@@ -140,6 +145,25 @@ def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ..
         found.require()
         findings.extend(found.findings)
     return tuple(findings)
+
+
+def _from_near(
+    plant: LinearPlant, measured: list[Record], kept_out: list[Record]
+) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
+    """The records with positions that are far from zero counted from within the strokes, and a word on it."""
+    from robustlab.identification.record_check.position_datum import counted_from, position_datum
+
+    datum = position_datum(plant, [*measured, *kept_out])
+    told = tuple(
+        Finding(
+            "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
+            f"take {at:.9g} off {name} where the updated plant is compared with records", False, {"datum": at},
+        )
+        for name, at in datum.items()
+    )  # fmt: skip
+    if not datum:
+        return measured, kept_out, ()
+    return [counted_from(r, datum) for r in measured], [counted_from(r, datum) for r in kept_out], told
 
 
 def _problems(

@@ -407,7 +407,8 @@ def _too_short(response: Response, record: Record) -> list[Finding]:
     A mode that decays more slowly than the record lasts moves within it as an integrator would: it is told, no more.
     """
     slowest, period = response.slowest_time_constant(), longest_period(response.model)
-    text, evidence = f"lasts {record.duration:.6g} s", {"duration": record.duration, "time_constant": slowest}
+    text = f"lasts {record.duration:.6g} s"
+    evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
     if record.duration < period:
         expected = f"at least one period of the model's slowest oscillation, {period:.6g} s"
         hint = f"record {3 * period:.3g} s or more"
@@ -428,7 +429,11 @@ def _unexcited(
     nothing = bool(alive) and len(still) == len(alive)
     if inputs and len(constant) == len(inputs):
         what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
-        told = "no output leaves its noise either" if nothing else "free motion alone, which tells no gain of an input"
+        free = not any(record[name].any() for name in constant)
+        told = (
+            "free motion alone, which tells no gain of an input" if free else "a constant load cannot be told from it"
+        )
+        told = "no output leaves its noise either" if nothing else told
         text = f"constant: {what}; {told}"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}

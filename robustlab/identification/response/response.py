@@ -141,7 +141,8 @@ class Response:
 def _rates(model: StateSpaceModel) -> NDArray[np.complex128]:
     """The poles in 1/s, of a discrete model too."""
     poles = model.poles()
-    return np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
+    rates = np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
+    return np.asarray(rates, dtype=np.complex128)
 
 
 def longest_period(model: StateSpaceModel) -> float:

@@ -1,0 +1,42 @@
+"""What every hypothesis refits: nominal parameters, and the clocks of the inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Nuisance"]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
+
+    Attributes
+    ----------
+    label, names
+        Of the group, and its parameters.
+    spread
+        Standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s.
+    additive
+        The nominal value is 0: the factor is the value in its unit.
+    never_negative
+        Physics forbids negative values, as of a friction: an additive factor stops at 0.
+    input
+        Input whose clock may be shifted against the outputs'; empty for parameters.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    spread: float
+    additive: bool = False
+    never_negative: bool = False
+    input: str = ""
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
