@@ -63,15 +63,15 @@ class NamingTuning:
     # Iterations of the base and of each round. The base must be at its optimum, or whatever is added would seem to gain
     # what it still had to gain itself.
     base: int = 25
-    first: int = 4
-    second: int = 6
+    first: int = 2
+    second: int = 4
     last: int = 8
     rough: float = 0.5  # fall of V at which the first two rounds stop
     first_windows: int = 6  # that the first round looks at, and the second: more judge better and take more time
     second_windows: int = 18
     kept_second: int = 10  # hypotheses that enter the second round, and the last
-    kept_last: int = 7
-    kept_gains: int = 3  # wrong gains beside them: at the same cost the prior may prefer one
+    kept_last: int = 6
+    kept_gains: int = 2  # wrong gains beside them: at the same cost the prior may prefer one
     full: int = 15  # iterations of a full fit
     rough_fits: int = 4  # full fits before the noise is known, of fewer iterations: they only have to find a leader
     rough_full: int = 6
@@ -81,12 +81,12 @@ class NamingTuning:
     # --- clocks
     clock_share: float = 0.25  # of a sample: standard deviation of an input's shift
     least_steps: int = 1  # a sample
-    most_steps: int = 8  # a sample: more follow stiffer contacts and take more time
+    most_steps: int = 4  # a sample: more follow stiffer contacts and take more time
     step_error: float = 0.1  # of the noise, by which half as long steps may change a residual
 
     # --- the sets of effects
     most_effects: int = 5
-    most_expansions: int = 16  # sets to which effects are added before the search is called unfinished
+    most_expansions: int = 12  # sets to which effects are added before the search is called unfinished
     prior_effect: float = 0.02  # of an effect at a place
     prior_refinement: float = 0.1  # of a refinement, over that of the effect it refines
     looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found

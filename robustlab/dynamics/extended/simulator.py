@@ -77,6 +77,9 @@ class Simulator:
         What each input is between its samples, (n_u,): ``"zoh"``, ``"linear"`` or ``"smooth"``
         (`robustlab.dynamics.ports.sampled_input`); None: all held.
 
+    rough
+        Steps are made once, not a second time in halves: a third of the time, and second order at best.
+
     Raises
     ------
     InputError
@@ -93,9 +96,10 @@ class Simulator:
         *,
         sub: int | None = None,
         hold: Sequence[Hold] | None = None,
+        rough: bool = False,
     ) -> None:
         self.plant, self.effects, self.dt, self.t0 = plant, tuple(effects), dt, t0
-        self.sub = stepping(plant, dt) if sub is None else sub
+        self.sub, self.rough = stepping(plant, dt) if sub is None else sub, rough
         if self.sub < 1:
             raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
         holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
@@ -244,7 +248,7 @@ class Simulator:
         start = np.zeros((count, n))
         start[:, : model.own] = x0
         kernel.quiet_first_class_functions()
-        run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own)
+        run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own, not self.rough)
         kernel.step_windows(functions, steps, parameters, memory, run, states, forces)
         return states, forces
 

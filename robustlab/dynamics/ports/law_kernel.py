@@ -98,7 +98,7 @@ class Run(NamedTuple):
     u (n_samples * sub, columns of gamma_u), steps of h seconds from the time t0, ``sub`` of them a sample; first
     samples of the windows (n_windows,), each ``length`` samples long, and their initial states x0 (n_windows, n). Of
     these the first ``own`` belong to the plant; those of effects are used in the first window and carried over
-    afterwards.
+    afterwards. Without ``halves`` each step is made once, whole.
     """
 
     u: Any
@@ -109,6 +109,7 @@ class Run(NamedTuple):
     length: Any
     x0: Any
     own: Any
+    halves: Any
 
 
 @nb.njit(cache=True, nogil=True)
@@ -119,7 +120,7 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
     (n_windows, length, n) and forces (n_windows, length, n_laws; those of the last step before the sample) are written.
     """
     phi, gamma_u, gamma_f, velocity, position = steps
-    u, h, t0, sub, starts, length, x0, own = run
+    u, h, t0, sub, starts, length, x0, own, halves = run
     n, n_u, n_z = phi.shape[1], gamma_u.shape[2], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
@@ -137,7 +138,7 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                     gq[part, j, k] += position[j, i] * gamma_f[part, k, i]
                     gv[part, j, k] += velocity[j, i] * gamma_f[part, k, i]
     sweeps = SWEEPS if n_laws > 1 else 1
-    parts = 3 if n_laws else 1
+    parts = 3 if n_laws and halves else 1
     for w in range(starts.shape[0]):
         for i in range(own):
             x[0, i] = x0[w, i]
@@ -205,7 +206,7 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                     for j in range(n_laws):
                         for i in range(n):
                             x[end, i] += gamma_f[part, j, i] * f[part, j]
-                        if part:
+                        if part or parts == 1:
                             for i in range(n_z):
                                 memory[j, i] = z_next[j, i]
                 if parts == 1:

@@ -63,10 +63,11 @@ WILD = 1e6  # errors beyond this many standard deviations count as this
 
 @dataclass(frozen=True)
 class Clock:
-    """How all hypotheses are simulated: steps a sample, and each input between its samples (`Simulator`)."""
+    """How all hypotheses are simulated: steps a sample, each input between its samples, rough or not (`Simulator`)."""
 
     sub: int | None = None
     hold: tuple[Hold, ...] | None = None
+    rough: bool = False
 
 
 class Setting(NamedTuple):
@@ -273,8 +274,8 @@ class Problem:
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
         """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        sub, hold = self.clock.sub, self.clock.hold
-        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0, sub=sub, hold=hold) for r in self.records]
+        how = {"sub": self.clock.sub, "hold": self.clock.hold, "rough": self.clock.rough}
+        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0, **how) for r in self.records]
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None

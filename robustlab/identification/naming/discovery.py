@@ -108,8 +108,6 @@ def discover(
     findings = _checked(linear, [*measured, *kept_out])
     measured, kept_out, told = _from_near(linear, measured, kept_out)
     findings += told
-    measured, kept_out, told = _from_near(linear, measured, kept_out)
-    findings += told
     stated = stated_tolerances(linear, tolerances)
     linear = with_absolute_tolerances(linear, stated)
     model = port_model(linear)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -73,10 +73,12 @@ def promising(
     """
     tuning, noise = problem.tuning, base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
+    rough = replace(problem.clock, rough=True)
     few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.first_windows)
     some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.second_windows)
+    few, some = few.under(rough), some.under(rough)
     few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
-    some_base = few_base if some is few else some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
+    some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     borrowed = few.derivatives(few_base)
     few_ceiling = min(few_ceiling, few_base.cost - 2.0 * tuning.promising)
     some_ceiling = min(some_ceiling, some_base.cost - 2.0 * tuning.promising)
