@@ -17,6 +17,7 @@ from robustlab.identification.naming.discovery_parts import (
     Rival,
     SearchEntry,
     SetProbability,
+    wave_amplitude,
 )
 from robustlab.result import Evidence, Status
 
@@ -295,6 +296,7 @@ def _title(effect: str) -> str:
 def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]:
     lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
     lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
+    lines += _wave_line(effect)
     if not details:
         return lines
     lines += [_row("  equation", effect.equation)]
@@ -307,6 +309,20 @@ def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]
         told = f"probability {chance(r.probability)}, {_number(r.distance)} noise sigmas apart (3 tell)"
         lines.append(_row("  or", f"{r.title}, {r.name} at {r.site} ({values}): {told}"))
     return lines
+
+
+def _wave_line(effect: NamedEffect) -> list[str]:
+    """Amplitude and period of an effect that is periodic: what a person looks for in its cosine and sine part."""
+    values = {p.name: p.value for p in effect.parameters}
+    amplitude = wave_amplitude(values)
+    if amplitude is None or not values.get("k"):
+        return []
+    period = 2.0 * math.pi / values["k"]
+    (unit,) = (p.unit for p in effect.parameters if p.name == "k")
+    told = f"period {_number(period, unit.removeprefix('1/'))}"
+    if "rad" in unit:
+        told += f", {values['k']:.4g} a turn"
+    return [_row("  amplitude", f"{_number(amplitude, effect.parameters[0].unit)}, {told}")]
 
 
 def _doubt_line(r: Rival) -> str:
