@@ -12,48 +12,16 @@ from numpy.typing import ArrayLike
 import robustlab as rl
 from robustlab import Record
 
-from .effects import EFFECTS, MOTOR_ONLY, OUTSIDE_EFFECTS, Setting
-from .excitation import KINDS, reference, voltage
-from .machine import Array, Machine
+from .effects import ALL_EFFECTS, Setting, hidden_effect
+from .excitation import HOLDS, KINDS, Drive, drive, reference
+from .families import possible
+from .machine import Array, Machine, Run
 from .plants import LEVELS, PLANTS, Setup
-from .rig import ALL_EFFECTS, Rig, generator
+from .rig import Rig, generator
 
-__all__ = [
-    "CLASSES",
-    "CURRENT_ONLY",
-    "NOISE",
-    "OUTSIDE",
-    "PAIRS",
-    "SERVO_CLASSES",
-    "SERVO_OUTSIDE",
-    "Case",
-    "make_case",
-]
+__all__ = ["NOISE", "Case", "make_case"]
 
 NOISE = tuple(LEVELS)
-# A constant offset of the angle is no more than another zero on a plant that integrates: only a current shows it.
-CURRENT_ONLY = ("sensor-bias",)
-CLASSES = ("none", *(name for name in EFFECTS if name not in CURRENT_ONLY))
-SERVO_CLASSES = tuple(name for name in CLASSES if name not in MOTOR_ONLY)
-OUTSIDE = tuple(OUTSIDE_EFFECTS)
-SERVO_OUTSIDE = tuple(name for name in OUTSIDE if name != "field-weakening")
-PAIRS = (
-    ("coulomb-friction", "input-dead-zone"),
-    ("coulomb-friction", "constant-load"),
-    ("coulomb-friction", "cogging"),
-    ("coulomb-friction", "inertia"),
-    ("coulomb-friction", "quadratic-drag"),
-    ("coulomb-friction", "input-delay"),
-    ("coulomb-friction", "asymmetric-viscous-friction"),
-    ("coulomb-friction", "flexible-coupling"),
-    ("coulomb-friction", "resistance-heating"),
-    ("coulomb-friction", "stiffness"),
-    ("constant-load", "quadratic-drag"),
-    ("input-delay", "input-dead-zone"),
-    ("backlash", "constant-load"),
-    ("input-saturation", "cogging"),
-)
-
 RECORD, HELD_OUT, REPEAT, EXPERIMENT = range(4)  # runs, each with noise of its own
 
 
@@ -77,6 +45,8 @@ class Case:
         Parameter -> true value over nominal value, within the tolerance; effects come on top of it.
     machine
         The true machine.
+    hold, drive
+        "held" or "continuous" inputs; the record's, with what lies between its samples.
     """
 
     plant: Any
@@ -93,6 +63,8 @@ class Case:
     excitation: str
     current: bool
     closed_loop: bool
+    hold: str
+    drive: Drive = field(repr=False)
     rig: Rig = field(repr=False)
 
     @property
@@ -101,16 +73,19 @@ class Case:
         return self.rig.machine
 
     def experiment(self, u: ArrayLike, *, run: int = 0, current: bool | None = None) -> Record:
-        """Measure once more on the same machine, from rest at zero: voltage u (n,), each held for the sample time.
+        """Measure once more on the same machine, from rest at zero: input u (n,), held or joined as the case's own.
 
         ``run`` picks the noise; ``current`` adds a current sensor (the case's own choice by default).
         """
-        got = self.rig.measured(np.asarray(u, dtype=np.float64), EXPERIMENT + run)
+        got = self.rig.measured(self._through(u), EXPERIMENT + run)
         return self.rig.record(got, f"experiment {run}", self.current if current is None else current)
 
     def clean(self, u: ArrayLike, *, effects: bool = True) -> dict[str, Array]:
-        """Noise-free outputs (n,) for the voltage u (n,); without effects, those of the perturbed nominal machine."""
-        return self.rig.channels(self.rig.clean(np.asarray(u, dtype=np.float64), effects=effects), self.current)
+        """Noise-free outputs (n,) for the input u (n,); without effects, those of the perturbed nominal machine."""
+        return self.rig.channels(self.rig.clean(self._through(u), effects=effects), self.current)
+
+    def _through(self, u: ArrayLike) -> Drive:
+        return Drive.through(np.asarray(u, dtype=np.float64), self.hold)
 
 
 def make_case(
@@ -122,8 +97,9 @@ def make_case(
     current: bool = False,
     plant: str = "dc-motor",
     duration: float = 4.8,
-    dt: float = 1e-3,
+    dt: float | None = None,
     closed_loop: bool = False,
+    hold: str = "held",
     parameters: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Case:
     """Draw a case; the same arguments give the same case, bit by bit, on the same machine.
@@ -141,6 +117,9 @@ def make_case(
         "rich", "square", "oneway", "multisine" or "steps"; the held-out record is of the same kind.
     current
         A current sensor, too (not on the servo axis).
+    hold
+        "held": the input is constant between its samples; "continuous": it moves between them and only the samples
+        are known.
     closed_loop
         A position controller follows a drawn reference and its voltage is logged as u; ``excitation`` is not used.
     parameters
@@ -153,26 +132,36 @@ def make_case(
     """
     given = parameters or {}
     names = _checked(effects, plant, noise, excitation, current, given)
-    setup, n = PLANTS[plant], round(duration / dt)
+    setup = PLANTS[plant]
+    if closed_loop and (setup.feedback is None or hold != "held"):
+        raise ValueError(f"no controller that holds its output works on {plant} with a {hold} input")
+    if hold not in HOLDS:
+        raise ValueError(f"hold {hold!r}: one of {', '.join(HOLDS)}")
+    dt = setup.dt if dt is None else dt
+    n = round(duration / dt)
     draw = generator(seed, "machine", plant, *names)
     inputs = generator(seed, "input", plant, excitation, closed_loop, *names)
+    if setup.vary is not None:
+        setup = setup.vary(setup, draw)
+    resonance = _resonance(setup)
 
-    def next_input() -> Array:
+    def next_input() -> Drive:
         if closed_loop:
-            return reference(n, dt, setup.reach, inputs)
-        return voltage(excitation, n, dt, setup.largest, inputs)
+            return Drive(reference(n, dt, setup.reach, inputs))
+        return drive(excitation, n, dt, setup.largest, inputs, inputs=setup.inputs, hold=hold, resonance=resonance)
 
     perturbed = _perturbed(setup, draw)
     bare = setup.machine({name: value * perturbed[name] for name, (value, _) in setup.nominal.items()})
-    feedback = (*setup.feedback, setup.largest) if closed_loop else None
+    feedback = (*setup.feedback, setup.largest) if closed_loop and setup.feedback else None
     first, second = next_input(), next_input()
-    setting = Setting(setup, bare, first, second, dt, feedback)
+    setting = Setting(setup, bare, first.samples, second.samples, dt, feedback)
     machine, true = bare, {}
     for name in names:
         true[name] = {
-            key: float(v) for key, v in {**ALL_EFFECTS[name].draw(draw, setting), **given.get(name, {})}.items()
+            key: float(v)
+            for key, v in {**hidden_effect(plant, name).draw(draw, setting), **given.get(name, {})}.items()
         }
-        machine = ALL_EFFECTS[name].put(machine, true[name], setting)
+        machine = hidden_effect(plant, name).put(machine, true[name], setting)
     rig = Rig(setup, machine, bare, true, seed, noise, dt, feedback)
     record = rig.measured(first, RECORD, closed=closed_loop)
     held_out = rig.measured(second, HELD_OUT, closed=closed_loop)
@@ -181,8 +170,8 @@ def make_case(
         record=rig.record(record, "record", current),
         held_out=rig.record(held_out, "held-out", current),
         repeat=rig.record(rig.measured(first, REPEAT, closed=closed_loop), "repeat", current),
-        record_clean=rig.channels(rig.clean(record.u), current),
-        held_out_clean=rig.channels(rig.clean(held_out.u), current),
+        record_clean=rig.channels(rig.clean(_logged(first, record[0]), RECORD), current),
+        held_out_clean=rig.channels(rig.clean(_logged(second, held_out[0]), HELD_OUT), current),
         effects=names,
         true_parameters=true,
         perturbed=perturbed,
@@ -191,8 +180,21 @@ def make_case(
         excitation="closed-loop" if closed_loop else excitation,
         current=current,
         closed_loop=closed_loop,
+        hold=hold,
+        drive=_logged(first, record[0]),
         rig=rig,
     )
+
+
+def _logged(asked: Drive, run: Run) -> Drive:
+    """The input that acted: in closed loop what the controller put out."""
+    return asked if asked.fine is not None else Drive(run.u)
+
+
+def _resonance(setup: Setup) -> float:
+    """Frequency in Hz of a plant with a spring, nominal; 0 of others."""
+    value = {name: value for name, (value, _) in setup.nominal.items()}
+    return float(np.sqrt(value["k"] / value["m"])) / (2 * np.pi) if setup.inputs == "resonant" else 0.0
 
 
 def _checked(
@@ -218,8 +220,8 @@ def _checked(
     for name in names:
         if name not in ALL_EFFECTS:
             raise ValueError(f"effect {name!r}: 'none' or one of {', '.join(ALL_EFFECTS)}")
-        if not electrical and name in (*MOTOR_ONLY, "field-weakening"):
-            raise ValueError(f"{name} needs a motor; {plant} has none")
+        if not possible(plant, name):
+            raise ValueError(f"{name} makes no sense on {plant}")
     if len(set(names)) < len(names) or set(parameters) - set(names):
         raise ValueError("every effect once, and parameters only for effects of the case")
     return names

@@ -16,7 +16,7 @@ import numpy as np
 from .machine import Array, Machine, Run, simulate
 from .plants import Setup
 
-__all__ = ["EFFECTS", "MOTOR_ONLY", "OUTSIDE_EFFECTS", "Hidden", "Setting", "Timeline"]
+__all__ = ["ALL_EFFECTS", "EFFECTS", "MOTOR_ONLY", "OUTSIDE_EFFECTS", "Hidden", "Setting", "Timeline", "hidden_effect"]
 
 Parameters = dict[str, float]
 
@@ -49,14 +49,23 @@ class Setting:
 
     @property
     def torque(self) -> float:
-        """Factor from a motor's torque to this plant's force."""
-        return 1.0 / self.setup.length
+        """Factor from a motor's torque to this plant's force; on an oscillator what counts is the damping's."""
+        if self.setup.inputs == "resonant":
+            return 80.0 * self.machine.b_pos * float(np.std(self.free.omega))
+        return self.setup.force_scale
+
+    @property
+    def speed(self) -> float:
+        """Factor from a motor's speed to this plant's."""
+        if self.setup.inputs == "resonant":
+            return float(np.std(self.free.omega)) / 150.0
+        return self.setup.speed_scale
 
     @property
     def frequency(self) -> float:
         """Bandwidth of the effect-free machine in rad/s."""
         m = self.machine
-        return (m.b_pos + (m.Kt * m.Ke / m.R if m.winding else 0.0)) / m.J1
+        return (m.b_pos + m.c_s + (m.Kt * m.Ke / m.R if m.winding else 0.0)) / m.J1
 
     @cached_property
     def free(self) -> Run:
@@ -131,7 +140,7 @@ def _coulomb(r: np.random.Generator, s: Setting) -> Parameters:
 
 def _stribeck(r: np.random.Generator, s: Setting) -> Parameters:
     Fc = s.torque * r.uniform(4e-3, 8e-3)
-    return {"Fc": Fc, "dF": Fc * r.uniform(0.7, 1.5), "vs": s.length * r.uniform(6, 20)}
+    return {"Fc": Fc, "dF": Fc * r.uniform(0.7, 1.5), "vs": s.speed * r.uniform(6, 20)}
 
 
 def _presliding(r: np.random.Generator, s: Setting) -> Parameters:
@@ -140,7 +149,7 @@ def _presliding(r: np.random.Generator, s: Setting) -> Parameters:
 
 def _asymmetric(r: np.random.Generator, s: Setting) -> Parameters:
     low = s.machine.b_pos
-    high = low + s.torque / s.length * r.uniform(3e-5, 8e-5)
+    high = low + s.torque / s.speed * r.uniform(3e-5, 8e-5)
     return {"b_pos": high, "b_neg": low} if r.random() < 0.5 else {"b_pos": low, "b_neg": high}
 
 
@@ -151,7 +160,8 @@ def _position_friction(r: np.random.Generator, s: Setting) -> Parameters:
 
 
 def _cogging(r: np.random.Generator, s: Setting) -> Parameters:
-    order = float(r.choice([1.0, 2.0, 4.0, 7.0, 13.0] if s.setup.electrical else [1.0, 2.0]))
+    # Once a turn it would be the gravity of a pendulum.
+    order = float(r.choice([2.0, 4.0, 7.0, 13.0] if s.setup.unit == "rad" else [1.0, 2.0]))
     size = r.uniform(2e-3, 5e-3) * (1.0 + order / 13.0)
     return {"A": s.torque * size, "n": order / s.length, "a": _angle(r)}
 
@@ -195,16 +205,79 @@ def _put_gear(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 def _end_stop(r: np.random.Generator, s: Setting) -> Parameters:
-    """A stop on the side, and within the distance, that both records would reach without it."""
+    """Two stops that both records meet, where their input goes both ways: closer together until they do."""
+    other = simulate(s.machine, s.other_u, s.dt, feedback=s.feedback).phi
+    way = min(np.ptp(s.free.phi), np.ptp(other)) * r.uniform(0.4, 0.6)
+    below, stiffness, hc = r.uniform(0.3, 0.7), s.torque * r.uniform(2, 10), r.uniform(0.003, 0.01)
+    p: Parameters = {}
+    for _ in range(8):
+        p = {"low": -way * below, "high": way * (1 - below), "stiffness": stiffness / s.length, "hc": hc / s.length}
+        p = {key: float(value) for key, value in p.items()}
+        stopped = [simulate(_put_end_stop(s.machine, p, s), u, s.dt, feedback=s.feedback).phi for u in (s.u, s.other_u)]
+        if all(phi.max() > p["high"] and phi.min() < p["low"] for phi in stopped):
+            break
+        way *= 0.75
+    return p
+
+
+def _put_end_stop(m: Machine, p: Parameters, s: Setting) -> Machine:
+    return m._replace(x_low=p["low"], x_high=p["high"], k_stop=p["stiffness"], c_stop=p["hc"])
+
+
+def _one_sided(r: np.random.Generator, s: Setting) -> Parameters:
+    """A spring that begins well within what both records would reach without it."""
     other = simulate(s.machine, s.other_u, s.dt, feedback=s.feedback).phi
     up, down = min(s.free.phi.max(), other.max()), min(-s.free.phi.min(), -other.min())
     side = 1.0 if up > down else -1.0
+    far = float(max(up, down))
+    return {"side": side, "place": side * far * r.uniform(0.1, 0.4), "k": s.torque * r.uniform(15e-3, 40e-3) / far}
+
+
+def _load_dependent(r: np.random.Generator, s: Setting) -> Parameters:
+    """Friction in proportion to what the gear transmits, other when the load drives the motor than the other way."""
+    low, high = r.uniform(0.1, 0.25), r.uniform(0.3, 0.55)
+    drive, back = (low, high) if r.random() < 0.5 else (high, low)
+    return {"Fc": s.torque * r.uniform(2e-3, 5e-3), "drive": drive, "back": back, "share": r.uniform(0.5, 0.7)}
+
+
+def _put_load_dependent(m: Machine, p: Parameters, s: Setting) -> Machine:
+    if not m.J2:
+        w, J = 2 * math.pi * 1000.0, _reduced(m, p["share"])
+        m = _put_shaft(m, p["share"], J * w**2, c_s=2 * 0.3 * J * w)
+    return _dry(m, p["Fc"], s, Fc=p["Fc"], loss=p["drive"], loss_back=p["back"])
+
+
+def _asymmetric_coulomb(r: np.random.Generator, s: Setting) -> Parameters:
+    high = s.torque * r.uniform(4e-3, 9e-3)
+    low = high * r.uniform(0.2, 0.6)
+    return {"F_pos": high, "F_neg": low} if r.random() < 0.5 else {"F_pos": low, "F_neg": high}
+
+
+def _put_asymmetric_coulomb(m: Machine, p: Parameters, s: Setting) -> Machine:
+    mean, half = 0.5 * (p["F_pos"] + p["F_neg"]), 0.5 * (p["F_pos"] - p["F_neg"])
+    return _dry(m, mean, s, Fc=mean, dFc=half)
+
+
+def _ripple(r: np.random.Generator, s: Setting) -> Parameters:
+    """Mains and its double, or a beat of two clocks."""
+    choice = r.random()
+    frequency = 50.0 if choice < 1 / 3 else 100.0 if choice < 2 / 3 else r.uniform(3, 9)
+    # An inertia shows a torque as an angle that falls with the square of its frequency.
+    return {"A": s.torque * r.uniform(6e-3, 12e-3) * max(1.0, frequency / 12), "frequency": frequency, "a": _angle(r)}
+
+
+def _bouc_wen(r: np.random.Generator, s: Setting) -> Parameters:
     return {
-        "side": side,
-        "place": side * float(max(up, down)) * r.uniform(0.4, 0.8),
-        "stiffness": s.torque / s.length * r.uniform(2, 10),
-        "hc": r.uniform(0.003, 0.01) / s.length,
+        "k": s.torque * r.uniform(15e-3, 30e-3) / (0.1 * s.reach),
+        "elastic": r.uniform(0.03, 0.06),
+        "yield": s.reach * r.uniform(0.05, 0.1),
+        "gamma": r.uniform(-0.3, 0.2),
+        "n": 1.0 if r.random() < 0.5 else 2.0,
     }
+
+
+def _put_bouc_wen(m: Machine, p: Parameters, s: Setting) -> Machine:
+    return m._replace(k_h=p["k"], share_h=p["elastic"], x_h=p["yield"], gamma_h=p["gamma"], n_h=p["n"])
 
 
 def _heating(r: np.random.Generator, s: Setting) -> Parameters:
@@ -245,7 +318,7 @@ EFFECTS: Mapping[str, Hidden] = {
         lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, lambda m, p, s: m._replace(T0=p["T0"])
     ),
     "quadratic-drag": Hidden(
-        lambda r, s: {"c": s.torque / s.length**2 * r.uniform(4e-8, 1.2e-7)}, lambda m, p, s: m._replace(drag=p["c"])
+        lambda r, s: {"c": s.torque / s.speed**2 * r.uniform(4e-8, 1.2e-7)}, lambda m, p, s: m._replace(drag=p["c"])
     ),
     "position-dependent-friction": Hidden(
         _position_friction,
@@ -286,10 +359,23 @@ EFFECTS: Mapping[str, Hidden] = {
     "cubic-stiffness": Hidden(
         lambda r, s: {"k3": s.torque * r.uniform(10e-3, 30e-3) / s.reach**3}, lambda m, p, s: m._replace(k3=p["k3"])
     ),
-    "end-stop": Hidden(
-        _end_stop,
-        lambda m, p, s: m._replace(stop=p["side"], x_stop=p["place"], k_stop=p["stiffness"], c_stop=p["hc"]),
+    "end-stop": Hidden(_end_stop, _put_end_stop),
+    "pendulum-gravity": Hidden(
+        lambda r, s: {"mgl": s.torque * r.uniform(3e-3, 8e-3), "rest": r.uniform(-math.pi, math.pi)},
+        lambda m, p, s: m._replace(grav=p["mgl"], x_grav=p["rest"]),
     ),
+    "actuator-lag": Hidden(lambda r, s: {"T": r.uniform(2e-3, 20e-3)}, lambda m, p, s: m._replace(lag=p["T"])),
+    "asymmetric-coulomb-friction": Hidden(_asymmetric_coulomb, _put_asymmetric_coulomb),
+    "load-dependent-friction": Hidden(_load_dependent, _put_load_dependent),
+    "bouc-wen": Hidden(_bouc_wen, _put_bouc_wen),
+    "torque-ripple": Hidden(
+        _ripple,
+        lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"]),
+    ),
+    "one-sided-spring": Hidden(
+        _one_sided, lambda m, p, s: m._replace(side=p["side"], x_side=p["place"], k_side=p["k"])
+    ),
+    "magnitude-sensor": Hidden(lambda r, s: {}, lambda m, p, s: m._replace(y_abs=1.0)),
 }
 
 # Effects of winding, brushes and back-EMF; and the torque constant, which a force-driven axis has only as input gain.
@@ -306,10 +392,6 @@ def _telegraph(p: Parameters, n: int, dt: float) -> Timeline:
     return Timeline(p["A"] * level, np.ones(n))
 
 
-def _ripple(p: Parameters, n: int, dt: float) -> Timeline:
-    return Timeline(p["A"] * np.cos(2 * math.pi * p["frequency"] * np.arange(n) * dt + p["a"]), np.ones(n))
-
-
 def _dropouts(p: Parameters, n: int, dt: float) -> Timeline:
     r, t, alive = np.random.default_rng(int(p["schedule"])), np.arange(n) * dt, np.ones(n)
     at = 0.0
@@ -323,10 +405,6 @@ def _dropouts(p: Parameters, n: int, dt: float) -> Timeline:
 
 def _unchanged(m: Machine, p: Parameters, s: Setting) -> Machine:
     return m
-
-
-def _put_hysteretic(m: Machine, p: Parameters, s: Setting) -> Machine:
-    return m._replace(k_h=p["k"], share_h=p["elastic"], x_h=p["yield"], gamma_h=p["gamma"])
 
 
 def _resonance(r: np.random.Generator, s: Setting) -> Parameters:
@@ -346,15 +424,6 @@ def _put_resonance(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
-    "hysteretic-spring": Hidden(
-        lambda r, s: {
-            "k": s.torque * r.uniform(15e-3, 30e-3) / (0.1 * s.reach),
-            "elastic": r.uniform(0.03, 0.06),
-            "yield": s.reach * r.uniform(0.05, 0.1),
-            "gamma": r.uniform(-0.3, 0.2),
-        },
-        _put_hysteretic,
-    ),
     "field-weakening": Hidden(
         lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke},
         lambda m, p, s: m._replace(weakening=p["speed"]),
@@ -367,11 +436,6 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         },
         _unchanged,
         _telegraph,
-    ),
-    "timed-ripple": Hidden(
-        lambda r, s: {"A": s.torque * r.uniform(6e-3, 12e-3), "frequency": r.uniform(3, 9), "a": _angle(r)},
-        _unchanged,
-        _ripple,
     ),
     "wearing-friction": Hidden(
         lambda r, s: {"final": s.torque * r.uniform(15e-3, 30e-3)},
@@ -410,3 +474,74 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         lambda m, p, s: m._replace(bite=p["speed"], brake=p["b"]),
     ),
 }
+
+ALL_EFFECTS = {**EFFECTS, **OUTSIDE_EFFECTS}
+
+
+def _friction_of_the_shaft(m: Machine, p: Parameters, s: Setting) -> Machine:
+    return m._replace(c_s=m.c_s * p["factor"])
+
+
+def _one_inertia(m: Machine, p: Parameters, s: Setting) -> Machine:
+    body = "J1" if p["body"] < 1.5 else "J2"
+    return m._replace(**{body: getattr(m, body) * p["factor"]})
+
+
+def _stop_of_a_spring(r: np.random.Generator, s: Setting) -> Parameters:
+    return {**_end_stop(r, s), "stiffness": s.machine.k * r.uniform(0.5, 3), "hc": r.uniform(0.1, 0.3) / s.speed / 150}
+
+
+def _ripple_beside_a_resonance(r: np.random.Generator, s: Setting) -> Parameters:
+    p = _ripple(r, s)
+    beyond = max(1.0, (2 * math.pi * p["frequency"]) ** 2 * s.machine.J1 / s.machine.k)
+    return {**p, "A": beyond * s.setup.largest * r.uniform(0.02, 0.06)}
+
+
+def _share_of_spring(key: str, low: float, high: float) -> Draw:
+    return lambda r, s: {key: s.machine.k * r.uniform(low, high)}
+
+
+# Where a plant has a spring of its own or two bodies, some effects are another thing or another size.
+OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
+    "mass-spring-damper": {
+        "inertia": _scaled("factor", (0.85, 0.93), (1.08, 1.2), "J1"),
+        "viscous-friction": _scaled("factor", (2.0, 4.0), None, "b_pos", "b_neg"),
+        "stiffness": _scaled("factor", (0.88, 0.95), (1.06, 1.14), "k"),
+        "cubic-stiffness": Hidden(
+            lambda r, s: {"k3": s.machine.k * r.uniform(0.01, 0.05) / float(np.var(s.free.phi))},
+            EFFECTS["cubic-stiffness"].put,
+        ),
+        "constant-load": Hidden(
+            lambda r, s: {"T0": s.machine.k * s.length * _sign(r) * r.uniform(0.1, 0.4)}, EFFECTS["constant-load"].put
+        ),
+        "end-stop": Hidden(_stop_of_a_spring, EFFECTS["end-stop"].put),
+        "input-delay": Hidden(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, EFFECTS["input-delay"].put),
+        "sensor-delay": Hidden(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, EFFECTS["sensor-delay"].put),
+        "actuator-lag": Hidden(lambda r, s: {"T": r.uniform(2e-3, 8e-3)}, EFFECTS["actuator-lag"].put),
+        "one-sided-spring": Hidden(
+            lambda r, s: {**_one_sided(r, s), **_share_of_spring("k", 0.05, 0.3)(r, s)}, EFFECTS["one-sided-spring"].put
+        ),
+        "bouc-wen": Hidden(
+            lambda r, s: {
+                **_bouc_wen(r, s),
+                **_share_of_spring("k", 0.03, 0.1)(r, s),
+                "yield": s.reach * r.uniform(0.1, 0.3),
+            },
+            _put_bouc_wen,
+        ),
+        "torque-ripple": Hidden(_ripple_beside_a_resonance, EFFECTS["torque-ripple"].put),
+    },
+    "two-mass": {
+        "inertia": Hidden(
+            lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))},
+            _one_inertia,
+        ),
+        "viscous-friction": Hidden(lambda r, s: {"factor": r.uniform(3, 8)}, _friction_of_the_shaft),
+        "stiffness": _scaled("factor", (0.6, 0.78), (1.25, 1.6), "k_s"),
+    },
+}
+
+
+def hidden_effect(plant: str, name: str) -> Hidden:
+    """The effect as this plant may have it."""
+    return OF_A_PLANT.get(plant, {}).get(name, ALL_EFFECTS[name])

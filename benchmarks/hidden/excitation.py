@@ -1,27 +1,72 @@
-"""Inputs of the blind tests, drawn from a generator; amplitudes are shares of the largest voltage."""
+"""Inputs of the blind tests, drawn from a generator; amplitudes are shares of the largest voltage.
+
+Held between the samples, or continuous: the same kinds, smoothed, so that the samples are all that is known of them.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
-__all__ = ["KINDS", "reference", "voltage"]
+__all__ = ["HOLDS", "KINDS", "Drive", "drive", "reference", "voltage"]
 
 Array = NDArray[np.float64]
 
 KINDS = ("rich", "square", "oneway", "multisine", "steps")
+HOLDS = ("held", "continuous")
 SQUARE = 11.8 / 24.0  # the thesis' +-11.8 V at a 24 V supply
+BETWEEN = 50  # steps a sample in which a continuous input is held at its value in their middle
 
 
-def voltage(kind: str, n: int, dt: float, largest: float, rng: np.random.Generator) -> Array:
-    """Voltage (n,) in V.
+@dataclass(frozen=True)
+class Drive:
+    """An input: its samples (n,), and where it is continuous its values (BETWEEN n,) in the middle of fine steps."""
+
+    samples: Array
+    fine: Array | None = None
+
+    @classmethod
+    def through(cls, samples: Array, hold: str) -> Drive:
+        """Samples held, or joined by straight lines."""
+        if hold == "held":
+            return cls(samples)
+        n = len(samples)
+        return cls(samples, np.interp((np.arange(BETWEEN * n) + 0.5) / BETWEEN, np.arange(n), samples))
+
+
+def drive(
+    kind: str, n: int, dt: float, largest: float, rng: np.random.Generator, *, inputs: str = "levels",
+    hold: str = "held", resonance: float = 0.0,
+) -> Drive:  # fmt: skip
+    """An input of n samples; see `voltage`. A continuous one has a corner of at least 8 samples a period."""
+    if hold == "held":
+        return Drive(voltage(kind, n, dt, largest, rng, inputs=inputs, resonance=resonance))
+    fine = 2 * BETWEEN
+    raw = voltage(kind, fine * n, dt / fine, largest, rng, inputs=inputs, resonance=resonance)
+    corner = rng.uniform(0.06, 0.125)  # of the sample rate, where a Gaussian has fallen by 3 dB
+    smooth = gaussian_filter1d(raw, 0.1325 / corner * fine, mode="nearest")
+    return Drive(smooth[::fine], smooth[1::2])
+
+
+def voltage(
+    kind: str, n: int, dt: float, largest: float, rng: np.random.Generator, *, inputs: str = "levels",
+    resonance: float = 0.0,
+) -> Array:  # fmt: skip
+    """Voltage (n,) in V (or force, or torque).
 
     ``rich``: levels up to the largest voltage, in both directions at least once, small levels, slow ramps through
     zero, small sines, of random dwell, in random order;
     ``square``: +-11.8 V of 24 V, random period; ``oneway``: steps of one sign; ``steps``: levels of both signs;
     ``multisine``: random-phase odd multisine plus levels.
+
+    ``inputs`` "balanced", for a plant that turns freely: every piece is followed by its opposite, so that the speed
+    comes back; "resonant", for an oscillator of the frequency ``resonance`` in Hz: the pieces of "rich" are sweeps and
+    noise about the resonance, bursts at it, and levels after which it swings freely.
     """
     if kind not in KINDS:
         raise ValueError(f"excitation {kind!r}: one of {', '.join(KINDS)}")
@@ -29,8 +74,13 @@ def voltage(kind: str, n: int, dt: float, largest: float, rng: np.random.Generat
         period = rng.uniform(0.35, 0.7)
         return largest * SQUARE * np.where(np.arange(n) * dt % period < period / 2, 1.0, -1.0)
     if kind == "multisine":
-        return _multisine(n, dt, largest, rng)
+        levels = 0.6 if inputs == "levels" else 0.0
+        return _multisine(n, dt, largest, rng, levels, max(60.0, 1.5 * resonance))
+    if kind == "rich" and inputs == "resonant":
+        return _joined(n, lambda: _swing(dt, resonance, rng), largest)
     piece = {"rich": _rich_piece, "oneway": _oneway_piece, "steps": _steps_piece}[kind]
+    if inputs == "balanced":
+        return _joined(n, lambda: _and_back(piece(dt, rng)), largest)
     pieces = [np.full(int(0.12 / dt), side * rng.uniform(0.9, 1)) for side in (-1, 1)] if kind == "rich" else []
     while sum(map(len, pieces)) < n:
         pieces.append(piece(dt, rng))
@@ -49,6 +99,34 @@ def reference(n: int, dt: float, reach: float, rng: np.random.Generator) -> Arra
         out[k : k + len(piece)] = piece[: n - k]
         k, here = k + len(piece), there
     return out
+
+
+def _joined(n: int, piece: Callable[[], Array], largest: float) -> Array:
+    pieces: list[Array] = []
+    while sum(map(len, pieces)) < n:
+        pieces.append(piece())
+    return largest * np.concatenate(pieces)[:n]
+
+
+def _and_back(piece: Array) -> Array:
+    return np.concatenate([piece, -piece])
+
+
+def _swing(dt: float, resonance: float, rng: np.random.Generator) -> Array:
+    """A piece for an oscillator."""
+    m, choice = int(rng.uniform(0.25, 0.8) / dt), rng.random()
+    t, size = np.arange(m) * dt, rng.uniform(0.15, 1)
+    if choice < 0.4:  # a sweep through the resonance, either way
+        low, high = resonance * rng.uniform(0.3, 0.8), resonance * rng.uniform(1.2, 1.7)
+        if rng.random() < 0.5:
+            low, high = high, low
+        return size * np.sin(2 * math.pi * (low * t + 0.5 * (high - low) * t**2 / (m * dt)))
+    if choice < 0.6:  # noise that is smooth over a sixth of a period
+        noise = gaussian_filter1d(rng.normal(size=m), 1 / (6 * resonance * dt))
+        return np.clip(size * noise / (2 * noise.std()), -1, 1)
+    if choice < 0.8:  # a burst, then free
+        return np.where(t < 0.4 * m * dt, size * np.sin(2 * math.pi * resonance * rng.uniform(0.97, 1.03) * t), 0.0)
+    return np.full(m, rng.choice([-1.0, 1.0]) * size)
 
 
 def _rich_piece(dt: float, rng: np.random.Generator) -> Array:
@@ -73,14 +151,14 @@ def _steps_piece(dt: float, rng: np.random.Generator) -> Array:
     return np.full(int(rng.uniform(0.15, 0.5) / dt), rng.uniform(-1, 1))
 
 
-def _multisine(n: int, dt: float, largest: float, rng: np.random.Generator) -> Array:
+def _multisine(n: int, dt: float, largest: float, rng: np.random.Generator, level: float, top: float) -> Array:
     t, duration = np.arange(n) * dt, n * dt
-    lines = np.arange(1, int(60 * duration), 2) / duration
+    lines = np.arange(1, int(top * duration), 2) / duration
     lines = lines[:: max(1, len(lines) // 60)]
     waves = np.cos(2 * math.pi * np.outer(t, lines) + rng.uniform(0, 2 * math.pi, len(lines))).sum(axis=1)
     levels, k = np.zeros(n), 0
     while k < n:
         m = int(rng.uniform(0.3, 0.8) / dt)
-        levels[k : k + m] = rng.uniform(-0.6, 0.6)
+        levels[k : k + m] = rng.uniform(-level, level)
         k += m
     return largest * np.clip(0.4 * waves / np.abs(waves).max() + levels, -1, 1)

@@ -12,7 +12,8 @@ Dry friction is one LuGre bristle whose level g depends on speed, position, trav
 
 .. math:: \dot z = \omega - \sigma_0 |\omega| z / g, \qquad T_f = \sigma_0 z + \sigma_1 \dot z,
 
-contacts are of Hunt and Crossley, the winding heats through two thermal masses. Steps are classical Runge-Kutta of
+contacts are of Hunt and Crossley, the winding heats through two thermal masses, an actuator's lag is advanced exactly
+and acts with its mean over the step. Steps are classical Runge-Kutta of
 fourth order, at most 20 microseconds long and shorter where a contact, a bristle or a brush asks for it; the bristle
 alone, which may be as stiff as it likes, is advanced by the exact solution of its equation at the stage's speed. Steps
 end exactly where the delayed input jumps and where the delayed sensor samples, so that delays are exact.
@@ -67,6 +68,7 @@ class Machine(NamedTuple):
     P: float = 0.0  # position-dependent share P cos(phi / N + a)
     N: float = 1.0
     a_P: float = 0.0
+    dFc: float = 0.0  # Fc + dFc forwards, Fc - dFc backwards
     wear: float = 0.0  # growth of Fc per travelled distance
     T0: float = 0.0  # loads on body 1
     drag: float = 0.0
@@ -82,12 +84,21 @@ class Machine(NamedTuple):
     magnet: float = 0.0  # attraction around one place
     x_m: float = 0.0
     w_m: float = 1.0
+    grav: float = 0.0  # pendulum grav sin(phi - x_grav)
+    x_grav: float = 0.0
+    rip: float = 0.0  # ripple over time rip sin(rip_w t + rip_a)
+    rip_w: float = 0.0
+    rip_a: float = 0.0
     k_h: float = 0.0  # hysteretic spring to ground: stiffness, elastic share, Bouc-Wen constants
     share_h: float = 0.0
     x_h: float = 1.0
     gamma_h: float = 0.0
-    stop: float = 0.0  # end-stop: side (+1, -1, 0 none), place, stiffness, Hunt-Crossley damping
-    x_stop: float = 0.0
+    n_h: float = 2.0
+    side: float = 0.0  # one-sided spring: side (+1, -1, 0 none), place, stiffness
+    x_side: float = 0.0
+    k_side: float = 0.0
+    x_low: float = -math.inf  # end stops: places, stiffness, Hunt-Crossley damping
+    x_high: float = math.inf
     k_stop: float = 0.0
     c_stop: float = 0.0
     J2: float = 0.0  # shaft to body 2
@@ -98,7 +109,9 @@ class Machine(NamedTuple):
     gap: float = 0.0
     hc: float = 0.0  # Hunt-Crossley damping of the teeth (used where gap > 0)
     loss: float = 0.0  # 1 / efficiency - 1 of the gear between the bodies
+    loss_back: float = -1.0  # the same where the load drives the motor; negative: as `loss`
     delay: float = 0.0  # driver
+    lag: float = 0.0  # its time constant
     dead: float = 0.0
     amplify: float = 1.0
     limit: float = math.inf
@@ -109,6 +122,7 @@ class Machine(NamedTuple):
     y_n: float = 1.0
     y_a: float = 0.0
     y_delay: float = 0.0
+    y_abs: float = 0.0  # 1: the sensor shows the magnitude
     i_bias: float = 0.0
 
 
@@ -136,6 +150,8 @@ def longest_step(m: Machine) -> float:
         rates.append(math.sqrt(m.k_s * (1 / m.J1 + 1 / m.J2)))
     if m.k_stop:
         rates.append(math.sqrt(m.k_stop / m.J1))
+    if m.k_h:
+        rates.append(math.sqrt(m.k_h / m.J1))
     if m.Fc or m.loss or m.wear:
         rates.append(math.sqrt(m.s0 / m.J1))
     return min(LONGEST_STEP, 0.2 / max(rates))
@@ -208,7 +224,10 @@ def _shaft(m, e, de):
 
 @njit(cache=True, error_model="numpy")
 def _friction_level(m, phi, om, travel, shaft):
-    level = m.Fc + m.wear * travel + m.loss * abs(shaft)
+    loss = m.loss_back if m.loss_back >= 0.0 and shaft * om < 0.0 else m.loss
+    level = m.Fc + m.wear * travel + loss * abs(shaft)
+    if m.dFc != 0.0:
+        level += m.dFc if om >= 0.0 else -m.dFc
     if m.dF > 0.0:
         level += m.dF * math.exp(-((om / m.vs) ** 2))
     if m.P != 0.0:
@@ -245,12 +264,16 @@ def _loads(m, phi, om, x):
     if m.magnet != 0.0:
         r = (phi - m.x_m) / m.w_m
         load += m.magnet * r * math.exp(-r * r) * (1.0 + math.tanh(2.0 * r))
+    if m.grav != 0.0:
+        load += m.grav * math.sin(phi - m.x_grav)
+    if m.side != 0.0:
+        load += m.side * m.k_side * max(0.0, m.side * (phi - m.x_side))
     if m.k_h != 0.0:
         load += m.k_h * (m.share_h * phi + (1.0 - m.share_h) * x)
-    if m.stop != 0.0:
-        depth = m.stop * (phi - m.x_stop)
-        if depth > 0.0:
-            load += m.stop * max(0.0, m.k_stop * depth * (1.0 + m.c_stop * m.stop * om))
+    if phi > m.x_high:
+        load += max(0.0, m.k_stop * (phi - m.x_high) * (1.0 + m.c_stop * om))
+    elif phi < m.x_low:
+        load -= max(0.0, m.k_stop * (m.x_low - phi) * (1.0 - m.c_stop * om))
     return load
 
 
@@ -281,7 +304,8 @@ def _rates(m, u, R, external, travel, z0, tau, phi, om, p, v, i, x):
     dx = 0.0
     if m.k_h != 0.0:
         r = x / m.x_h
-        dx = om * (1.0 - m.gamma_h * r * r) - (1.0 - m.gamma_h) * abs(om) * r * abs(r)
+        full = abs(r) ** m.n_h
+        dx = om * (1.0 - m.gamma_h * full) - (1.0 - m.gamma_h) * abs(om) * math.copysign(full, r)
     dom = (torque + external - _loads(m, phi, om, x) - dry - shaft) / m.J1
     return dom, dv, di, dx
 
@@ -293,7 +317,7 @@ def _run(m, u_in, dt, h_max, external, alive, angle_noise, current_noise, lsb, c
     y, seen_i = np.zeros(n), np.zeros(n)
     o_phi, o_om, o_i, o_p, o_v, o_temp = (np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
     sampled = np.zeros(n)  # the angle at the sensor's own instant in each interval
-    phi = om = p = v = i = z = x = travel = warm_w = warm_h = drive = 0.0
+    phi = om = p = v = i = z = x = travel = warm_w = warm_h = drive = lagged = 0.0
     late = math.floor(m.delay / dt + 1e-9)
     cut_u = max(0.0, m.delay - late * dt)
     if cut_u < 1e-9 * dt:
@@ -309,9 +333,12 @@ def _run(m, u_in, dt, h_max, external, alive, angle_noise, current_noise, lsb, c
             sampled[k] = phi
         o_phi[k], o_om[k], o_i[k], o_p[k], o_v[k], o_temp[k] = phi, om, i, p, v, warm_w
         angle = sampled[k - late_y] if k >= late_y else 0.0
-        reading = m.y_gain * angle + m.y_bias + angle_noise[k]
+        reading = m.y_gain * angle + m.y_bias
         if m.y_e != 0.0:
             reading += m.y_e * math.cos(m.y_n * angle + m.y_a)
+        if m.y_abs > 0.0:
+            reading = abs(reading)
+        reading += angle_noise[k]
         if lsb > 0.0:
             reading = math.floor(reading / lsb + 0.5) * lsb
         y[k] = reading
@@ -332,28 +359,38 @@ def _run(m, u_in, dt, h_max, external, alive, angle_noise, current_noise, lsb, c
                 end = cut_y
             steps = math.ceil((end - at) / h_max - 1e-9)
             h = (end - at) / steps
-            for _ in range(steps):
+            for step in range(steps):
                 if asked > drive:
                     drive = min(asked, drive + m.slew * h)
                 else:
                     drive = max(asked, drive - m.slew * h)
-                ue = drive * m.amplify
+                acting = drive
+                if m.lag > 0.0:
+                    left = -math.expm1(-h / m.lag)
+                    acting = drive + (lagged - drive) * left * m.lag / h
+                    lagged += (drive - lagged) * left
+                ue = acting * m.amplify
                 ue = max(0.0, abs(ue) - m.dead) * (1.0 if ue >= 0.0 else -1.0)
                 ue = min(m.limit, max(-m.limit, ue)) * alive[k]
                 R = m.R * (1.0 + m.alpha * warm_w)
-                td = external[k]
+                t1 = t2 = t4 = external[k]
+                if m.rip != 0.0:
+                    now = k * dt + at + step * h
+                    t1 += m.rip * math.sin(m.rip_w * now + m.rip_a)
+                    t2 += m.rip * math.sin(m.rip_w * (now + 0.5 * h) + m.rip_a)
+                    t4 += m.rip * math.sin(m.rip_w * (now + h) + m.rip_a)
                 om0, i0 = om, i
-                a1, b1, c1, d1 = _rates(m, ue, R, td, travel, z, 0.0, phi, om, p, v, i, x)
+                a1, b1, c1, d1 = _rates(m, ue, R, t1, travel, z, 0.0, phi, om, p, v, i, x)
                 q = 0.5 * h
                 a2, b2, c2, d2 = _rates(
-                    m, ue, R, td, travel, z, q, phi + q * om, om + q * a1, p + q * v, v + q * b1, i + q * c1, x + q * d1
+                    m, ue, R, t2, travel, z, q, phi + q * om, om + q * a1, p + q * v, v + q * b1, i + q * c1, x + q * d1
                 )
                 om2, v2 = om + q * a1, v + q * b1
                 om3, v3 = om + q * a2, v + q * b2
-                a3, b3, c3, d3 = _rates(m, ue, R, td, travel, z, q, phi + q * om2, om3, p + q * v2, v3, i + q * c2,
+                a3, b3, c3, d3 = _rates(m, ue, R, t2, travel, z, q, phi + q * om2, om3, p + q * v2, v3, i + q * c2,
                                         x + q * d2)  # fmt: skip
                 om4, v4 = om + h * a3, v + h * b3
-                a4, b4, c4, d4 = _rates(m, ue, R, td, travel, z, h, phi + h * om3, om4, p + h * v3, v4, i + h * c3,
+                a4, b4, c4, d4 = _rates(m, ue, R, t4, travel, z, h, phi + h * om3, om4, p + h * v3, v4, i + h * c3,
                                         x + h * d3)  # fmt: skip
                 moved = h * (om + 2.0 * om2 + 2.0 * om3 + om4) / 6.0
                 phi += moved

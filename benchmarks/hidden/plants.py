@@ -1,10 +1,15 @@
-"""The plants of the blind tests: what the user believes (values with tolerances) and the machine that follows."""
+"""The plants of the blind tests: what the user believes (values with tolerances) and the machine that follows.
+
+Oscillator and two-mass drive are drawn anew with every seed: resonance and damping are the point of them.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from .machine import Machine
 
@@ -42,12 +47,24 @@ class Setup:
         True values -> `Machine` without effects.
     length
         Unit of the coordinate per radian of a motor (1 for angles), which scales all draws: forces by 1 / length.
+    force, speed
+        Scales of the draws where they are not 1 / length and length.
+    dt
+        Sample time in s.
+    inputs
+        Kind of excitation, see `excitation.held`: "levels", "balanced" or "resonant".
+    input, input_unit
+        The plant's input.
+    second
+        Second measured coordinate, of body 2; empty where there is none.
+    vary
+        The setup of one seed: nominal values that differ from machine to machine.
     disturbance
         Factor on the level's coloured torque.
     resonance
         Range in Hz of a soft coupling's frequency.
     feedback
-        kp, kd of the position controller; `reach` is what it is asked to move within.
+        kp, kd of the position controller (None: never in closed loop); `reach` is what it is asked to move within.
     """
 
     nominal: Mapping[str, tuple[float, float]]
@@ -59,9 +76,26 @@ class Setup:
     largest: float
     disturbance: float
     resonance: tuple[float, float]
-    feedback: tuple[float, float]
+    feedback: tuple[float, float] | None
     reach: float
     electrical: bool
+    input: str = "u"
+    input_unit: str = "V"
+    force: float | None = None
+    speed: float | None = None
+    dt: float = 1e-3
+    inputs: str = "levels"
+    second: str = ""
+    vary: Callable[[Setup, np.random.Generator], Setup] | None = None
+
+    @property
+    def force_scale(self) -> float:
+        """Factor from a motor's torque to this plant's force."""
+        return 1.0 / self.length if self.force is None else self.force
+
+    @property
+    def speed_scale(self) -> float:
+        return self.length if self.speed is None else self.speed
 
 
 ELECTRICAL = {"R": (2.07, 0.06), "L": (0.62e-3, 0.1), "Km": (0.0525, 0.03), "Kb": (0.0525, 0.03)}
@@ -85,6 +119,30 @@ def _actuator(true: Mapping[str, float]) -> Machine:
     per_radian = LEAD / (2 * math.pi * TURNS)
     reflected = true["J_nut"] / TURNS**2 + (true["m_screw"] + true["m_cart"]) * per_radian**2
     return _motor(true)._replace(J1=true["J"] + reflected)
+
+
+def _oscillator(true: Mapping[str, float]) -> Machine:
+    return Machine(J1=true["m"], winding=0.0, gain=1.0, b_pos=true["c"], b_neg=true["c"], k=true["k"])
+
+
+def _oscillator_of_a_seed(setup: Setup, r: np.random.Generator) -> Setup:
+    """Mass 1 kg, 8 to 15 samples a period, damping ratio 0.005 to 0.03."""
+    w, zeta = 2 * math.pi / (setup.dt * r.uniform(8, 15)), r.uniform(0.005, 0.03)
+    nominal = {"m": (1.0, 0.03), "c": (2 * zeta * w, 0.3), "k": (w**2, 0.02)}
+    length = 2.0 * setup.largest / w**2  # twice the static deflection: what resonates swings ten times as far
+    return replace(setup, nominal=nominal, length=length)
+
+
+def _two_mass(true: Mapping[str, float]) -> Machine:
+    return Machine(J1=true["J1"], winding=0.0, gain=1.0, J2=true["J2"], k_s=true["k"], c_s=true["c"])
+
+
+def _two_mass_of_a_seed(setup: Setup, r: np.random.Generator) -> Setup:
+    """Resonance at 10 to 40 Hz, damping ratio 0.01 to 0.05, load 0.5 to 3 times the motor."""
+    J1, ratio, w, zeta = 1e-3, r.uniform(0.5, 3), 2 * math.pi * r.uniform(10, 40), r.uniform(0.01, 0.05)
+    J = J1 * ratio / (1 + ratio)
+    nominal = {"J1": (J1, 0.05), "J2": (J1 * ratio, 0.05), "c": (2 * zeta * w * J, 0.5), "k": (w**2 * J, 0.1)}
+    return replace(setup, nominal=nominal)
 
 
 def _axis(true: Mapping[str, float]) -> Machine:
@@ -140,5 +198,46 @@ PLANTS = {
         feedback=(2500.0, 100.0),
         reach=0.012,
         electrical=False,
+    ),
+    "mass-spring-damper": Setup(
+        nominal={},
+        together=(),
+        machine=_oscillator,
+        output="q",
+        unit="m",
+        length=1.0,
+        largest=10.0,
+        resonance=(0.0, 0.0),
+        disturbance=1.0,
+        feedback=None,
+        reach=0.0,
+        electrical=False,
+        force=16.7,  # as the largest input to that of the motor
+        input="f",
+        input_unit="N",
+        dt=2e-3,
+        inputs="resonant",
+        vary=_oscillator_of_a_seed,
+    ),
+    "two-mass": Setup(
+        nominal={},
+        together=(),
+        machine=_two_mass,
+        output="phi1",
+        unit="rad",
+        length=1.0,
+        largest=1.0,
+        resonance=(0.0, 0.0),
+        disturbance=0.1,
+        feedback=(0.3, 0.04),
+        reach=8.0,
+        electrical=False,
+        input="torque",
+        input_unit="N m",
+        force=5.0,
+        speed=0.1,
+        inputs="balanced",
+        second="phi2",
+        vary=_two_mass_of_a_seed,
     ),
 }

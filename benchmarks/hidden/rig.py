@@ -5,19 +5,19 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from robustlab import Record
 
-from .effects import EFFECTS, OUTSIDE_EFFECTS
+from .effects import ALL_EFFECTS
+from .excitation import BETWEEN, Drive
 from .machine import Array, Machine, Run, simulate
 from .plants import LEVELS, Setup
-from .sensors import noise
+from .sensors import Noise, noise
 
-__all__ = ["ALL_EFFECTS", "Rig", "generator"]
-
-ALL_EFFECTS = {**EFFECTS, **OUTSIDE_EFFECTS}
+__all__ = ["Rig", "generator"]
 
 
 def generator(seed: int, *names: object) -> np.random.Generator:
@@ -38,23 +38,29 @@ class Rig:
     dt: float
     feedback: tuple[float, float, float] | None = None
 
-    def clean(self, u: Array, *, effects: bool = True) -> Run:
-        """Answer to the voltage u (n,) without noise or disturbance, in open loop."""
-        load, alive = self._by_the_clock(len(u))
+    def clean(self, u: Drive, run: int = 0, *, effects: bool = True) -> Run:
+        """Answer to an input without noise or disturbance, in open loop."""
         if not effects:
-            return simulate(self.bare, u, self.dt)
-        return simulate(self.machine, u, self.dt, external=load, alive=alive)
+            return self._run(self.bare, u)
+        load, alive = self._by_the_clock(len(u.samples))
+        return self._run(self._in_phase(run), u, external=load, alive=alive)
 
-    def measured(self, u: Array, run: int, *, closed: bool = False) -> Run:
-        """Answer to the voltage u (n,), or in closed loop to the reference u, with the noise of this run."""
-        n = len(u)
+    def _in_phase(self, run: int) -> Machine:
+        """The machine as a run finds it: no run waits for the mains."""
+        m = self.machine
+        if m.rip == 0.0 or run == 0:
+            return m
+        return m._replace(rip_a=m.rip_a + generator(self.seed, "mains", run).uniform(0, 2 * np.pi))
+
+    def measured(self, u: Drive, run: int, *, closed: bool = False) -> tuple[Run, Noise]:
+        """Answer to an input, or in closed loop to the reference u, with the noise of this run."""
+        n = len(u.samples)
         load, alive = self._by_the_clock(n)
         draws = generator(self.seed, "noise", *self.parameters, run)
         drawn = noise(LEVELS[self.level], self.setup, n, self.dt, draws)
-        return simulate(
-            self.machine,
+        got = self._run(
+            self._in_phase(run),
             u,
-            self.dt,
             external=load + drawn.torque,
             alive=alive,
             angle_noise=drawn.angle,
@@ -62,17 +68,33 @@ class Rig:
             lsb=drawn.lsb,
             feedback=self.feedback if closed else None,
         )
+        return got, drawn
 
-    def channels(self, run: Run, current: bool) -> dict[str, Array]:
-        """The outputs that the user sees, name -> (n,)."""
+    def _run(self, machine: Machine, u: Drive, **more: Any) -> Run:
+        """A run; of a continuous input with a finer clock, of which every BETWEEN-th tick is a sample."""
+        if u.fine is None:
+            return simulate(machine, u.samples, self.dt, **more)
+        held = {k: np.repeat(v, BETWEEN) if isinstance(v, np.ndarray) else v for k, v in more.items()}
+        fine = simulate(machine, u.fine, self.dt / BETWEEN, **held)
+        return Run(**{k: v[::BETWEEN] for k, v in vars(fine).items()} | {"u": u.samples})
+
+    def channels(self, run: Run, current: bool, drawn: Noise | None = None) -> dict[str, Array]:
+        """The outputs that the user sees, name -> (n,); the second coordinate's noise is added here."""
         outputs = {self.setup.output: run.y}
+        if self.setup.second:
+            second = run.load_phi
+            if drawn is not None:
+                second = np.round((second + drawn.second) / drawn.lsb) * drawn.lsb
+            outputs[self.setup.second] = second
         return {**outputs, "i": run.i} if current else outputs
 
-    def record(self, run: Run, name: str, current: bool) -> Record:
+    def record(self, measured: tuple[Run, Noise], name: str, current: bool) -> Record:
         """A run as a `Record` with units."""
-        outputs = self.channels(run, current)
-        units = {"u": "V", self.setup.output: self.setup.unit} | ({"i": "A"} if current else {})
-        return Record(np.arange(len(run.u)) * self.dt, {"u": run.u}, outputs, units, name)
+        run, drawn = measured
+        setup = self.setup
+        outputs = self.channels(run, current, drawn)
+        units = {setup.input: setup.input_unit, **dict.fromkeys(outputs, setup.unit)} | ({"i": "A"} if current else {})
+        return Record(np.arange(len(run.u)) * self.dt, {setup.input: run.u}, outputs, units, name)
 
     def _by_the_clock(self, n: int) -> tuple[Array, Array]:
         load, alive = np.zeros(n), np.ones(n)

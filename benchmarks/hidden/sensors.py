@@ -22,6 +22,7 @@ class Noise:
     angle: Array
     torque: Array
     current: Array
+    second: Array
     lsb: float
 
 
@@ -30,8 +31,9 @@ def noise(level: Level, setup: Setup, n: int, dt: float, rng: np.random.Generato
     length = setup.length
     return Noise(
         angle=level.angle * length * rng.normal(size=n),
-        torque=setup.disturbance * level.torque / length * coloured(n, dt, rng),
+        torque=setup.disturbance * level.torque * setup.force_scale * coloured(n, dt, rng),
         current=level.current * rng.normal(size=n),
+        second=level.angle * length * rng.normal(size=n),
         lsb=2 * math.pi / level.counts_per_turn * length,
     )
 

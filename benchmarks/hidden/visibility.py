@@ -12,7 +12,8 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from .cases import CLASSES, CURRENT_ONLY, OUTSIDE, PAIRS, SERVO_CLASSES, SERVO_OUTSIDE, Case, make_case
+from .cases import Case, make_case
+from .families import FAMILIES
 from .machine import Array, simulate
 
 __all__ = ["Gap", "Refit", "gap", "refit"]
@@ -58,8 +59,7 @@ class Refit:
 
 def gap(case: Case) -> Gap:
     """Gap of the case's record; over the clearer output where there are two."""
-    u = case.record["u"]
-    bare = case.clean(u, effects=False)
+    bare = case.rig.channels(case.rig.clean(case.drive, effects=False), case.current)
     found = []
     for name, truth in case.record_clean.items():
         noise, missed = case.record[name] - truth, truth - bare[name]
@@ -70,8 +70,9 @@ def gap(case: Case) -> Gap:
 
 def refit(case: Case) -> Refit:
     """Linear refit of the nominal parameters to the gap, over all measured outputs together."""
-    u = case.record["u"]
-    bare, gaps, slopes = case.clean(u, effects=False), [], []
+    u = case.drive.samples
+    bare = case.rig.channels(case.rig.clean(case.drive, effects=False), case.current)
+    gaps, slopes = [], []
     for name, truth in case.record_clean.items():
         scale = _rms(_windows(case.record[name] - truth, case, name))
         gaps.append(_windows(truth - bare[name], case, name) / scale)
@@ -117,18 +118,20 @@ def _sensitivities(case: Case, u: Array, name: str) -> Array:
     return np.column_stack(columns)
 
 
-def main(plant: str = "dc-motor", noise: str = "mid", excitation: str = "rich", sensors: str = "encoder") -> None:
+def main(family: str = "motor", noise: str = "mid", excitation: str = "rich", hold: str = "held") -> None:
     """Print a line per class: median and smallest of seeds that no test uses."""
-    current, servo = sensors == "current", plant == "servo-axis"
-    names = (*SERVO_CLASSES, *SERVO_OUTSIDE) if servo else (*CLASSES, *CURRENT_ONLY, *OUTSIDE, *PAIRS)
-    print(f"{plant}, {noise} noise, {excitation}, {sensors}; gaps in noise sd: median (smallest) of {SEEDS}")
+    kind = FAMILIES[family]
+    names = ("none", *kind.classes, *kind.outside, *kind.pairs)
+    print(f"{family}, {noise} noise, {excitation}, {hold}; gaps in noise sd: median (smallest) of {SEEDS}")
     print(
         f"{'':44}", *(f"{head:>18}" for head in ("whole record", "windows", "peak", "rest of refit", "cost of refit"))
     )
     for name in names:
         rows = []
         for seed in SEEDS:
-            case = make_case(name, seed, plant=plant, noise=noise, excitation=excitation, current=current)
+            case = make_case(
+                name, seed, plant=kind.plant, noise=noise, excitation=excitation, current=kind.current, hold=hold
+            )  # fmt: skip
             rows.append([*astuple(gap(case)), *astuple(refit(case))])
         cells = [f"{np.median(column):9.3g} ({min(column):.3g})".rjust(18) for column in zip(*rows, strict=True)]
         print(f"{name if isinstance(name, str) else ' + '.join(name):44}", *cells, flush=True)

@@ -386,7 +386,7 @@ def _describe(name: str, thing: Any) -> list[str]:
 def _plant_lines(plant: Any) -> list[str]:
     """Parameters, effects with their parameters, and signals."""
     rows = [
-        (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{100 * p.tolerance:g} %" if p.tolerance else "exact", p.source)
+        (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.source)
         for p in plant.parameters.values()
     ]
     lines = [f"plant {plant.name}", *table(rows, ("parameter", "value", "tolerance", "source")).splitlines()]

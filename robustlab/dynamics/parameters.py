@@ -11,7 +11,7 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
-__all__ = ["Parameter", "Role", "Sign", "overridden"]
+__all__ = ["Parameter", "Role", "Sign", "overridden", "tolerance_of"]
 
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain"
@@ -33,6 +33,7 @@ class Parameter:
         Physical unit.
     tolerance
         Relative: the true value lies within ``value (1 - tolerance) .. value (1 + tolerance)``; 0 means taken as exact.
+        Of a value of 0 it is absolute, in ``unit``.
     source
         Where the value was published.
     meaning
@@ -82,7 +83,9 @@ class Parameter:
                 where, f"relative tolerance {self.tolerance:g}", "0 (exact) or a positive share, 0.1 for 10 %"
             )
         limited = self.sign in ("positive", "either")
-        if (limited and self.tolerance >= 1) or (self.sign == "nonnegative" and self.tolerance > 1):
+        if limited and self.tolerance and not self.value:
+            raise InputError(where, "a tolerance of the value 0", "a value other than 0: its range must hold no zero")
+        if self.value and ((limited and self.tolerance >= 1) or (self.sign == "nonnegative" and self.tolerance > 1)):
             raise InputError(
                 where,
                 f"relative tolerance {self.tolerance:g}, a range from {self.value - self.radius:g} to"
@@ -92,9 +95,19 @@ class Parameter:
             )
 
     @property
+    def reference(self) -> float:
+        """What tolerances and factors multiply: the value, or one unit where that is 0."""
+        return self.value or 1.0
+
+    @property
     def radius(self) -> float:
-        """Half width of the range in the parameter's unit: ``|value| * tolerance``."""
-        return abs(self.value) * self.tolerance
+        """Half width of the range in the parameter's unit: ``|value| * tolerance``, of the value 0 the tolerance."""
+        return abs(self.reference) * self.tolerance
+
+    @property
+    def tolerance_text(self) -> str:
+        """The tolerance in words: ``"35 %"``, of the value 0 ``"0.2 N s/m"``."""
+        return f"{100 * self.tolerance:g} %" if self.value else f"{self.tolerance:g} {self.unit}".rstrip()
 
     @property
     def range(self) -> ParameterRange:
@@ -136,8 +149,9 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
     Parameters
     ----------
     given
-        Name -> value (the default's tolerance stays), or name -> ``(value, relative tolerance)``. Either may be a text:
-        a number with the parameter's unit, or one that measures the same, and a share per cent.
+        Name -> value (the default's tolerance stays; that of the value 0 is none), or name -> ``(value, tolerance)``,
+        the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit, or one that
+        measures the same.
     where
         What messages call the plant.
 
@@ -165,13 +179,47 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
             if len(value) != 2:
                 raise InputError(place, f"{len(value)} entries", "a value or (value, relative tolerance)")
             nominal = _number(place, amount(place, value[0], unit))
-            tolerance = _number(place, share(place, value[1]))
-            if nominal == 0 and tolerance:
-                raise InputError(place, "a relative tolerance of the value 0", "a value other than 0")
+            tolerance = tolerance_of(place, value[1], nominal, unit)
         else:
-            nominal, tolerance = _number(place, amount(place, value, unit)), known[name].tolerance
+            nominal = _number(place, amount(place, value, unit))
+            # A share of one value is no absolute tolerance of another one.
+            tolerance = known[name].tolerance if bool(nominal) == bool(known[name].value) else 0.0
         known[name] = replace(known[name], value=nominal, tolerance=tolerance, source=GIVEN)
     return known
+
+
+def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
+    """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``.
+
+    Parameters
+    ----------
+    given
+        A number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
+
+    Raises
+    ------
+    InputError
+        A share of the value 0, in which nothing could move; what is no number, or in no such unit.
+
+    Examples
+    --------
+    >>> tolerance_of("c", 0.1, 20.0, "N s/m"), tolerance_of("c", "+-5 N s/m", 20.0, "N s/m")
+    (0.1, 0.25)
+    >>> tolerance_of("c", "+-0.2 N s/m", 0.0, "N s/m")
+    0.2
+    """
+    text = given.strip().removeprefix("+-").removeprefix("±").strip() if isinstance(given, str) else given
+    try:
+        tolerance = _number(where, share(where, text))
+    except InputError as no_share:
+        try:
+            return _number(where, amount(where, text, unit)) / abs(nominal or 1.0)
+        except InputError:
+            raise no_share from None
+    if nominal == 0 and tolerance and isinstance(text, str) and text.endswith("%"):
+        found = f"{text} of the value 0, which leaves it no room to move"
+        raise InputError(where, found, f"an absolute tolerance: a number in {unit or 'its unit'}, 0 to hold it")
+    return tolerance
 
 
 def _number(where: str, value: Any) -> float:

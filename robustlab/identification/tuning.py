@@ -23,7 +23,10 @@ class NamingTuning:
     fewest_windows: int = 4  # of a record that is taken at all
     points_per_window: int = 80  # into which errors are averaged: more show faster effects and take more time
     longest_guess: int = 2  # samples in a row without any output over which the input is taken as held
-    current_share: float = 2.0  # of its RMS: how far a fit may move a current at a window start that no sensor tells
+    averaged_share: float = 0.125  # of the period of the fastest motion seen: errors are averaged over no more
+    # Of the current that voltage and speed ask for: how well one is known that no sensor tells; with the inflation
+    # below a fit may move it by 0.3 of that at a window's start.
+    current_share: float = 0.01
     # Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
     # its start is told by the fit and not by it.
     start_inflation: float = 30.0
@@ -32,6 +35,7 @@ class NamingTuning:
     # --- candidates
     spatial_lines: int = 3  # tried of a force over the position: more find weaker ripples, each costs fits
     finest_lines: int = 1500  # per range of the position: finer ripples are not looked for
+    line_p: float = 0.01  # probability by which a line of a force over time may be noise
 
     # --- the fit of one hypothesis
     step: float = 2e-3  # of a standardised parameter, for differences
@@ -67,11 +71,26 @@ class NamingTuning:
     second_windows: int = 18
     kept_second: int = 10  # hypotheses that enter the second round, and the last
     kept_last: int = 7
+    kept_gains: int = 3  # wrong gains beside them: at the same cost the prior may prefer one
+    full: int = 15  # iterations of a full fit
     promising: float = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
     most_stretched: float = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
 
-    # --- what is named
+    # --- clocks
+    clock_share: float = 0.25  # of a sample: standard deviation of an input's shift
+    least_steps: int = 2  # a sample
+    most_steps: int = 8  # a sample: more follow stiffer contacts and take more time
+    step_error: float = 0.1  # of the noise, by which half as long steps may change a residual
+
+    # --- the sets of effects
     most_effects: int = 5
+    most_expansions: int = 16  # sets to which effects are added before the search is called unfinished
+    prior_effect: float = 0.02  # of an effect at a place
+    prior_refinement: float = 0.1  # of a refinement, over that of the effect it refines
+    looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found
+    temperature: float = 1.0  # by which log evidence is divided: above 1, less sure
+    sure: float = 0.95  # probability of a set from which it is named, and of the sets in an answer together
+    none_else: float = 0.02  # probability of all other sets below which there are no rivals
     settling: int = 15  # iterations of the reported fits
     # A new effect must be this much more probable than none (log evidence), on top of the number of effects tried.
     convincing: float = 4.0

@@ -170,8 +170,8 @@ def test_asymmetric_viscous_friction_by_direction():
         ({"k3": 1e-5}, 0.08, 20.0),
         ({"A": 0.03, "n": 2.0, "a_A": 0.4}, 0.02, (np.arccos(0.02 / 0.03) - 0.4) / 2 - np.arccos(0.02 / 0.03)),
         ({"T0": 0.005, "k": 1e-3}, 0.02, 15.0),
-        ({"stop": 1.0, "x_stop": 2.0, "k_stop": 4.0, "c_stop": 0.01}, 0.2, 2.05),
-        ({"stop": -1.0, "x_stop": -2.0, "k_stop": 4.0, "c_stop": 0.01}, -0.2, -2.05),
+        ({"x_high": 2.0, "k_stop": 4.0, "c_stop": 0.01}, 0.2, 2.05),
+        ({"x_low": -2.0, "k_stop": 4.0, "c_stop": 0.01}, -0.2, -2.05),
     ],
 )
 def test_loads_hold_the_machine_where_they_balance(changes, force, place):
@@ -198,7 +198,7 @@ def test_backlash_free_flight_momentum_and_loss():
 
 def test_a_weakly_damped_contact_loses_what_hunt_and_crossley_say():
     # Restitution of Hunt and Crossley's law for small losses: e = 1 - 2/3 hc v (linear contact: k d (1 + hc d')).
-    machine = PUSHED._replace(stop=1.0, x_stop=1.0, k_stop=50.0, c_stop=2e-3)
+    machine = PUSHED._replace(x_high=1.0, k_stop=50.0, c_stop=2e-3)
     u = np.zeros(1500)
     u[:30] = 0.05
     got = simulate(machine, u, 1e-4)

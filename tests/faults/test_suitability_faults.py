@@ -29,15 +29,51 @@ def test_a_good_record_is_fit():
 
 
 def test_shorter_than_the_slowest_time_constant():
-    short = record().between(0.0, 0.4)  # M / Fv = 0.467 s; the integrator does not count
+    short = suitability(AXIS, record().between(0.0, 0.4))  # M / Fv = 0.467 s; the integrator does not count
+    (finding,) = short.of("too-short")
+    assert short.fit
+    assert finding.message.startswith("t: lasts 0.4 s, less than the model's slowest time constant of 0.46")
+    assert not suitability(AXIS, record().between(0.0, 0.5)).findings
+
+
+def swing(duration, samples=30, amplitude=0.3):
+    """Free swing of m = 1 kg, k = 100 N/m with hardly any damping: a period of 0.628 s."""
+    t = np.arange(0.0, duration, 2 * np.pi / 10 / samples)
+    q = amplitude * np.exp(-0.01 * t) * np.cos(10 * t) + 1e-3 * np.random.default_rng(2).standard_normal(len(t))
+    return rl.Record(t, {"f": 0 * t}, {"q": q}, {"f": "N", "q": "m"}, "swing")
+
+
+LIGHT = rl.plant("mass-spring-damper", m=1.0, c=0.02, k=100.0)  # decays within 100 s
+
+
+@pytest.mark.parametrize("samples", [90, 9, 3.3])
+def test_a_free_swing_is_judged_by_its_periods_and_not_by_its_decay(samples):
+    found = suitability(LIGHT, swing(14.66, samples))
+    assert found.fit
+    (told,) = found.findings
+    assert (told.kind, "tells no gain of an input" in told.message) == ("unexcited", True)
+
+
+def test_less_than_a_period_of_an_oscillation_is_too_short():
     with pytest.raises(NoTrustworthyNumber) as caught:
-        suitability(AXIS, short).require()
+        suitability(LIGHT, swing(0.5)).require()
     assert caught.value.exit_code == 4
-    assert str(caught.value).startswith(
-        "run 7: t: lasts 0.4 s, expected at least the model's slowest time constant, 0.46"
-    )
-    assert "hint: record 1.4 s or more" in str(caught.value)
-    assert suitability(AXIS, record().between(0.0, 0.5)).fit
+    assert "swing: t: lasts 0.4" in str(caught.value)
+    assert "expected at least one period of the model's slowest oscillation, 0.628" in str(caught.value)
+
+
+def test_a_swing_that_is_all_noise_says_nothing():
+    assert suitability(LIGHT, swing(14.66, 30, 0.0)).fatal[0].kind == "unexcited"
+
+
+def test_ripple_does_not_turn_a_sign():
+    """A motor at a steady current whose ripple answers its cogging: the step at the start tells the sign."""
+    t = np.arange(0.0, 1.0, 1e-3)
+    motor = rl.plant("servo-axis", M=2.5e-4, Fv=0.0, gain=0.06)
+    ripple = 0.3 * np.sin(0.5 * 40.0 * t**2)
+    run = rl.simulate(motor, t, 1.0 + ripple)  # the force of current and cogging together
+    found = suitability(motor, rl.Record(t, {"u": 1.0 - 0.5 * ripple}, {"q": run["q"]}, {"u": "V", "q": "m"}, "ripple"))
+    assert found.fit, found.summary()
 
 
 def test_constant_input_and_nothing_moves():
@@ -124,12 +160,14 @@ def test_wrong_channels_are_found_through_gaps_and_jitter():
 
 
 def test_all_faults_are_listed_the_wrong_channel_first():
-    both = record(q=-RUN["q"], v=RUN["v"]).between(0.0, 0.4)
+    short = swing(0.5)
+    turned = {"q": short["q"], "v": -np.gradient(short["q"], short.dt)}
+    both = rl.Record(short.t, dict(short.inputs), turned, {"f": "N", "q": "m", "v": "m/s"}, "swing")
     with pytest.raises(InputError) as caught:
-        suitability(AXIS, both).require()
+        suitability(LIGHT, both).require()
     text = str(caught.value)
-    assert text.startswith("run 7: q: q seems to be measured with the other sign")
-    assert "run 7: t: lasts 0.4 s" in text
+    assert text.startswith("swing: q, v: q or v seems to be measured with the other sign")
+    assert "swing: t: lasts 0.4" in text
     assert "hint: check the wiring" in text
 
 

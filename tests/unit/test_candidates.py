@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robustlab.identification.naming.greedy_naming import spans
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Prior, Scales
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (
@@ -18,9 +21,10 @@ from robustlab.identification.hypotheses.candidates import (
     nuisance_parameters,
     spatial_orders,
     stated_tolerances,
+    timed_lines,
+    with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, prepare, window_length
-from robustlab.identification.naming.greedy_naming import spans
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, prepare, window_length
 from robustlab.statespace import Signal, StateSpaceModel
 
 # --- priors ----------------------------------------------------------------------------------------------------------
@@ -147,6 +151,58 @@ def test_a_parameter_with_tolerance_zero_is_held():
     assert held.names == ("J_nut", "m_screw", "m_cart")
 
 
+def own_motor(**given):
+    """A motor of the user's own: parameters without roles; a datum that no equation uses."""
+    parameters = (
+        Parameter("J", 1e-3, "kg m2", 0.1, sign="positive"),
+        Parameter("c", 0.0, "N m s/rad", sign="nonnegative"),
+        Parameter("b", 0.0, "N m s/rad", sign="any"),
+        Parameter("ratio", 3.0, "", 0.5),
+    )
+    states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
+    return LinearPlant(
+        "own motor", overridden(parameters, given, "own motor"), (Signal("u", "N m"),), states, states,
+        equations=lambda p: Descriptor([[1, 0], [0, p["J"]]], [[0, 1], [0, -p["c"] - p["b"]]], [[0], [1]], np.eye(2)),
+    )  # fmt: skip
+
+
+def test_every_parameter_with_a_tolerance_moves_whether_it_has_a_role_or_not():
+    found = nuisances(own_motor())
+    assert set(found) == {"J"}  # the ratio stands in no equation
+    assert found["J"].factor(1.0) == pytest.approx(math.exp(math.log(1.1) / math.sqrt(3)))
+    assert set(nuisances(own_motor(c=(0.0, 0.2)), {"b": "0.1 N m s/rad"})) == {"J", "c", "b"}
+
+
+def test_the_value_zero_moves_by_an_absolute_tolerance_and_a_friction_never_below_it():
+    found = nuisances(own_motor(c=(0.0, 0.2), b=(0.0, "+-0.1 N m s/rad")))
+    c, b = found["c"], found["b"]
+    assert c.factor(0.0) == b.factor(0.0) == 0.0
+    assert b.factor(-2.0) == pytest.approx(-2.0 * 0.1 / math.sqrt(3))
+    assert (c.factor(-2.0), c.factor(1.5)) == (0.0, pytest.approx(1.5 * 0.2 / math.sqrt(3)))
+    draws = np.random.default_rng(3).uniform(-0.1, 0.1, 200_000)
+    assert b.spread == pytest.approx(draws.std(), rel=0.01)
+
+
+def test_a_share_of_zero_is_an_error_and_no_freeze():
+    with pytest.raises(InputError, match=r"tolerances: c.*5% of the value 0.*an absolute tolerance: a number in N m s"):
+        stated_tolerances(own_motor(), {"c": "5%"})
+    with pytest.raises(InputError, match=r"c.*5% of the value 0"):
+        own_motor(c=(0.0, "5%"))
+    assert stated_tolerances(own_motor(), {"c": "0.3 N m s/rad"})["c"] == (0.3, False)
+    assert with_absolute_tolerances(own_motor(), {"c": (0.3, False)}).parameters["c"].radius == 0.3
+
+
+def test_a_factor_of_the_value_zero_is_the_value_in_its_unit():
+    moved = port_model(own_motor(), {"c": 0.004, "J": 2.0}).A[1, 1]
+    assert moved == pytest.approx(-0.004 / 2e-3)
+
+
+def test_where_a_viscosity_may_move_no_effect_does_it_in_its_stead():
+    axis, free = rl.plant("servo-axis", Fv=0.0), rl.plant("servo-axis", Fv=(0.0, 5.0))
+    sites = [effect("viscous-friction").sites(p, port_model(p)) for p in (axis, free)]
+    assert [[s.kind for s in found] for found in sites] == [["joint"], []]
+
+
 # --- spatial lines ---------------------------------------------------------------------------------------------------
 
 
@@ -179,6 +235,40 @@ def test_without_travel_there_are_no_lines():
     assert spatial_orders(still, np.sin(np.arange(500)), still, still == 0) == ()
     assert spatial_orders(np.arange(9.0), np.arange(9.0), np.ones(9), np.ones(9, dtype=bool)) == ()
     assert spatial_orders(still[:0], still[:0], still[:0], still[:0] == 0) == ()
+
+
+# --- lines over time -------------------------------------------------------------------------------------------------
+
+
+def coloured(n, seed):
+    """Noise with a smooth spectrum that falls by a hundred, and a speed with reversals."""
+    rng = np.random.default_rng(seed)
+    noise = np.convolve(rng.normal(size=n + 20), np.exp(-np.arange(21) / 5.0), "valid")
+    return noise, np.sin(np.linspace(0.0, 40.0, n))
+
+
+@pytest.mark.parametrize("f", [23.7, 50.0, 101.3])
+def test_a_line_over_time_is_found_among_coloured_noise_and_friction(f):
+    noise, v = coloured(5000, 1)
+    t = np.arange(5000) * 1e-3
+    found = timed_lines(noise + np.sin(2 * np.pi * f * t + 0.3) + 5.0 * np.sign(v) - 2.0 * v, v, 1e-3, 4.0)
+    assert found == pytest.approx((f,), abs=0.05)  # a quarter of the width of a line
+
+
+def test_the_stronger_of_two_lines_comes_first():
+    noise, v = coloured(5000, 2)
+    t = np.arange(5000) * 1e-3
+    found = timed_lines(noise + np.sin(2 * np.pi * 50 * t) + 2.0 * np.sin(2 * np.pi * 61.4 * t), v, 1e-3, 4.0)
+    assert found[:2] == pytest.approx((61.4, 50.0), abs=0.05)
+
+
+def test_noise_alone_has_a_line_over_time_as_seldom_as_stated():
+    alarms = sum(bool(timed_lines(*coloured(3000, seed), 1e-3, 4.0)) for seed in range(300))
+    assert alarms <= 9  # 3 expected of 300 at 1 %; more than 9 has the probability 0.001
+
+
+def test_a_short_record_has_no_lines_over_time():
+    assert timed_lines(np.ones(30), np.zeros(30), 1e-3, 4.0) == ()
 
 
 # --- what is tried where ---------------------------------------------------------------------------------------------
@@ -216,7 +306,7 @@ def ids(found) -> set[str]:
 
 
 ELECTRICAL = {"brush-drop", "resistance", "resistance-heating", "torque-constant"}
-AT_A_POSITION = {"cogging", "cubic-stiffness", "end-stop", "position-dependent-friction"}
+AT_A_POSITION = {"cogging", "cubic-stiffness", "end-stop", "one-sided-spring", "position-dependent-friction"}
 
 
 def test_an_axis_without_a_current_has_no_electrical_effects():
@@ -250,6 +340,30 @@ def test_what_needs_a_period_is_tried_once_for_each_line():
     assert all(len(k) == 1 for k in lines)
     assert len(set(lines)) == len(lines)
     assert len(tried("servo-axis")["coulomb-friction @ v"]) == 1
+
+
+def test_a_contact_on_one_side_is_tried_on_both_and_never_beyond_the_record():
+    upper, lower = (c for c in tried("servo-axis")["one-sided-spring @ v"])
+    assert (upper.scales.side, lower.scales.side) == (1, -1)
+    (both,) = tried("servo-axis")["end-stop @ v"]
+    for candidate, limits in ((upper, ["q0"]), (lower, ["q0"]), (both, ["q_min", "q_max"])):
+        seen = candidate.scales
+        for z in (-8.0, 0.0, 8.0):  # as far as a fit goes
+            values = candidate.values(np.full(len(candidate.parameters), z))
+            assert all(seen.lowest <= values[name] <= seen.highest for name in limits)
+            assert candidate.effect.id == "end-stop" or np.sign(values["k"]) == seen.side
+
+
+def test_a_ripple_over_time_is_tried_at_its_line():
+    axis = rl.with_effects(rl.plant("servo-axis"), {"torque-ripple": {"Ac": 5.0, "As": 5.0, "f": 41.0}})
+    ready = prepared(axis.plant)
+    run = rl.simulate(axis, T, U)
+    record = rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run")
+    ready = prepare(axis.plant, port_model(axis.plant), record, window_length(axis.plant, [record]))
+    found = [c for c in candidates(axis.plant, port_model(axis.plant), [ready]) if c.effect.id == "torque-ripple"]
+    assert found[0].starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
+    without = [c.starts for c in tried("servo-axis")["torque-ripple @ v"]]
+    assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]
 
 
 def test_the_magnitudes_are_those_of_the_record():
@@ -295,6 +409,48 @@ def test_windows_last_as_long_as_the_slowest_motion_but_four_fit():
     assert window_length(plant, [slow]) == round(95.1089 / 203.5034 / 2e-3)
     short = rl.Record(np.arange(500) * 2e-3, {"u": np.ones(500)}, {"q": np.ones(500)})
     assert window_length(plant, [short]) == 125
+
+
+def sampled_swing(samples, k=100.0):
+    """A free swing of a period of 0.628 s in windows, with a model of this stiffness."""
+    plant = rl.plant("mass-spring-damper", m=1.0, c=0.02, k=k)
+    t = np.arange(0.0, 30.0, 2 * np.pi / 10 / samples)
+    noise = 1e-4 * np.random.default_rng(5).standard_normal(len(t))
+    q = 0.3 * np.exp(-0.01 * t) * np.cos(10 * t) + noise
+    record = rl.Record(t, {"f": 0 * t}, {"q": q}, {"f": "N", "q": "m"}, "swing")
+    return prepare(plant, port_model(plant), record, window_length(plant, [record]))
+
+
+@pytest.mark.parametrize(("samples", "most"), [(9, 1), (50, 6), (500, 62)])
+def test_errors_are_averaged_over_an_eighth_of_a_period_at_most(samples, most):
+    ready = sampled_swing(samples)
+    assert 1 <= ready.thin <= most
+    assert ready.windows.length >= min(2 * samples, ready.record.n // 4)
+
+
+def test_what_the_record_shows_counts_beside_what_the_plant_has():
+    """The same swing, and a model that knows no spring."""
+    assert sampled_swing(100, k=0.0).thin <= 12
+
+
+def test_records_that_are_fitted_together_are_averaged_alike():
+    one, other = (sampled_swing(s) for s in (9, 500))
+    assert [r.thin for r in alike([other, one])] == [1, 1]
+
+
+def test_a_current_that_no_sensor_tells_starts_where_voltage_and_speed_put_it():
+    motor = rl.plant("dc-motor")
+    t = 1e-3 * np.arange(3000)
+    u = 12.0 * np.repeat(np.random.default_rng(7).uniform(-1, 1, 60), 50)
+    run = rl.simulate(motor, t, u)
+    lsb = 2 * np.pi / 2000
+    encoder = rl.Record(t, {"u": u}, {"phi": lsb * np.round(run["phi"] / lsb)}, {"u": "V", "phi": "rad"})
+    ready = prepare(motor, port_model(motor), encoder, 250)
+    k = [s.name for s in motor.states].index("i")
+    p = motor.values
+    largest = np.abs(u - p["Kb"] * run["omega"]).max() / p["R"]
+    assert ready.x0_std[:, k] == pytest.approx(np.full(ready.count, 0.3 * largest), rel=0.05)
+    assert (np.abs(ready.x0[:, k] - run["i"][ready.windows.starts]) < 2 * ready.x0_std[:, k]).all()
 
 
 def test_a_record_without_the_input_or_any_output_is_refused():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robustlab.identification.naming.ranking import first_noise
 
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
@@ -27,7 +28,6 @@ from robustlab.identification.hypotheses.effect_fit import (
     simulated_outputs,
 )
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.ranking import first_noise
 
 AXIS = rl.plant("servo-axis")
 T = np.arange(1000) * 2e-3
@@ -238,6 +238,21 @@ def test_a_missing_error_takes_its_point_and_those_that_need_it_out():
     e = np.ones((1, 6, 1))
     e[0, 2, 0] = np.nan
     assert _whiten(e, NoiseModel(np.array([0.5]), np.array([[0.5]])))[0].tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("shape", [(0, 30, 1), (3, 2, 2), (2, 1, 1), (0, 0, 2)])
+def test_no_window_or_fewer_points_than_the_autoregression_asks_for_are_nothing(shape):
+    noise = NoiseModel(np.ones(shape[2]), np.full((3, shape[2]), 0.1))
+    assert _whiten(np.ones(shape), noise).shape == (shape[0], max(0, shape[1] - 3) * shape[2])
+
+
+def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
+    """Recorded with a viscosity of 30 N s/m, of which the model says 0 +- 50."""
+    true = rl.simulate(rl.plant("servo-axis", Fv=30.0), T, U)
+    problem, _ = problem_of(noisy(true), rl.plant("servo-axis", Fv=(0.0, 50.0)), tolerances={"M": 0.0})
+    fit = problem.fit(NONE, WHITE, np.zeros(1))
+    factors, _ = problem.split(fit.hypothesis, fit.z)
+    assert factors["Fv"] == pytest.approx(30.0, rel=0.05)
 
 
 def test_wild_errors_count_as_large_and_not_as_nothing():

@@ -6,6 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from robustlab.identification.naming.greedy_naming import (
+    Alternative,
+    Naming,
+    Step,
+    held_out_fit,
+    in_doubt,
+    name_effects,
+    rms_percent,
+)
+from robustlab.identification.naming.ranking import Ranked, Ranking, rank, whitening
 
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
@@ -27,16 +37,6 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.discovery import beyond_tolerance
-from robustlab.identification.naming.greedy_naming import (
-    Alternative,
-    Naming,
-    Step,
-    held_out_fit,
-    in_doubt,
-    name_effects,
-    rms_percent,
-)
-from robustlab.identification.naming.ranking import Ranked, Ranking, rank, whitening
 from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.identification.tuning import TUNING
 from robustlab.result import Status

@@ -2,11 +2,14 @@ r"""Viscous friction that differs between the directions: the plant's own, more 
 
 .. math:: f = -\Delta F_v\, |v|
 
-that is, :math:`+\Delta F_v` on the viscous coefficient forwards and :math:`-\Delta F_v` backwards.
+that is, :math:`+\Delta F_v` on the viscous coefficient forwards and :math:`-\Delta F_v` backwards. Over a step the
+force is that of the mean of :math:`|v|`; where the velocity runs from :math:`v_0` through zero to :math:`v_1`, this is
+:math:`(v_0^2 + v_1^2) / (2 |v_1 - v_0|)`, and the force solves a quadratic equation.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
@@ -21,11 +24,20 @@ MOST_PUSH = 0.5
 
 @law
 def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Force of p = (dF_v,) at the mean of the velocities at the start and the end of the step."""
-    free = 0.5 * (seen[V0] + seen[V])  # mean velocity without the force
-    gain = 0.5 * seen[GV] * p[0]
+    """Force of p = (dF_v,) at the mean of the speed over the step."""
+    v0, v1, gv = seen[V0], seen[V], seen[GV]
+    free = 0.5 * (v0 + v1)  # mean velocity without the force
+    gain = 0.5 * gv * p[0]
     opposing = gain if free > 0.0 else -gain
-    return -p[0] * abs(free) / (1.0 + max(opposing, -MOST_PUSH))
+    force = -p[0] * abs(free) / (1.0 + max(opposing, -MOST_PUSH))
+    if v0 * (v1 + gv * force) >= 0.0:
+        return force
+    way = 1.0 if v1 > v0 else -1.0
+    linear, last = way * (v1 - v0) + 2.0 * gain * v1, p[0] * (v0 * v0 + v1 * v1)
+    inside = linear * linear - gv * (2.0 * way + p[0] * gv) * last
+    if linear <= 0.0 or inside < 0.0:  # the force itself turns the motion within the step
+        return force
+    return -last / (linear + math.sqrt(inside))
 
 
 class AsymmetricViscousFriction(Effect):

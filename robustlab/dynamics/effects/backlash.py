@@ -56,7 +56,6 @@ class Backlash(Effect):
     equation = "F = -m (w^2 e + 2 zeta w e') sgn(delta) outside |delta| <= gap/2, w = 2 pi f, m = share (1 - share) J"
     independently = "hold the motor and move the output by hand against a dial gauge"
     site_kind = "joint"
-    substeps = 4
     structural = True
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:

@@ -26,8 +26,6 @@ class BrushDrop(Effect):
     constant_loss = "voltage"
     site_kind = "current"
     force = dry_force
-    # Electric time constants are shorter than a sample, and the back-EMF changes while no current flows.
-    substeps = 4
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.05 * scales.force, 1.2)

@@ -59,7 +59,6 @@ class Cogging(Effect):
     site_kind = "joint"
     needs_position = True
     force = cogging_force
-    substeps = 2
     spatial = True
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -34,13 +34,20 @@ class Prior:
     r"""Distribution of a parameter, as a map from a standard normal z.
 
     ``"log"``: :math:`c\, e^{s z}`; ``"linear"``: :math:`c + s z`; ``"share"``: a share of ``top``,
-    :math:`\mathrm{top} / (1 + e^{-(m + s z)})` with the median ``centre``.
+    :math:`\mathrm{top} / (1 + e^{-(m + s z)})` with the median ``centre``; ``"between"``: the same between ``bottom``
+    and ``top``, of either sign. The centre of ``"log"`` may be negative: the parameter is then negative by nature.
     """
 
-    kind: Literal["log", "linear", "share"]
+    kind: Literal["log", "linear", "share", "between"]
     centre: float
     spread: float
     top: float = 1.0
+    bottom: float = 0.0
+
+    @property
+    def is_signed(self) -> bool:
+        """False where the parameter is positive by nature."""
+        return self.kind in ("linear", "between") or self.centre < 0.0
 
     def value(self, z: float) -> float:
         """The parameter at the standardised z."""
@@ -48,8 +55,9 @@ class Prior:
             return self.centre * math.exp(max(-40.0, min(40.0, self.spread * z)))
         if self.kind == "linear":
             return self.centre + self.spread * z
-        median = math.log(self.centre / (self.top - self.centre))
-        return self.top / (1.0 + math.exp(-max(-40.0, min(40.0, median + self.spread * z))))
+        median = math.log((self.centre - self.bottom) / (self.top - self.centre))
+        part = 1.0 / (1.0 + math.exp(-max(-40.0, min(40.0, median + self.spread * z))))
+        return self.bottom + (self.top - self.bottom) * part
 
     def standardised(self, value: float) -> float:
         """The z of a parameter value."""
@@ -57,8 +65,8 @@ class Prior:
             return math.log(value / self.centre) / self.spread
         if self.kind == "linear":
             return (value - self.centre) / self.spread
-        median = math.log(self.centre / (self.top - self.centre))
-        return (math.log(value / (self.top - value)) - median) / self.spread
+        median = math.log((self.centre - self.bottom) / (self.top - self.centre))
+        return (math.log((value - self.bottom) / (self.top - value)) - median) / self.spread
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,10 @@ class Scales:
         Sample time and length of the record in s.
     orders
         Strongest spatial frequencies of the residual force in rad^-1 or m^-1, strongest first (empty: not looked at).
+    lines
+        Strongest lines of the residual force over time in Hz, strongest first (empty: none is significant).
+    side
+        Of a trial of an effect that acts beyond one position: 1 above it, -1 below, 0 on either side.
     force_unit, speed_unit, position_unit, signal_unit
         Units at the site.
     """
@@ -124,6 +136,8 @@ class Scales:
     dt: float = 1e-3
     duration: float = 1.0
     orders: tuple[float, ...] = ()
+    lines: tuple[float, ...] = ()
+    side: int = 0
     force_unit: str = ""
     speed_unit: str = ""
     position_unit: str = ""
@@ -161,7 +175,7 @@ class Footprint:
     port
         Name of the port or signal at which it acts.
     signal
-        What it acts on there: ``"speed"``, ``"position"``, ``"input"``, ``"output"``, ``"current"``.
+        What it acts on there: ``"speed"``, ``"position"``, ``"input"``, ``"output"``, ``"current"``, ``"time"``.
     gain_lower, gain_upper
         Sector: the effect lies between these two gains (force per speed, and so on) at the amplitude asked for.
     delay
@@ -197,19 +211,20 @@ class Effect(ABC):
     person: str = ""
     # Id of the parent on top of which alone it is looked for. A refinement contains its parent.
     refines: str | None = None
-    # Smallest number of steps per sample (at 1 ms) that its law needs.
-    substeps: int = 1
     nameable: bool = True  # False for what is known noise and never a name (quantisation)
     needs_position: bool = False  # True where it sits only at joints whose position is a state
     # True where its period over the position is a parameter; it is then tried at each strong spatial line
     # (``scales.orders`` holds the one line of a trial).
     spatial: bool = False
+    # True where its frequency over time is a parameter; it is then tried at each line (``scales.lines`` holds the one).
+    timed: bool = False
     # True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
     # tolerances tell the two apart.
     gain_like: bool = False
     # Of an effect that multiplies a signal, or parameters of the plant, and does no more: the parameter by which.
     scale: str = ""
     delay: str = ""  # of an effect that delays a signal: the parameter that is the delay in s
+    time_constant: str = ""  # of an effect that lags an input in first order: the parameter that is its T in s
     # Balance of a steady point from which it takes an amount of its own.
     constant_loss: Literal["", "torque", "voltage"] = ""
     # Relative tolerance of the plant's parameters with the role `id`, where the plant states none.
@@ -246,6 +261,14 @@ class Effect(ABC):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         """Starting values of a fit, each a dict of all parameters; by default the centres of the priors."""
         return ({p.name: p.prior.value(0.0) for p in self.parameters(scales)},)
+
+    def variants(self, scales: Scales) -> tuple[Scales, ...]:
+        """The magnitudes at which it is tried, each a candidate of its own: one for each line, where it has one."""
+        if self.spatial and scales.orders:
+            return tuple(replace(scales, orders=(k,)) for k in scales.orders)
+        if self.timed and scales.lines:
+            return tuple(replace(scales, lines=(f,)) for f in scales.lines)
+        return (scales,)
 
     def factors(self, plant: LinearPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         """Plant parameter -> factor."""

@@ -33,7 +33,6 @@ class GearEfficiency(Effect):
     independently = "measure the input torque at two known loads"
     site_kind = "joint"
     force = loss_force
-    substeps = 4  # the driving force is taken as constant within a step
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("eta", "", "efficiency of the transmission", Prior("share", 0.85, 1.0)),)

@@ -25,7 +25,6 @@ class InputDelay(SignalDelay):
     equation = "u'(t) = u(t - d)"
     independently = "put command and driver output on an oscilloscope with one trigger"
     site_kind = "input"
-    substeps = 2  # the mean over a whole sample leaves positions off by what a fine encoder resolves
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         steps = self.steps(values, h)

@@ -60,11 +60,13 @@ def has_ground_term(plant: LinearPlant, port: Port, role: str, rows: tuple[Port,
 
     They do where the force that they give is not zero in a motion that all joints ``rows`` share; ``of`` says whether
     the motion is that of the ``"velocity"`` or of the ``"position"``. (A spring between two masses is none to ground.)
+    A parameter of the value 0 with a tolerance gives one too.
     """
     directions = [getattr(r, of) for r in rows if getattr(r, of) is not None]
     together = np.sum(directions, axis=0)
     nominal = port_model(plant).A
-    for group_role, _, names in parameter_groups(plant):
+    at_zero = [(p.role, p.name, (p.name,)) for p in plant.parameters.values() if not p.value and p.tolerance]
+    for group_role, _, names in (*parameter_groups(plant), *at_zero):
         if group_role == role:
             change = port_model(plant, dict.fromkeys(names, 2.0)).A - nominal
             row = port.velocity @ change

@@ -4,8 +4,11 @@ r"""Presliding: dry friction whose contact gives way like a spring before it sli
 
 Over a stretch s in one direction the contact's deflection is exactly :math:`z \to \pm g + (z \mp g) e^{-|s|/g}`, at any
 speed (Dahl; LuGre without its damping). The step is one such stretch, or two where the velocity turns. The force
-is the one at the end of the step, so that a contact much stiffer than the step can follow comes to rest instead of
-ringing; only of a first stretch that is followed by sliding the other way its mean counts for its share of the step.
+is the mean over the way, whose work is exactly what the contact stores and dissipates. A contact that is stiffer than
+the step can follow would ring: there the force is the one at the end of the step, with which it comes to rest; only of
+a first stretch that is followed by sliding the other way its mean counts for its share of the step. With
+:math:`c = \sigma_0 g_v h / 2`, half the square of the contact's frequency in steps, the force is
+:math:`(f_\mathrm{mean} + c^4 f_\mathrm{end}) / (1 + c^4)`.
 
 References
 ----------
@@ -42,15 +45,17 @@ def _contact(force, args):  # type: ignore[no-untyped-def]
     """Deflection at the end of the step under this force, and the deflection whose force acts over the step."""
     v0, v_free, compliance, h, start, limit, stiffness = args
     v1 = v_free + compliance * force
+    stiff = (0.5 * compliance * h * stiffness) ** 4
     if v0 * v1 < 0.0:
         share = v0 / (v0 - v1)
         turned, mean = _stretch(start, 0.5 * share * h * v0, limit)
-        end, _unused = _stretch(turned, 0.5 * (1.0 - share) * h * v1, limit)
-        if abs(v_free - v0) <= compliance * stiffness * limit:  # what drives it can be held: it comes to rest
-            return end, end
-        return end, share * mean + (1.0 - share) * end
-    end, _unused = _stretch(start, 0.5 * h * (v0 + v1), limit)
-    return end, end
+        end, back = _stretch(turned, 0.5 * (1.0 - share) * h * v1, limit)
+        acting = end
+        if abs(v_free - v0) > compliance * stiffness * limit:  # what drives it cannot be held: it slides back
+            acting = share * mean + (1.0 - share) * end
+        return end, (share * mean + (1.0 - share) * back + stiff * acting) / (1.0 + stiff)
+    end, mean = _stretch(start, 0.5 * h * (v0 + v1), limit)
+    return end, (mean + stiff * end) / (1.0 + stiff)
 
 
 @nb.njit(cache=True)

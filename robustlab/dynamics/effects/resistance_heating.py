@@ -40,7 +40,6 @@ class ResistanceHeating(Effect):
     site_kind = "current"
     force = heating_drop
     memory = 1
-    substeps = 4  # electric time constants are shorter than a sample
     long_memory = True
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:

@@ -39,7 +39,6 @@ class StribeckFriction(Effect):
     site_kind = "joint"
     force = stribeck_force
     refines = "coulomb-friction"
-    substeps = 2
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         force, speed = scales.force, scales.speed

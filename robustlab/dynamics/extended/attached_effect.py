@@ -63,7 +63,7 @@ class AttachedEffect:
             if parameter.name not in self.values:
                 needed = ", ".join(p.name for p in self.parameters)
                 raise InputError(f"{where} at {self.site}", f"no value for {parameter.name!r}", needed)
-            if parameter.prior.kind != "linear" and self.values[parameter.name] < 0:
+            if not parameter.prior.is_signed and self.values[parameter.name] < 0:
                 found = f"{parameter.name} = {self.values[parameter.name]:g}"
                 raise InputError(where, found, f"no negative {parameter.meaning}")
         std = {name: _number(where, f"standard deviation of {name}", value) for name, value in self.std.items()}
@@ -165,6 +165,11 @@ class AttachedEffect:
         return 0.0 if found is None else found.delay
 
     @property
+    def time_constant(self) -> float:
+        """Time constant in s of a lag of an input; 0 where it is none."""
+        return self.values.get(self.effect.time_constant, 0.0)
+
+    @property
     def constant_gain(self) -> float | None:
         """The gain that the footprint has at all amplitudes, or None."""
         seen = [self.footprint(amplitude) for amplitude in (1e-6, 1.0, 1e6)]
@@ -174,7 +179,7 @@ class AttachedEffect:
     def corners(self, width: float) -> Iterator[dict[str, float]]:
         """The values at the corners of the ranges of those that are fitted, ``width`` standard deviations."""
         spread = {name: width * std for name, std in self.std.items() if std}
-        positive = {p.name for p in self.parameters if p.prior.kind != "linear"}
+        positive = {p.name for p in self.parameters if not p.prior.is_signed}
         for signs in itertools.product(*[(-1.0, 1.0)] * len(spread)):
             moved = {n: self.values[n] + s * spread[n] for n, s in zip(spread, signs, strict=True)}
             least = {n: max(v, 1e-3 * self.values[n]) if n in positive else v for n, v in moved.items()}

@@ -1,4 +1,4 @@
-r"""Delays: rational ones by Padé, and a block for what these miss.
+r"""Delays: rational ones by Padé, and a block for what these miss; lags of first order.
 
 References
 ----------
@@ -19,11 +19,11 @@ from robustlab.dynamics.tuning import TUNING, DynamicsTuning
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
-from robustlab.uncertainty.blocks import FullBlock
+from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["HIGHEST_PADE", "delay_block", "delayed", "pade_delay"]
+__all__ = ["HIGHEST_PADE", "delay_block", "delayed", "lag_block", "lagged", "pade_delay"]
 
 # The order up to which a rational delay is better than its own rounding.
 HIGHEST_PADE = 8
@@ -77,6 +77,45 @@ def _bank(delays: list[float], order: int) -> StateSpaceModel:
 def _settled(bank: StateSpaceModel, levels: Array) -> Array:
     """States of the bank at constant inputs."""
     return np.asarray(-np.linalg.solve(bank.A, bank.B @ levels), dtype=np.float64)
+
+
+def lagged(model: StateSpaceModel, lags: Mapping[int, float]) -> StateSpaceModel:
+    """The model behind first-order lags of some of its inputs: number of the input -> time constant in s."""
+    unit = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
+    channels = [
+        StateSpaceModel([[-1.0 / lags[k]]], [[1.0 / lags[k]]], [[1.0]], [[0.0]])
+        if k in lags
+        else StateSpaceModel(*unit)
+        for k in range(model.n_inputs)
+    ]
+    bank = append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
+    whole, point = series(bank, model), model.operating_point
+    assert point is not None
+    states = [*((f"lag_{model.inputs[k].name}", model.inputs[k].unit) for k in sorted(lags)), *model.states]
+    x = np.concatenate([point.u[sorted(lags)], point.x])
+    return StateSpaceModel(
+        whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states,
+        OperatingPoint(x, point.u, point.y), "lags",
+    )  # fmt: skip
+
+
+def lag_block(time: float, spread: float, name: str) -> UncertainModel:
+    r"""All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly.
+
+    With the block in :math:`w = \delta z,\ z = \dot x`: :math:`T_0 \dot x = u - x - \Delta T\, w`.
+
+    Raises
+    ------
+    InputError
+        A spread that reaches zero.
+    """
+    if not 0.0 <= spread < time:
+        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
+    a = -1.0 / time
+    if not spread:
+        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
+    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
+    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"))])
 
 
 def delay_block(

@@ -9,6 +9,7 @@ force law                   a real parameter (a gain between the ends of its sec
 sector at an input, output  a real parameter at that signal
 delay                       Padé approximation P and one dynamic block, :math:`P + w \Delta`, with
                             :math:`|w(j\omega)| \ge |e^{-j\omega d} - P(j\omega)|` for all d within its std
+lag of an input             a state, and a real parameter with its range where a fit has determined it
 bounded error               an input of its own, scaled so that its signal is at most one: quantisation as noise of half
                             a step, a constant load, a bias
 ==========================  ==========================================================================================
@@ -32,7 +33,7 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.delays import delay_block
+from robustlab.dynamics.extended.delays import delay_block, lag_block
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals
 from robustlab.dynamics.extended.force_blocks import (
     Amplitude,
@@ -198,10 +199,10 @@ def _of_extended(
     signals = plant.signal_levels(point.x, point.u)
     for e, k, level in reversed([s for s in signals if s[0].site.kind == "input"]):
         for gadget in _gadgets(e, level, levels, width, pade):
-            whole = product(whole, _at_channel(gadget, whole.inputs, k))
+            whole = product(whole, _at_channel(gadget, whole.inputs, k, e.key))
     for e, k, level in [s for s in signals if s[0].site.kind == "output"]:
         for gadget in _gadgets(e, level, levels, width, pade):
-            whole = product(_at_channel(gadget, whole.outputs, k), whole)
+            whole = product(_at_channel(gadget, whole.outputs, k, e.key), whole)
     made = _with_noise(plant, whole, loads, signals, width, drivers)
     _check(plant.linear_model(None, levels, pade, stand_in=parts.stand_in), plant.name, made)
     left = {**parts.left_out, **_left_out(signals)}
@@ -342,7 +343,7 @@ def _sector_words(s: ForceSector) -> str:
 def _gadgets(
     e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
 ) -> list[UncertainModel]:
-    """What an effect puts into its signal: a gain with a range, a delay."""
+    """What an effect puts into its signal: a gain with a range, a delay, a lag."""
     found: list[UncertainModel] = []
     gain = e.gain(level, amplitude)
     seen = e.sector(amplitude, ("input", "output"))
@@ -363,11 +364,16 @@ def _gadgets(
             cast("Any", model.blocks[0]), origin=f"{words} and a weight over what that misses; {e.values_in_words}"
         )
         found.append(UncertainModel(model.M, [block]))
+    if e.time_constant:
+        spread = width * e.std.get(e.effect.time_constant, 0.0)
+        model = lag_block(e.time_constant, spread, e.key)
+        words = f"{e.in_words}, {e.time_constant:.6g} s +- {spread:.3g} s; {e.values_in_words}"
+        found.append(UncertainModel(model.M, [dataclasses.replace(cast("Any", b), origin=words) for b in model.blocks]))
     return found
 
 
-def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int) -> UncertainModel:
-    """The gadget in signal k, all others passed on."""
+def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
+    """The gadget of this name in signal k, all others passed on."""
     g, (q, p), n = gadget.M, gadget.delta_shape, len(signals)
     b, c = np.zeros((g.n_states, q + n)), np.zeros((p + n, g.n_states))
     b[:, :q], b[:, q + k] = g.B[:, :q], g.B[:, q]
@@ -375,7 +381,6 @@ def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int) -> Un
     d = np.zeros((p + n, q + n))
     d[p:, q:] = np.eye(n)
     d[:p, :q], d[:p, q + k], d[p + k, :q], d[p + k, q + k] = g.D[:p, :q], g.D[:p, q], g.D[p, :q], g.D[p, q]
-    name = gadget.blocks[0].name if gadget.blocks else "gain"
     model = StateSpaceModel(
         g.A, b, c, d, 0.0, [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
         [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",

@@ -119,7 +119,7 @@ class EffectLoads:
         """The force of a load's law at each sample (n,); None where position and speed do not tell it."""
         e, (law, port) = self.acts[j][0], self._law(j)
         seen = e.footprint()
-        if law.memory or seen is None or seen.signal == "force" or is_set_valued(law, 0.0):
+        if law.memory or seen is None or seen.signal in ("force", "time") or is_set_valued(law, 0.0):
             return None
         return _law_along(law, port, states)
 

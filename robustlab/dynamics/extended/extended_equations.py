@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed
+from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -350,7 +350,7 @@ class ExtendedEquations(SteppedPlant):
             Name of a site -> amplitude of its speed or signal: effects there that have a sector are taken as its
             middle.
         pade
-            Order of the Padé approximation of delays; 0 leaves them out.
+            Order of the Padé approximation of delays; 0 leaves them and the lags of inputs out.
         stand_in
             Index of a law -> row (n_x,) with which it is ``f = -row x`` here, whatever its slope or sector.
 
@@ -378,13 +378,17 @@ class ExtendedEquations(SteppedPlant):
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
         into, out = self.signal_gains(x, u, amplitude)
-        delays = {"input": [0.0] * len(into), "output": [0.0] * len(out)}
+        delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
         for e, k, _ in self.signal_levels(x, u):
             delays[e.site.kind][k] += e.delay
+            if e.time_constant:
+                lags[k] = e.time_constant
         linear = StateSpaceModel(
             a, model.B * into, out[:, None] * model.C, out[:, None] * model.D * into, 0.0, self.inputs, self.outputs,
             self.states, OperatingPoint(x, u, self.output(x, u)), self.name,
         )  # fmt: skip
+        if pade and lags:
+            linear = lagged(linear, lags)
         return delayed(linear, delays, pade) if pade and any(map(any, delays.values())) else linear
 
     def signal_gains(self, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
@@ -420,6 +424,9 @@ class ExtendedEquations(SteppedPlant):
             if e.delay:
                 words = f"as a Padé approximation of order {pade}" if pade else "left out"
                 note(e, f"a delay of {e.delay:g} s, {words}")
+            elif e.time_constant:
+                if not pade:
+                    note(e, f"a lag of {e.time_constant:g} s, left out")
             elif seen_by is not None and e.constant_gain is None:
                 chosen = e.site.name in amplitude
                 dead = not chosen and e.slope(level) == 0.0

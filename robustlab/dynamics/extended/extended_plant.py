@@ -343,7 +343,7 @@ def _with_signal_gains(
 
 def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
     """The nominal model, and the plant rebuilt with every deviation at its upper end, must come out."""
-    changed = {n: (p.value * (1.0 + p.tolerance), 0.0) for n, p in plant.parameters.items() if p.tolerance}
+    changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
     for e in plant.effects:
         for name in _scaled_by(plant, e) if e.scale_std else ():
             changed.pop(name, None)

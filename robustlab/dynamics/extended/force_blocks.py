@@ -237,7 +237,7 @@ def _pair(value: Amplitude) -> tuple[float, ...]:
 
 def _no_part(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
     """Why nothing can stand in for a law, or nothing."""
-    if seen is None or seen.signal not in ("speed", "current", "position", "force"):
+    if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
         return "only its slope at the point is in the model"
     if e.effect.structural:
         return "it divides the joint: no force of one joint stands for it"

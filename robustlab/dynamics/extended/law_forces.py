@@ -2,11 +2,13 @@ r"""A force law seen at one instant: its force at a velocity, its band at rest, 
 
 The laws answer for the end of a step (`robustlab.dynamics.ports.law_kernel`). Here they are asked for the step in
 which the velocity does not change: with the compliance g and the velocity :math:`v - g f` without the law's force, the
-one that brings about v itself is f, a fixed point that does not depend on g or on the length of the step.
+one that brings about v itself is f, a fixed point that does not depend on g or on the length of the step. They are
+asked outside of time (`ANY_TIME`), where a force that only depends on it answers with its mean.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +18,8 @@ from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.tuning import TUNING
 
 __all__ = ["extrapolated", "holding_force", "is_set_valued", "rest_band", "slopes", "steady_force"]
+
+ANY_TIME = math.inf
 
 
 def _asked(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
@@ -34,7 +38,7 @@ def steady_force(law: Law, q: float, v: float) -> float:
     for _ in range(TUNING.force_passes):
         half = 0.0 if law.memory else 0.5 * v * h
         gq = 0.5 * g * h
-        found, z = _asked(law, [q - half, v, q + half - gq * force, v - g * force, gq, g, h, 0.0], z)
+        found, z = _asked(law, [q - half, v, q + half - gq * force, v - g * force, gq, g, h, ANY_TIME], z)
         settled = abs(found - force) <= TUNING.force_agreed * abs(found) and (not law.memory or h > 1e3)
         force = found
         if settled:
@@ -70,7 +74,7 @@ def holding_force(law: Law, q: float, acceleration: float, mobility: float) -> f
         Acceleration per unit of the force.
     """
     h = TUNING.instant
-    seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, 0.0]
+    seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, ANY_TIME]
     return _asked(law, seen, np.zeros(max(1, law.memory)))[0]
 
 
@@ -112,7 +116,7 @@ def _presliding(law: Law, q: float) -> tuple[float, float]:
         v, force = TUNING.displacement / h, 0.0
         for _ in range(TUNING.force_passes):
             g = TUNING.compliance_share * v / max(abs(force), 1e-30)
-            found, _ = _asked(law, [q, v, q, v - g * force, 0.0, g, h, 0.0], still)
+            found, _ = _asked(law, [q, v, q, v - g * force, 0.0, g, h, ANY_TIME], still)
             if abs(found - force) <= TUNING.force_agreed * abs(found):
                 break
             force = found

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +14,16 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel, port_model
+from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
 
-__all__ = ["Motion", "Simulator", "Windows"]
+__all__ = ["Motion", "Simulator", "Windows", "stepping"]
 
 PLACES = (1, 2, 4, 8)  # numbers of laws that the kernel is compiled for
+KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
+STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
+LEAST_STEPS, MOST_STEPS = 2, 16  # a sample; electric time constants are shorter than one
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,19 @@ class Motion:
     forces: Array
 
 
+@lru_cache(maxsize=64)
+def stepping(plant: LinearPlant, dt: float) -> int:
+    """Steps a sample that simulations of the plant share, whatever its effects: 20 a period of its fastest oscillation.
+
+    On a resonance of 9 samples a period a cubic spring of a third of the plant's own is then right to 1e-4 of the
+    amplitude after 20 periods. At least 2, at most 16.
+    """
+    poles = np.linalg.eigvals(port_model(plant).A)
+    fastest = float(np.abs(poles.imag).max(initial=0.0))
+    steps = math.ceil(STEPS_A_PERIOD * fastest * dt / (2.0 * math.pi) - 1e-9)
+    return min(max(steps, LEAST_STEPS), MOST_STEPS)
+
+
 class Simulator:
     """One plant with effects at their sites, over one recorded input.
 
@@ -47,20 +66,44 @@ class Simulator:
     effects
         Pairs of effect and site.
     u
-        Inputs held between samples, shape (n, n_u).
+        Samples of the inputs, shape (n, n_u).
     dt
         Sample time in s.
     t0
         Time of the first sample (effects that depend on time count from the beginning of the run at t = 0).
+    sub
+        Steps a sample, the same whatever the effects; None: `stepping`.
+    hold
+        What each input is between its samples, (n_u,): ``"zoh"``, ``"linear"`` or ``"smooth"``
+        (`robustlab.dynamics.ports.sampled_input`); None: all held.
+
+    Raises
+    ------
+    InputError
+        No positive number of steps, not one hold for each input, an unknown hold.
     """
 
     def __init__(
-        self, plant: LinearPlant, effects: Sequence[tuple[Effect, Site]], u: Array, dt: float, t0: float = 0.0
+        self,
+        plant: LinearPlant,
+        effects: Sequence[tuple[Effect, Site]],
+        u: Array,
+        dt: float,
+        t0: float = 0.0,
+        *,
+        sub: int | None = None,
+        hold: Sequence[Hold] | None = None,
     ) -> None:
         self.plant, self.effects, self.dt, self.t0 = plant, tuple(effects), dt, t0
-        self.sub = max([1, *(effect.substeps for effect, _ in self.effects)])
-        self.held = np.ascontiguousarray(np.repeat(u, self.sub, axis=0))
-        self._exponentials: dict[bytes, tuple[Array, Array]] = {}
+        self.sub = stepping(plant, dt) if sub is None else sub
+        if self.sub < 1:
+            raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
+        holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
+        if len(holds) != len(plant.inputs):
+            raise InputError("simulation: hold", f"{len(holds)} of them", f"one for each of {len(plant.inputs)} inputs")
+        self._inputs = [SampledInput(column, kind) for column, kind in zip(u.T, holds, strict=True)]
+        self._steps: dict[tuple[float, ...], Array] = {}
+        self._exponentials: dict[bytes, tuple[Array, Array, Array]] = {}
         self._models: dict[tuple[tuple[str, float], ...], PortModel] = {}
 
     def run(
@@ -69,6 +112,7 @@ class Simulator:
         values: Sequence[Mapping[str, float]],
         x0: Array,
         windows: Windows,
+        shift: Sequence[float] | None = None,
     ) -> Motion:
         """Simulate all windows.
 
@@ -83,15 +127,18 @@ class Simulator:
             over from window to window.
         windows
             Where they lie.
+        shift
+            Time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
         """
         model = self.model(factors, values)
         laws = [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
-        seen = self.seen_input(values)
-        motion, forces = self._step(model, laws, seen, x0, windows)
-        u = seen[:: self.sub][windows.starts[:, None] + np.arange(windows.length)] if model.D.any() else None
+        late = self._late(values, shift)
+        motion, forces = self._step(model, laws, self._seen(values, late), x0, windows)
         outputs = motion @ model.C.T
-        if u is not None:
-            outputs = outputs + u @ model.D.T
+        if model.D.any():
+            u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
+            u = np.column_stack(self._mapped(u, values, self.dt))
+            outputs = outputs + u[windows.starts[:, None] + np.arange(windows.length)] @ model.D.T
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
@@ -114,15 +161,53 @@ class Simulator:
             model = effect.extend(model, site, v)
         return model
 
-    def seen_input(self, values: Sequence[Mapping[str, float]]) -> Array:
-        """Inputs in steps of the simulation, as the plant sees them."""
-        u = self.held
+    def seen_input(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None) -> Array:
+        """Inputs as the plant sees them, their means from each sample to the next, (n, n_u)."""
+        n_u = len(self._inputs)
+        seen = self._seen(values, self._late(values, shift))
+        return seen.reshape(-1, self.sub * seen.shape[1] // n_u, n_u).mean(axis=1)
+
+    def _late(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None) -> tuple[float, ...]:
+        """Time in s by which the plant sees each input late, delays included: those commute with the other maps."""
+        names = [s.name for s in self.plant.inputs]
+        late = [0.0] * len(names) if shift is None else [float(d) for d in shift]
+        if len(late) != len(names):
+            raise InputError("simulation: shift", f"{len(late)} of them", f"one for each of {len(names)} inputs")
+        for (effect, site), v in zip(self.effects, values, strict=True):
+            if site.kind == "input" and effect.delay:
+                late[names.index(site.name)] += v[effect.delay]
+        return tuple(late)
+
+    def _seen(self, values: Sequence[Mapping[str, float]], late: tuple[float, ...]) -> Array:
+        """Inputs as the plant sees them in each step, (n * sub, n_u).
+
+        Where they do not stand still within the steps, these are the means of the first halves of the steps, and n_u
+        further columns those of the second.
+        """
+        steps = self._steps.get(late)
+        if steps is None:
+            if len(self._steps) > KEPT_INPUTS:
+                self._steps.clear()
+            halves = [s.steps(self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
+            steps = self._steps[late] = np.hstack([np.column_stack([h[:, k] for h in halves]) for k in (0, 1)])
+            if all(s.hold == "zoh" for s in self._inputs) and not any(late):
+                steps = self._steps[late] = np.ascontiguousarray(steps[:, : len(late)])
+        if not any(site.kind == "input" and not effect.delay for effect, site in self.effects):
+            return steps
+        n_u = len(self._inputs)
+        if steps.shape[1] == n_u:
+            return np.column_stack(self._mapped(list(steps.T), values, self.dt / self.sub))
+        halves = [np.ravel(steps[:, k::n_u]) for k in range(n_u)]
+        mapped = self._mapped(halves, values, 0.5 * self.dt / self.sub)
+        return np.hstack([np.column_stack([m[k::2] for m in mapped]) for k in (0, 1)])
+
+    def _mapped(self, u: list[Array], values: Sequence[Mapping[str, float]], h: float) -> list[Array]:
+        """Inputs in steps of h seconds after the effects on them; delays are in them already (`_late`)."""
         names = [s.name for s in self.plant.inputs]
         for (effect, site), v in zip(self.effects, values, strict=True):
-            if site.kind == "input":
+            if site.kind == "input" and not effect.delay:
                 k = names.index(site.name)
-                u = u.copy()
-                u[:, k] = effect.input(u[:, k], v, self.dt / self.sub)
+                u[k] = effect.input(u[k], v, h)
         return u
 
     def _step(
@@ -132,33 +217,39 @@ class Simulator:
 
         if len(laws) > kernel.MAX_LAWS:
             raise InputError("effects", f"{len(laws)} force laws at once", f"at most {kernel.MAX_LAWS}")
-        n, h = len(model.A), self.dt / self.sub
-        phi, psi = self._exponential(model.A, h)
-        ports = [model.ports[law.port] for law in laws]
-        columns = np.zeros((max(1, len(laws)), n))
-        velocity, position = np.zeros_like(columns), np.zeros_like(columns)
-        parameters = np.zeros((len(columns), max([1, *(len(law.parameters) for law in laws)])))
-        memory = np.zeros((len(columns), max([1, *(law.memory for law in laws)])))
-        for j, (law, port) in enumerate(zip(laws, ports, strict=True)):
-            columns[j], velocity[j] = psi @ port.force, port.velocity
+        n, h, n_laws = len(model.A), self.dt / self.sub, len(laws)
+        phi, psi, ramp = self._exponential(model.A, 0.5 * h)
+        push, velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
+        parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in laws)])))
+        memory = np.zeros((n_laws, max([1, *(law.memory for law in laws)])))
+        for j, law in enumerate(laws):
+            port = model.ports[law.port]
+            push[j], velocity[j] = psi @ port.force, port.velocity
             if port.position is not None:
                 position[j] = port.position
             parameters[j, : len(law.parameters)] = law.parameters
+        first = second = psi @ model.B
+        if u.shape[1] > first.shape[1]:  # u1, u2: the line's means over the halves, each of which rises by u2 - u1
+            mean, rise = first, 0.5 * (ramp @ model.B)
+            first, second = np.hstack([mean - rise, rise]), np.hstack([-rise, mean + rise])
+        steps = kernel.HeldSteps(
+            np.array([phi @ phi, phi, phi]), np.array([phi @ first + second, first, second]),
+            np.array([push @ phi.T + push, push, push]), velocity, position,
+        )  # fmt: skip
         functions = tuple(law.function for law in laws)
-        functions += (kernel.no_force,) * (next(k for k in PLACES if k >= len(laws)) - len(laws))
+        functions += (kernel.no_force,) * (next(k for k in PLACES if k >= n_laws) - n_laws)
         count = len(windows.starts)
         states = np.empty((count, windows.length, n))
-        forces = np.zeros((count, windows.length, len(laws)))
+        forces = np.zeros((count, windows.length, n_laws))
         start = np.zeros((count, n))
         start[:, : model.own] = x0
         kernel.quiet_first_class_functions()
-        step = kernel.HeldStep(phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position)
         run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own)
-        kernel.step_windows(functions, len(laws), step, parameters, memory, run, states, forces)
+        kernel.step_windows(functions, steps, parameters, memory, run, states, forces)
         return states, forces
 
-    def _exponential(self, a: Array, h: float) -> tuple[Array, Array]:
-        r"""``exp(A h)`` and :math:`\int_0^h e^{A s} ds`."""
+    def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
+        r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1)\, ds`."""
         from scipy.linalg import expm
 
         key = a.tobytes()
@@ -166,6 +257,9 @@ class Simulator:
             if len(self._exponentials) > TUNING.kept:
                 self._exponentials.clear()
             n = len(a)
-            both: Array = np.asarray(expm(np.block([[a, np.eye(n)], [np.zeros((n, 2 * n))]]) * h), dtype=float)
-            self._exponentials[key] = both[:n, :n].copy(), both[:n, n:].copy()
+            chain = np.zeros((3 * n, 3 * n))
+            chain[:n, :n], chain[:n, n : 2 * n], chain[n : 2 * n, 2 * n :] = a * h, np.eye(n), np.eye(n)
+            both: Array = np.asarray(expm(chain), dtype=float)
+            psi = h * both[:n, n : 2 * n]
+            self._exponentials[key] = both[:n, :n].copy(), psi, 2.0 * h * both[:n, 2 * n :] - psi
         return self._exponentials[key]

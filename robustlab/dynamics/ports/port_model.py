@@ -135,7 +135,8 @@ class PortModel:
 
 
 def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -> PortModel:
-    """The plant's matrices and ports with some parameters multiplied by ``factors`` (name -> factor).
+    """The plant's matrices and ports with some parameters at ``factors`` (name -> factor) of their reference: of the
+    nominal value, or of one unit where that is 0.
 
     Velocity states are those with the unit rad/s or m/s, current states those with the unit A.
 
@@ -148,7 +149,7 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
     for name, factor in (factors or {}).items():
         if name not in values:
             raise InputError(f"{plant.name}: {name!r}", "no such parameter", f"one of {', '.join(values)}")
-        values[name] *= factor
+        values[name] = plant.parameters[name].reference * factor
     e, f, g, c, d = plant.matrices(values)
     n, n_u = len(plant.states), len(plant.inputs)
     solved = np.asarray(np.linalg.solve(e, np.hstack([f, g, np.eye(n)])), dtype=float)

@@ -9,21 +9,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
-from robustlab.units import share
 
-__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances"]
+__all__ = [
+    "candidates",
+    "nuisance_parameters",
+    "spatial_orders",
+    "stated_tolerances",
+    "timed_lines",
+    "with_absolute_tolerances",
+]
 
 
+LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
+# Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
+# a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.
+LINE_FREEDOM = 0.48 * (2 * LINE_NEIGHBOURS + 1) / 1.5
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
@@ -32,7 +44,7 @@ def candidates(
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
-    An effect whose period over the position must be known is given once for each strong spatial line.
+    An effect whose period over the position or over time must be known is given once for each strong line.
     """
     model = _with_told_positions(model, records)
     found = []
@@ -71,10 +83,7 @@ def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord])
 
 
 def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
-    variants = [scales]
-    if scales.orders and effect.spatial:
-        variants = [replace(scales, orders=(k,)) for k in scales.orders]
-    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in variants]
+    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in effect.variants(scales)]
 
 
 def _scales(
@@ -117,6 +126,7 @@ def _scales(
         inertia=inertia,
         current=float(max(currents, default=1.0)) or 1.0,
         orders=_merged_orders(motion, tuning) if port.position is not None else (),
+        lines=_lines(motion, records, tuning),
         force_unit=port.unit,
         speed_unit=port.speed_unit,
         position_unit=port.position_unit,
@@ -190,21 +200,73 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTun
     return tuple(found)
 
 
+def _lines(
+    motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequence[PreparedRecord], tuning: NamingTuning
+) -> tuple[float, ...]:
+    """Lines over time in the longest record, of which every window holds two periods."""
+    k = int(np.argmax([r.record.duration for r in records]))
+    (_, v, d, _), record = motion[k], records[k]
+    return timed_lines(d, v, record.record.dt, 2.0 / (record.windows.length * record.record.dt), tuning)
+
+
+def timed_lines(d: Array, v: Array, dt: float, lowest: float, tuning: NamingTuning = TUNING) -> tuple[float, ...]:
+    r"""Significant lines of the force d over time in Hz, from ``lowest`` up, strongest first.
+
+    A periodogram, after the part of d that depends on the direction and linearly on the speed is taken out. Of noise
+    whose spectrum is smooth the power over its mean is exponential; over the mean m of K neighbours,
+    :math:`P(p > x m) = (1 + x/K)^{-K}`. A line counts where that, times the number of frequencies looked at, is below
+    ``tuning.line_p``.
+    """
+    trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
+    rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
+    n = len(rest)
+    t, f = dt * np.arange(n), np.fft.rfftfreq(n, dt)
+    taper = np.hanning(n)
+    looked = (f >= lowest) & (f <= 0.4 / dt)  # above, two and a half samples a period, the smoother ends
+    found: list[tuple[float, float]] = []
+    for _ in range(tuning.spatial_lines):
+        keep = np.flatnonzero(looked)
+        if len(keep) < 2 * LINE_NEIGHBOURS:
+            break
+        power = np.abs(np.fft.rfft(rest * taper)) ** 2
+        around = median_filter(power, 2 * LINE_NEIGHBOURS + 1, mode="reflect") / math.log(2.0)  # the mean by the median
+        height = power[keep] / np.maximum(around[keep], 1e-300)
+        best = int(keep[np.argmax(height)])
+        if len(keep) * (1.0 + height.max() / LINE_FREEDOM) ** -LINE_FREEDOM > tuning.line_p:
+            break
+        line = _between(power, best) / (n * dt)
+        wave = np.column_stack([np.cos(2.0 * np.pi * line * t), np.sin(2.0 * np.pi * line * t)])
+        parts = np.linalg.lstsq(wave, rest, rcond=None)[0]
+        found.append((float(parts @ parts), line))
+        rest = rest - wave @ parts
+        looked[max(0, best - 2) : best + 3] = False  # what its removal leaves of it is no other line
+    return tuple(line for _, line in sorted(found, reverse=True))
+
+
+def _between(power: Array, k: int) -> float:
+    """Place of a peak of a Hann-tapered line's periodogram at k, in bins: from the larger neighbour over the peak."""
+    if not 0 < k < len(power) - 1:
+        return float(k)
+    side = 1 if power[k + 1] > power[k - 1] else -1
+    ratio = math.sqrt(power[k + side] / power[k])
+    return k + side * min(0.5, max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0)))
+
+
 def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
-    """Parameter -> (relative tolerance, whether it was assumed).
+    """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit.
 
     Parameters
     ----------
     given
-        Name -> tolerance, 0.05 or ``"5%"``, that overrides the plant's own; 0 holds the parameter.
+        Name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the parameter.
 
     Raises
     ------
     InputError
-        An unknown name, a negative tolerance.
+        An unknown name, a negative tolerance, a share of the value 0.
     """
-    given = {name: share(f"tolerances: {name}", value) for name, value in (given or {}).items()}
-    for name, tolerance in given.items():
+    asked: dict[str, float] = {}
+    for name, value in (given or {}).items():
         if name not in plant.parameters:
             known = tuple(plant.parameters)
             raise InputError(
@@ -213,13 +275,15 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
                 ", ".join(known),
                 did_you_mean(name, known),
             )
-        if not tolerance >= 0 or not math.isfinite(tolerance):
-            raise InputError(f"tolerances: {name}", f"{tolerance}", "a relative tolerance, 0 or more")
+        p = plant.parameters[name]
+        asked[name] = tolerance_of(f"tolerances: {name}", value, p.value, p.unit)
+        if asked[name] < 0:
+            raise InputError(f"tolerances: {name}", f"{asked[name]}", "a tolerance of 0 or more")
     result = {}
     for name, parameter in plant.parameters.items():
-        if name in given:
-            result[name] = (float(given[name]), False)
-        elif parameter.tolerance or not parameter.role:
+        if name in asked:
+            result[name] = (asked[name], False)
+        elif parameter.tolerance or not parameter.role or not parameter.value:
             result[name] = (parameter.tolerance, False)
         else:
             effect = catalogue().get(parameter.role)  # roles are named by the effect that misjudges them
@@ -227,16 +291,43 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
     return result
 
 
+def with_absolute_tolerances(plant: LinearPlant, stated: Mapping[str, tuple[float, bool]]) -> LinearPlant:
+    """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
+    that no effect has to do it in their stead.
+    """
+    zero = {n: (0.0, t) for n, (t, _) in stated.items() if t and not plant.parameters[n].value}
+    return plant.with_parameters(**zero) if zero else plant
+
+
 def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
     r"""The groups of parameters with a tolerance r, each with a common factor :math:`e^{s z}`, z standard normal.
 
     Of a group only those with a tolerance move, by the widest of theirs.
-    :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance.
+    :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance. A
+    parameter whose value is 0 moves by :math:`s z` with :math:`s = r / \sqrt 3`, a friction never below 0. What has no
+    role is a group of its own; what stands in no equation, such as a datum for others to read, is none.
     """
-    found = []
+    found, seen = [], set[str]()
     for _, label, names in parameter_groups(plant):
+        seen.update(names)
         moving = tuple(name for name in names if tolerances[name][0] > 0)
         if moving:
             widest = max(tolerances[name][0] for name in moving)
             found.append(Nuisance(label, moving, math.log1p(widest) / math.sqrt(3.0)))
+    for name, p in plant.parameters.items():
+        tolerance = tolerances[name][0]
+        if name in seen or not tolerance or not _matters(plant, name):
+            continue
+        if p.value:
+            found.append(Nuisance(name, (name,), math.log1p(tolerance) / math.sqrt(3.0)))
+        else:
+            bounded = p.sign == "nonnegative" or p.role == "viscous-friction"
+            found.append(Nuisance(name, (name,), tolerance / math.sqrt(3.0), additive=True, never_negative=bounded))
     return tuple(found)
+
+
+def _matters(plant: LinearPlant, name: str) -> bool:
+    """Whether the parameter stands in the plant's equations."""
+    values = plant.values
+    moved = plant.matrices({**values, name: values[name] + 0.25 * plant.parameters[name].reference})
+    return any(not np.array_equal(a, b) for a, b in zip(moved, plant.matrices(values), strict=True))

@@ -38,11 +38,13 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
 __all__ = [
     "Candidate",
+    "Clock",
     "Fit",
     "FitPlan",
     "Hypothesis",
@@ -60,11 +62,43 @@ WILD = 1e6  # errors beyond this many standard deviations count as this
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Nominal parameters that are refitted together: label, names, log standard deviation of the common factor."""
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
+
+    Attributes
+    ----------
+    label, names
+        Of the group, and its parameters.
+    spread
+        Standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s.
+    additive
+        The nominal value is 0: the factor is the value in its unit.
+    never_negative
+        Physics forbids negative values, as of a friction: an additive factor stops at 0.
+    input
+        Input whose clock may be shifted against the outputs'; empty for parameters.
+    """
 
     label: str
     names: tuple[str, ...]
     spread: float
+    additive: bool = False
+    never_negative: bool = False
+    input: str = ""
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How all hypotheses are simulated: steps a sample, and each input between its samples (`Simulator`)."""
+
+    sub: int | None = None
+    hold: tuple[Hold, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +235,8 @@ class Problem:
         For each record the indices of the windows to use.
     tuning
         Numbers of the fits, and of whatever is done with them.
+    clock
+        Steps and input holds that all hypotheses share.
     """
 
     def __init__(
@@ -210,13 +246,19 @@ class Problem:
         nuisances: Sequence[Nuisance],
         chosen: Sequence[Indices] | None = None,
         tuning: NamingTuning = TUNING,
+        clock: Clock = Clock(),
     ) -> None:
         self.plant, self.records, self.nuisances, self.tuning = plant, tuple(records), tuple(nuisances), tuning
+        self.clock = clock
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
 
     def on(self, records: Sequence[PreparedRecord], chosen: Sequence[Indices] | None = None) -> Problem:
         """The same plant and nuisances over other records or windows."""
-        return Problem(self.plant, records, self.nuisances, chosen, self.tuning)
+        return Problem(self.plant, records, self.nuisances, chosen, self.tuning, self.clock)
+
+    def under(self, clock: Clock) -> Problem:
+        """The same problem with other steps or holds."""
+        return Problem(self.plant, self.records, self.nuisances, self.chosen, self.tuning, clock)
 
     # --- parameters --------------------------------------------------------------------------------------------------
 
@@ -227,12 +269,20 @@ class Problem:
         for nuisance, value in zip(self.nuisances, z, strict=False):
             if nuisance.label in wrong:  # the effect's own factor is the whole factor
                 continue
-            factors.update(dict.fromkeys(nuisance.names, float(np.exp(nuisance.spread * value))))
+            factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
         values, at = [], len(self.nuisances)
         for candidate in hypothesis.candidates:
             values.append(candidate.values(z[at : at + len(candidate.parameters)]))
             at += len(candidate.parameters)
         return factors, values
+
+    def shift(self, hypothesis: Hypothesis, z: Array) -> tuple[float, ...] | None:
+        """Shift of each input's clock in s; None where none has one. An input that an effect delays has no other."""
+        late = {c.site.name for c in hypothesis.candidates if c.site.kind == "input" and c.effect.delay}
+        told = {n.input: n.spread * v for n, v in zip(self.nuisances, z, strict=False) if n.input}
+        if not told:
+            return None
+        return tuple(0.0 if s.name in late else float(told.get(s.name, 0.0)) for s in self.plant.inputs)
 
     def size(self, hypothesis: Hypothesis) -> int:
         """Number of standardised parameters."""
@@ -243,47 +293,35 @@ class Problem:
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
         """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0) for r in self.records]
+        sub, hold = self.clock.sub, self.clock.hold
+        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0, sub=sub, hold=hold) for r in self.records]
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
     ) -> list[Array]:
         """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples."""
-        factors, values = self.split(hypothesis, z)
         return [
-            self._record_errors(k, simulator, factors, values, starts[k])
+            self._record_errors(k, simulator, hypothesis, z, starts[k])
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
         ]
 
-    def _record_errors(
-        self,
-        k: int,
-        simulator: Simulator,
-        factors: Mapping[str, float],
-        values: Sequence[Mapping[str, float]],
-        xi: Array,
-    ) -> Array:
+    def _record_errors(self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array) -> Array:
         record, chosen = self.records[k], self.chosen[k]
         with np.errstate(all="ignore"):
-            outputs = self.outputs(k, simulator, factors, values, xi)
+            outputs = self.outputs(k, simulator, hypothesis, z, xi)
         return averaged(record.measured[chosen] - outputs, record.thin)
 
-    def outputs(
-        self,
-        k: int,
-        simulator: Simulator,
-        factors: Mapping[str, float],
-        values: Sequence[Mapping[str, float]],
-        xi: Array,
-    ) -> Array:
+    def outputs(self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array) -> Array:
         """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+        factors, values = self.split(hypothesis, z)
         record, chosen = self.records[k], self.chosen[k]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
         x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
-        outputs = simulator.run(factors, values, x0[used], windows).outputs[:, :, list(record.columns)]
+        motion = simulator.run(factors, values, x0[used], windows, self.shift(hypothesis, z))
+        outputs = motion.outputs[:, :, list(record.columns)]
         return outputs[chosen] if everything else outputs
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
@@ -431,8 +469,7 @@ class Problem:
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
 
         def moved(there: Array, start: Array, step: float) -> Array:
-            factors, values = self.split(hypothesis, there)
-            error = self._record_errors(k, simulator, factors, values, start)
+            error = self._record_errors(k, simulator, hypothesis, there, start)
             return (_whiten(error, noise) - residual) / step
 
         known = len(self.nuisances) if borrowed else 0
@@ -451,8 +488,7 @@ class Problem:
             xi = fit.starts[k]
 
             def residual(z: Array, start: Array, k: int = k, simulator: Simulator = simulator) -> Array:
-                factors, values = self.split(fit.hypothesis, z)
-                return _whiten(self._record_errors(k, simulator, factors, values, start), fit.noise)
+                return _whiten(self._record_errors(k, simulator, fit.hypothesis, z, start), fit.noise)
 
             here = residual(fit.z, xi)
             over_z = [(residual(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))[: len(self.nuisances)]]
@@ -562,7 +598,7 @@ def _whiten(errors: Array, noise: NoiseModel) -> Array:
         e -= noise.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = np.nan_to_num(e / noise.std, nan=0.0, posinf=WILD, neginf=-WILD)
-    return np.clip(scaled, -WILD, WILD).reshape(len(e), -1)
+    return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
 
 
 def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
@@ -572,9 +608,8 @@ def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
 
 def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
     """Outputs of the chosen windows under a fit, (n_windows, length, n_measured) a record."""
-    factors, values = problem.split(fit.hypothesis, fit.z)
     return [
-        problem.outputs(k, simulator, factors, values, fit.starts[k])
+        problem.outputs(k, simulator, fit.hypothesis, fit.z, fit.starts[k])
         for k, simulator in enumerate(problem.simulators(fit.hypothesis))
     ]
 

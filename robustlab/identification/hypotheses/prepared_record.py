@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,12 +13,15 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
-from robustlab.identification.response.response import slowest_time_constant
+from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["PreparedRecord", "prepare", "start_std", "window_length"]
+__all__ = ["PreparedRecord", "alike", "prepare", "start_std", "window_length"]
+
+
+CONTENT = 0.99  # share of an output's power up to which its frequencies count as seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +103,15 @@ class PreparedRecord:
         return (1.0 - part) * x[k] + part * x[k + 1]
 
 
-def window_length(plant: LinearPlant, records: list[Record], tuning: NamingTuning = TUNING) -> int:
-    """Samples per window: a twelfth of the shortest record, but at least the slowest time constant where it fits."""
-    n = min(r.n for r in records)
-    slowest = round(slowest_time_constant(plant.state_space()) / records[0].dt)
+def window_length(plant: LinearPlant, records: Sequence[Record], tuning: NamingTuning = TUNING) -> int:
+    """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
+    the slowest resonance, as far as four windows fit.
+    """
+    n, dt = min(r.n for r in records), records[0].dt
+    model = plant.state_space()
+    slowest = min(round(slowest_time_constant(model) / dt), 2 * tuning.longest_window)
     length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
-    return min(max(length, min(slowest, 2 * tuning.longest_window)), n // tuning.fewest_windows)
+    return min(max(length, slowest, round(2.0 * longest_period(model) / dt)), n // tuning.fewest_windows)
 
 
 def prepare(
@@ -175,17 +181,59 @@ def prepare(
             "shorter windows, or a record with fewer gaps",
         )
     windows = Windows(np.array(usable, dtype=np.int64), length)
+    smoothed = _with_plausible_currents(smoothed, model, bare.C, u, tuning)
     std = start_std(smoothed, windows, tuning)
-    for port in model.ports.values():
-        moved = port.velocity != 0.0
-        # A current that no sensor tells is told by the voltage, which an effect may delay or change.
-        if port.kind == "current" and not bare.C[:, moved].any():
-            amperes = smoothed.x @ port.velocity
-            std[:, moved] = np.maximum(std[:, moved], tuning.current_share * float(np.sqrt(np.mean(amperes**2))))
-    thin = max(1, length // tuning.points_per_window)
+    seen = _fastest_seen(plant, y[:, own], record.dt, smoothed.noise_std[own])
+    thin = max(1, min(length // tuning.points_per_window, int(tuning.averaged_share * seen)))
     return PreparedRecord(
         record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, told, push, thin, resolution
     )
+
+
+def alike(prepared: Sequence[PreparedRecord]) -> list[PreparedRecord]:
+    """The records with their errors averaged over equally many samples, so that one noise model holds for all."""
+    thin = min(r.thin for r in prepared)
+    return [replace(r, thin=thin) for r in prepared]
+
+
+def _with_plausible_currents(
+    smoothed: SmoothedRecord, model: PortModel, seen: Array, u: Array, tuning: NamingTuning
+) -> SmoothedRecord:
+    r"""Currents that no sensor tells (``seen``: C of the measured outputs) where the plant can have them.
+
+    They follow voltage and speed: near :math:`i_\infty = -(A_{ij} x_j + B_i u) / A_{ii}`, for a motor
+    :math:`(u - K \omega) / R`. That stands where the smoother, which takes nothing for granted at the beginning of a
+    record, knows less; the standard deviation is a share of its size, since effects may delay or change the voltage.
+    """
+    x, std = smoothed.x.copy(), smoothed.x_std.copy()
+    for port in model.ports.values():
+        if port.kind != "current" or seen[:, port.velocity != 0.0].any():
+            continue
+        k = int(np.argmax(np.abs(port.velocity)))
+        rate = model.A[k, k]
+        steady = x[:, k] - (x @ model.A[k] + u @ model.B[k]) / rate if rate < 0 else np.zeros(len(x))
+        own = tuning.current_share * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
+        x[:, k] = np.where(std[:, k] > own, steady, x[:, k])
+        std[:, k] = own
+    return replace(smoothed, x=x, x_std=std)
+
+
+def _fastest_seen(plant: LinearPlant, y: Array, dt: float, noise_std: Array) -> float:
+    """Period in samples of the fastest motion that a record shows: of a resonance of the plant, or of the outputs."""
+    poles = plant.state_space().poles()
+    swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
+    periods = [p for p in 2.0 * np.pi / (swings * dt) if p > 2.0]
+    window = np.hanning(len(y))
+    for column, noise in zip(y.T, noise_std, strict=True):
+        at = np.arange(len(column))
+        known = np.isfinite(column)
+        filled = np.interp(at, at[known], column[known])
+        rest = filled - np.polyval(np.polyfit(at, filled, 1), at)
+        power = np.maximum(np.abs(np.fft.rfft(window * rest)) ** 2 - float(window @ window) * noise**2, 0.0)
+        if power.any():
+            last = int(np.searchsorted(np.cumsum(power), CONTENT * power.sum()))
+            periods.append(len(column) / max(last, 1))
+    return min(periods, default=float(len(y)))
 
 
 def _told(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord) -> Array:

@@ -1,107 +1,46 @@
-"""`discover`: name the effect that a model lacks, from measured records.
+"""`discover`: name the effects that a model lacks, from measured records.
 
-The way: the records are checked and cut into windows; every effect of the catalogue is fitted by simulation, always
-together with the nominal parameters within their tolerances; the most probable one is named if it also helps on data
-that no fit has seen; the search goes on on top of it until nothing helps any more. What could stand in its place for
-these very records is named with it, and what no effect explains is called unknown.
+The way: the records are checked and cut into windows; sets of effects of the catalogue are fitted by simulation, always
+together with the nominal parameters within their tolerances and the clocks of the inputs; the search moves from set to
+set by evidence, on what is fitted and on what is held out; the posterior over all sets that it judged says what is
+named, what could stand in its place, and what remains unknown.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from robustlab.budget import one_thread
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_groups, port_model
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.hypotheses.prepared_record import prepare, start_std, window_length
-from robustlab.identification.naming.discovery_parts import (
-    EffectValue,
-    NamedEffect,
-    NominalValue,
-    Rival,
-    SearchEntry,
-    SetProbability,
+from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of, port_model
+from robustlab.errors import InputError
+from robustlab.identification.hypotheses.candidates import (
+    candidates,
+    nuisance_parameters,
+    stated_tolerances,
+    with_absolute_tolerances,
 )
-from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
-from robustlab.identification.naming.gaps import held_out_gaps
-from robustlab.identification.naming.greedy_naming import (
-    Alternative,
-    Naming,
-    Step,
-    held_out_fit,
-    in_doubt,
-    name_effects,
-    overtaken,
-    rms_percent,
-    settled,
-    white,
-)
-from robustlab.identification.naming.ranking import noise_ratio
-from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
-from robustlab.identification.naming.updated_plant import updated_plant
+from robustlab.identification.hypotheses.effect_fit import Clock, Nuisance, Problem
+from robustlab.identification.hypotheses.prepared_record import alike, prepare, window_length
+from robustlab.identification.naming.admissible import admissible
+from robustlab.identification.naming.answer import Case, answer
+from robustlab.identification.naming.clock import clock_nuisances
+from robustlab.identification.naming.discovery_result import Discovery
+from robustlab.identification.naming.posterior import weigh
+from robustlab.identification.naming.progress import Progress
+from robustlab.identification.naming.search import search_sets
+from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
-from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
-if TYPE_CHECKING:
-    from robustlab.identification.comparison.noise_floor import NoiseFloor
-    from robustlab.identification.experiment.next_experiment import NextExperiment
-    from robustlab.identification.record_check.suitability import Finding
-
 __all__ = ["discover"]
-
-
-INTERVAL = 1.96  # standard deviations of a 95 % interval
-
-
-@dataclass(frozen=True, eq=False)
-class _Data:
-    """Prepared records and which of their windows are fitted and which are held out."""
-
-    problem: Problem
-    held: Problem
-    held_text: str
-
-    def everything(self) -> Problem:
-        """All records, those held out as well."""
-        known = [*self.problem.records, *(r for r in self.held.records if r not in self.problem.records)]
-        return self.problem.on(known)
-
-
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """One call of `discover`: what was given, checked and prepared."""
-
-    plant: LinearPlant
-    records: Sequence[Record]
-    repeats: Sequence[Record]
-    period: float | None
-    stated: Mapping[str, tuple[float, bool]]
-    findings: tuple[Finding, ...]
-    data: _Data
-    pool: Sequence[Candidate]
-
-
-class _Judgement(NamedTuple):
-    """The verdict and what it rests on: residual force, error over the sensors' noise, noise floor and F against it."""
-
-    verdict: Verdict
-    complete: bool
-    left: LeftOver | None
-    noise_ratio: float
-    floor: NoiseFloor | None
-    excess: Mapping[str, float]
 
 
 @one_thread()
@@ -167,32 +106,15 @@ def discover(
         raise InputError("discover", "no record", "at least one")
     findings = _checked(linear, [*measured, *kept_out])
     stated = stated_tolerances(linear, tolerances)
+    linear = with_absolute_tolerances(linear, stated)
     model = port_model(linear)
-    data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window, tuning)
-    pool = [c for c in candidates(linear, model, data.problem.records, tuning) if c.effect.id not in left_out]
-    case = _Case(linear, measured, repeats, period, stated, findings, data, pool)
-    limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(linear)}
-
-    def allowed(problem: Problem, fit: Fit, candidate: Candidate) -> bool:
-        return beyond_tolerance(problem, fit, candidate, limits)
-
-    naming = name_effects(data.problem, data.held, pool, allowed, progress)
-    naming, others = overtaken(data.problem, naming, allowed)
-    rivals = [a for a in others if a.cannot_be_told and allowed(data.problem, a.fit, a.candidate)]
-    rivals += in_doubt(data.problem, naming, allowed)
-    return replace(_result(case, naming, rivals), seconds=time.perf_counter() - began)
-
-
-def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
-    """False for a parameter effect whose factor lies within the parameter's tolerance: nothing is missing then."""
-    if candidate.site.kind != "parameter":
-        return True
-    factors, values = problem.split(fit.hypothesis, fit.z)
-    k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
-    own = candidate.effect.factors(problem.plant, candidate.site, values[k])
-    name = next(iter(own))
-    total = np.log(factors.get(name, 1.0) * own[name])
-    return bool(abs(total) > np.log1p(limits[candidate.site.name]))
+    problem, held, held_text = _problems(linear, model, measured, kept_out, stated, window, tuning)
+    pool = [c for c in candidates(linear, model, problem.records, tuning) if c.effect.id not in left_out]
+    case = Case(linear, measured, repeats, period, stated, findings, held_text, pool)
+    told = Progress(progress)
+    found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), told.step)
+    told.tell("what remains")
+    return replace(answer(case, found, weigh(found)), seconds=time.perf_counter() - began)
 
 
 def _linear(plant: Any) -> LinearPlant:
@@ -212,8 +134,6 @@ def _linear(plant: Any) -> LinearPlant:
 
 def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
     """Findings on the records; raises where one forbids a naming."""
-    from robustlab.identification.record_check.suitability import suitability
-
     findings: list[Finding] = []
     for record in records:
         found = suitability(plant, record)
@@ -222,10 +142,16 @@ def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ..
     return tuple(findings)
 
 
-def _data(
-    plant: LinearPlant, model: Any, records: Sequence[Record], held_out: Sequence[Record], nuisances: Any,
-    window: float | None, tuning: NamingTuning,
-) -> _Data:  # fmt: skip
+def _problems(
+    plant: LinearPlant,
+    model: PortModel,
+    records: Sequence[Record],
+    held_out: Sequence[Record],
+    stated: Mapping[str, tuple[float, bool]],
+    window: float | None,
+    tuning: NamingTuning,
+) -> tuple[Problem, Problem, str]:
+    """The windows to fit, those to judge on, and what the latter are."""
     from robustlab.identification.record_check.resampling import clock_step, uniform
 
     dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
@@ -234,209 +160,16 @@ def _data(
     length = window_length(plant, everything, tuning) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
-    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed]
+    prepared = alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
+    nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)
+    nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt, tuning)
+    clock = Clock(tuning.least_steps)
     if judged:
-        problem = Problem(plant, fitted, nuisances, tuning=tuning)
-        return _Data(problem, problem.on(judged), ", ".join(r.name for r in held_out))
+        problem = Problem(plant, fitted, nuisances, tuning=tuning, clock=clock)
+        return problem, problem.on(judged), ", ".join(r.name for r in held_out)
     every = tuning.held_out_every
     apart = [np.arange(r.count) % every == every // 2 for r in fitted]
-    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning)
+    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning, clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
-    return _Data(problem, held, f"every {every}th window of the records, kept from the fit")
-
-
-# --- the result ------------------------------------------------------------------------------------------------------
-
-
-def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Discovery:
-    problem, held = case.data.problem, case.data.held
-    judged = _judged(case, naming, bool(rivals))
-    verdict, complete = judged.verdict, judged.complete
-    if not complete and naming.fit.hypothesis.candidates:
-        naming = replace(naming, settled=settled(problem, naming.fit, naming.noise, 1))
-        judged = _judged(case, naming, bool(rivals))
-    if verdict == "unknown" and not naming.fit.hypothesis.candidates:
-        rivals = ()  # nothing was named, and nothing is missing no longer stands beside them
-    fit, left = naming.settled, judged.left
-    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
-    before = left_over(case.data.everything(), naming.bare, naming.noise) if fit.hypothesis.candidates else None
-    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": naming.bare, "updated": fit})
-    names = tuple(r.name for r in case.records)
-    structure = {"noise_ratio": judged.noise_ratio}
-    return Discovery(
-        status=Status.CONVERGED if verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
-        verdict=verdict,
-        complete=complete,
-        effects=tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates))),
-        rivals=tuple(_rival(problem, a) for a in rivals),
-        nominal=_nominal(problem, fit, case.stated),
-        gap_before=overall(gaps.windows, "nominal"),
-        gap_refitted=overall(gaps.windows, "refitted"),
-        gap_after=overall(gaps.windows, "updated"),
-        gaps=gaps.windows,
-        free_run=gaps.free_run,
-        free_run_on=gaps.free_run_on,
-        held_out=case.data.held_text,
-        plant=case.plant.name,
-        records=names,
-        window=problem.records[0].windows.length * problem.records[0].record.dt,
-        posterior=_posterior(naming, rivals),
-        search=tuple(_entry(s) for s in naming.steps),
-        candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
-        structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
-        residual_force=left.curves() if left else None,
-        missing_force=before.curves() if before else None,
-        unnamed=left.unnamed() if left and not complete else None,
-        noise_floor=judged.floor,
-        floor_excess=judged.excess,
-        remaining_lines=remaining_lines(left, problem.tuning) if left else (),
-        findings=case.findings,
-        series=gaps.series,
-        model=updated_plant(problem, fit, f"fitted to {', '.join(names)}"),
-        next_experiment=_next_experiment(problem, naming, rivals),
-    )
-
-
-def _next_experiment(problem: Problem, naming: Naming, rivals: Sequence[Alternative]) -> NextExperiment | None:
-    """What would separate the named effects from their rivals."""
-    if not rivals:
-        return None
-    from robustlab.identification.experiment.next_experiment import propose_experiment
-
-    return propose_experiment(problem, naming.fit, [a.fit for a in rivals])
-
-
-def _floor_excess(case: _Case, naming: Naming) -> tuple[NoiseFloor | None, dict[str, float]]:
-    """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
-    from robustlab.identification.comparison.noise_floor import noise_floor
-
-    problem, record = case.data.problem, case.records[0]
-    first = problem.records[0]
-    names = [problem.plant.outputs[k].name for k in first.columns]
-    own = [name for name in names if name in first.record.outputs]
-    try:
-        floor = noise_floor(record, period=case.period, repeats=case.repeats, outputs=own)
-    except NoTrustworthyNumber:
-        return None, {}
-    if floor.source != "periods" or first.record.n != record.n:
-        return floor, {}
-    # Windows at the same phases of every period.
-    per_period = max(1, round(floor.samples / first.windows.length))
-    length = floor.samples // per_period
-    starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
-    windows = Windows(starts.astype(np.int64), length)
-    s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, problem.tuning))
-    there = problem.on([cut])
-    fit = held_out_fit(there, naming.settled, white(naming.noise))
-    errors = cut.measured - simulated_outputs(there, fit)[0]
-    excess = {}
-    for name in own:
-        j = names.index(name)
-        residual = np.full((floor.count, floor.samples), np.nan)
-        residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
-        found = floor.excess(residual)
-        if found.F is not None:
-            excess[name] = found.F
-    return floor, excess
-
-
-def _judged(case: _Case, naming: Naming, has_rivals: bool) -> _Judgement:
-    data, tuning = case.data, case.data.problem.tuning
-    left = left_over(data.everything(), naming.settled, naming.noise)
-    floor, excess = _floor_excess(case, naming)
-    ratio = noise_ratio(data.problem, naming.settled)
-    gap = rms_percent(data.held, held_out_fit(data.held, naming.settled, white(naming.noise)))
-    large = ratio > tuning.beyond_noise or (gap > tuning.coarse and ratio > tuning.above_noise)
-    structure = left is not None and left.structure.found
-    remains = structure or large or any(f > tuning.repeatable for f in excess.values())
-    verdict: Verdict
-    if not naming.fit.hypothesis.candidates:
-        verdict, complete = ("unknown", False) if remains else ("no missing effect", True)
-    elif remains and _explained(naming) < tuning.explained:
-        verdict, complete = "unknown", False
-    else:
-        verdict, complete = "ambiguous" if has_rivals else "named", not remains
-    return _Judgement(verdict, complete, left, ratio, floor, excess)
-
-
-def _explained(naming: Naming) -> float:
-    """Share of the fall in V from the bare model to noise that the named effects brought about."""
-    bare, now = naming.bare_cost, naming.fit.cost
-    points = float(naming.points)
-    return 1.0 if bare <= points else (bare - now) / (bare - points)
-
-
-def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
-    """Parameters of the k-th effect with posterior intervals."""
-    candidate = fit.hypothesis.candidates[k]
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
-    z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
-    found = []
-    for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
-        ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
-        found.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, ends[0], ends[1], p.meaning))
-    return tuple(found)
-
-
-def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
-    candidate = naming.fit.hypothesis.candidates[k]
-    own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
-    confidence = max(0.0, 1.0 - sum(float(a.wins) for a in own))
-    step = next((s for s in naming.steps if s.taken is not None and s.entry(candidate) is not None), None)
-    place = step.entry(candidate) if step else None
-    evidence = place.evidence - step.ranking.base.evidence if step and place else 0.0
-    effect = candidate.effect
-    return NamedEffect(
-        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(problem, naming.settled, k),
-        confidence, evidence, tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
-    )  # fmt: skip
-
-
-def _rival(problem: Problem, a: Alternative) -> Rival:
-    k = len(a.fit.hypothesis.candidates) - 1
-    effect = a.candidate.effect
-    return Rival(
-        effect.id, effect.title, a.candidate.site.name, a.instead_of.effect.id if a.instead_of else "none", a.distance,
-        a.evidence, float(a.wins),
-        _effect_values(problem, a.fit, k),
-    )  # fmt: skip
-
-
-def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[NominalValue, ...]:
-    factors, _ = problem.split(fit.hypothesis, fit.z)
-    std = {
-        name: nuisance.spread * spread
-        for nuisance, spread in zip(problem.nuisances, fit.std, strict=False)
-        for name in nuisance.names
-    }
-    found = []
-    for name, p in problem.plant.parameters.items():
-        factor, spread = factors.get(name, 1.0), std.get(name, 0.0)
-        ends = sorted(p.value * factor * float(np.exp(side * INTERVAL * spread)) for side in (-1.0, 1.0))
-        found.append(NominalValue(name, p.value, p.value * factor, p.unit, ends[0], ends[1], *stated[name]))
-    return tuple(found)
-
-
-def _posterior(naming: Naming, rivals: Sequence[Alternative]) -> tuple[SetProbability, ...]:
-    """The named set and those with a rival in the place of one of its effects."""
-    named = naming.fit.hypothesis.candidates
-    found = [(named, 1.0 - sum(a.wins for a in rivals if a.instead_of), 0.0, np.nan)]
-    for a in rivals:
-        if a.instead_of is not None:
-            rest = [c for c in named if c.key != a.instead_of.key]
-            found.append(((*rest, a.candidate), a.wins, a.evidence, a.distance))
-    return tuple(
-        SetProbability(
-            tuple(f"{c.effect.id}@{c.site.name}" for c in own), tuple(c.effect.id for c in own),
-            max(0.0, float(share)), float(evidence), float(distance),
-        )
-        for own, share, evidence, distance in sorted(found, key=lambda row: -row[1])
-    )  # fmt: skip
-
-
-def _entry(step: Step) -> SearchEntry:
-    own = [*step.base.candidates, *([step.taken.candidate] if step.taken and step.taken.candidate else [])]
-    evidence = (step.taken or step.ranking.base).evidence
-    return SearchEntry(tuple(f"{c.effect.id}@{c.site.name}" for c in own), float(evidence), step.decision)
+    return problem, held, f"every {every}th window of the records, kept from the fit"

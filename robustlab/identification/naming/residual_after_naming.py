@@ -136,7 +136,8 @@ def _of_record(
     windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
-    known, columns, added = _known_inputs(simulator, factors, values, record, x0)
+    shift = problem.shift(fit.hypothesis, fit.z)
+    known, columns, added = _known_inputs(simulator, factors, values, record, x0, shift)
     y = record.y[used] - added
     seen = np.isfinite(y).any(axis=0)
     rows, y = np.array(record.columns)[seen], y[:, seen]
@@ -182,10 +183,11 @@ def _known_inputs(
     values: Sequence[dict[str, float]],
     record: PreparedRecord,
     x0: Array,
+    shift: Sequence[float] | None,
 ) -> tuple[Array, Array, Array]:
     """Inputs of the linear model (n, n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
     windows = Windows(record.windows.starts, record.windows.length)
-    motion = simulator.run(factors, values, x0, windows)
+    motion = simulator.run(factors, values, x0, windows, shift)
     model = simulator.model(factors, values)
     laws = [law for (e, site), v in zip(simulator.effects, values, strict=True) for law in e.laws(site, v)]
     columns = np.zeros((len(model.A), len(laws)))
@@ -195,7 +197,7 @@ def _known_inputs(
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     forces = motion.forces.reshape(len(used), len(laws))
     forces = np.vstack([forces[1:], forces[-1:]])
-    seen = simulator.seen_input(values).reshape(-1, simulator.sub, record.u.shape[1]).mean(axis=1)[used]
+    seen = simulator.seen_input(values, shift)[used]
     plain = motion.states @ model.C.T
     if model.D.any():
         plain = plain + seen.reshape(len(windows.starts), windows.length, -1) @ model.D.T

@@ -13,6 +13,7 @@ from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_block
 from robustlab.dynamics.extended.extended_plant import with_effects
 from robustlab.dynamics.extended.force_blocks import Amplitude, Dry
 from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.ports.port_model import parameter_groups
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
@@ -54,7 +55,7 @@ def updated_plant(problem: Problem, fit: Fit, source: str) -> Any:
 
 
 def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
-    """Relative standard deviation of each refitted parameter."""
+    """Standard deviation of each refitted parameter: relative, of a nominal value of 0 in its unit."""
     found = {}
     for nuisance, s in zip(problem.nuisances, fit.std, strict=False):
         found.update(dict.fromkeys(nuisance.names, nuisance.spread * float(s)))
@@ -72,9 +73,9 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
 
 def _refitted(plant: LinearPlant, factors: dict[str, float], spread: dict[str, float], source: str) -> LinearPlant:
     changes = {
-        name: (plant.parameters[name].value * factor, min(MOST, SIGMAS * spread.get(name, 0.0)))
+        name: _new_value(plant.parameters[name], factor, SIGMAS * spread.get(name, 0.0))
         for name, factor in factors.items()
-        if plant.parameters[name].value and name not in plant.exact
+        if name not in plant.exact
     }
     made = plant.with_parameters(**changes)
     told = {n: replace(p, source=source) if n in changes else p for n, p in made.parameters.items()}
@@ -82,6 +83,14 @@ def _refitted(plant: LinearPlant, factors: dict[str, float], spread: dict[str, f
         words = f"{', '.join(names)} {ONE_FACTOR}; {source}"
         told |= {n: replace(told[n], source=words) for n in names}
     return replace(made, parameters=told)
+
+
+def _new_value(nominal: Parameter, factor: float, width: float) -> tuple[float, float]:
+    """Value and tolerance, as `Parameter` reads them, of a parameter at a factor of its reference."""
+    value = nominal.reference * factor
+    if not value:
+        return 0.0, width
+    return value, min(MOST, width if nominal.value else width / abs(value))
 
 
 def _together(plant: LinearPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:

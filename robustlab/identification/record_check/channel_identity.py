@@ -65,6 +65,8 @@ SMALL_UNIT_GAIN = (0.7, 1.45)  # by less: there gains and effects come close to 
 SMALL_UNIT = 20.0
 EXPLAINED = 0.8  # share that the turned channel must explain
 MUCH_BETTER = 0.25  # share of the error as it is that may remain when the channel is turned
+EXPLAINED_AS_IT_IS = 0.9  # share from which a channel is not turned: what is left of it is no matter of its sign
+RAW_SHARE = 0.5  # share of the raw response that tells a sign
 OWN_RESPONSE = 0.99  # an output that its own response explains so far, at any gain, is no other one
 SLOPE_FIT = 0.9  # R² from which the slope of a derivative relation is taken at its word
 SLOPE_RANGE = (0.6, 1.6)  # what sensor gains and filters may make of a slope of 1
@@ -374,6 +376,8 @@ def _wrong_output(
         alike = [f for f in near if 1.0 - turned[f] <= 2.0 * (1.0 - best) + 1e-3]
         factor = min(alike, key=lambda f: abs(math.log(typical / f)))
         as_it_is = explanation.as_it_is(factor)
+        if factor < 0 and (as_it_is > EXPLAINED_AS_IT_IS or _raw_sign(fits, j, 0) > 0):
+            continue
         if _convincing(turned[factor], as_it_is) and not _denied(fits, j, factor):
             return factor, {
                 "test": "response in windows",
@@ -394,6 +398,17 @@ def _denied(fits: Fits, j: int, factor: float) -> bool:
         if share >= 0.5 and not 0.2 < ratio < 5.0:
             return True
     return False
+
+
+def _raw_sign(fits: Fits, j: int, i: int) -> float:
+    """Sign that the raw response of output j to input i has; 0 where it says none.
+
+    The test in windows leaves out what a constant may do, and with it all that a steady input did: of a motor at
+    nearly constant current it sees the ripple alone, which follows the motor's own disturbances with either sign.
+    """
+    options = [fit.raw(j) for fit in fits]
+    factors, share = max(options, key=lambda one: one[1], default=(np.zeros(i + 1), 0.0))
+    return float(np.sign(factors[i])) if share >= RAW_SHARE else 0.0
 
 
 def _of_one_input(
@@ -487,6 +502,10 @@ def _wrong_inputs(
             if not said:
                 continue
             new, old = (float(np.mean([shares[j] for j in said])) for shares in (after, before))
+            if factor < 0:
+                raw = sum(_raw_sign(fits, j, names.index(channels[0])) for j in said)
+                if raw > 0 or old > EXPLAINED_AS_IT_IS:
+                    continue
             if _convincing(new, old) and new > best[0]:
                 evidence: dict[str, object] = {
                     "test": "response in windows",

@@ -399,9 +399,10 @@ class _Balances:
         here = self.residual(which, values, q)[0]
         moving = []
         for name, p in self.plant.parameters.items():
-            moved = {**values, name: values[name] * (1 + p.tolerance)}
+            width = (values[name] or 1.0) * p.tolerance
+            moved = {**values, name: values[name] + width}
             if p.tolerance and self.residual(which, moved, q)[0] != here:
-                moving.append((name, values[name] * p.tolerance))
+                moving.append((name, width))
         stated = [k for k in range(4) if q[k] and tolerance]
         if len(moving) + len(stated) > MOST_UNCERTAIN:
             raise InputError(

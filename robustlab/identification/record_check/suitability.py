@@ -6,8 +6,10 @@ effect of the catalogue: an invented one. So `suitability` looks first, and `Sui
 ======================  =====  ===============================================================================
 kind                    fatal  what was found
 ======================  =====  ===============================================================================
-``too-short``           yes    the record is shorter than the model's slowest time constant (integrators aside)
-``unexcited``           mostly no input moves, or no output leaves its noise; not fatal where an output still moves
+``too-short``           mostly the record is shorter than a period of the model's slowest oscillation; not fatal: than
+                               its slowest time constant (integrators aside), of a model that does not oscillate
+``unexcited``           mostly no input moves, or no output leaves its noise; not fatal where an output still moves,
+                               by a free swing or a run-down
 ``constant-output``     if all a dead sensor
 ``sign``                yes    a channel with the other sign (`robustlab.identification.record_check.channel_identity`)
 ``unit``                yes    a channel off by the factor between two units
@@ -34,7 +36,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
-from robustlab.identification.response.response import Response, response_of
+from robustlab.identification.response.response import Response, longest_period, response_of
 from robustlab.identification.response.windowed_response import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence
@@ -400,17 +402,20 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
 
 
 def _too_short(response: Response, record: Record) -> list[Finding]:
-    slowest = response.slowest_time_constant()
-    if record.duration >= slowest:
-        return []
-    text = f"lasts {record.duration:.6g} s"
-    hint = (
-        f"record {3 * slowest:.3g} s or more; a mode so slow that it does not matter can be made an integrator "
-        "(set its damping to 0)"
-    )
-    evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
-    expected = f"at least the model's slowest time constant, {slowest:.6g} s"
-    return [Finding("too-short", "t", text, expected, hint, True, evidence)]
+    """A record within one period of an oscillation shows no oscillation; how fast one decays is no matter.
+
+    A mode that decays more slowly than the record lasts moves within it as an integrator would: it is told, no more.
+    """
+    slowest, period = response.slowest_time_constant(), longest_period(response.model)
+    text, evidence = f"lasts {record.duration:.6g} s", {"duration": record.duration, "time_constant": slowest}
+    if record.duration < period:
+        expected = f"at least one period of the model's slowest oscillation, {period:.6g} s"
+        hint = f"record {3 * period:.3g} s or more"
+        return [Finding("too-short", "t", text, expected, hint, True, {**evidence, "period": period})]
+    if record.duration < slowest and not period:
+        text += f", less than the model's slowest time constant of {slowest:.6g} s: how that mode ends is not seen"
+        return [Finding("too-short", "t", text, "", f"record {3 * slowest:.3g} s or more", False, evidence)]
+    return []
 
 
 def _unexcited(
@@ -423,7 +428,8 @@ def _unexcited(
     nothing = bool(alive) and len(still) == len(alive)
     if inputs and len(constant) == len(inputs):
         what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
-        text = f"constant: {what}" + ("; no output leaves its noise either" if nothing else "")
+        told = "no output leaves its noise either" if nothing else "free motion alone, which tells no gain of an input"
+        text = f"constant: {what}; {told}"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
         found.append(Finding("unexcited", ", ".join(inputs), text, "an input that moves", hint, nothing, evidence))
@@ -449,8 +455,14 @@ def _moves(y: Array, share: float) -> bool:
     if step and np.ptp(y) < FEWEST_STEPS * step:
         return False
     t = np.linspace(-1.0, 1.0, len(y))
-    spread = float((y - np.polyval(np.polyfit(t, y, 1), t)).std())
-    return spread > WHITE * _noise(y)
+    rest = y - np.polyval(np.polyfit(t, y, 1), t)
+    return float(rest.std()) > WHITE * min(_noise(y), _unpredicted(rest))
+
+
+def _unpredicted(y: Array) -> float:
+    """RMS of what the two samples before do not tell of y (n,): next to nothing of a swing of few samples a period."""
+    before = np.column_stack([y[1:-1], y[:-2]])
+    return float(np.std(y[2:] - before @ np.linalg.lstsq(before, y[2:], rcond=None)[0]))
 
 
 # --- channels that are not what they are called ----------------------------------------------------------------------

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
@@ -18,6 +19,7 @@ from robustlab.units import factor_to_si, same_unit
 __all__ = [
     "Response",
     "Stretch",
+    "longest_period",
     "response_of",
     "slowest_time_constant",
 ]
@@ -136,11 +138,29 @@ class Response:
         return slowest_time_constant(self.model)
 
 
+def _rates(model: StateSpaceModel) -> NDArray[np.complex128]:
+    """The poles in 1/s, of a discrete model too."""
+    poles = model.poles()
+    return np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
+
+
+def longest_period(model: StateSpaceModel) -> float:
+    """Period in s of the slowest oscillation; 0 where the model has none: poles damped beyond 1/sqrt(2) count as none.
+
+    Examples
+    --------
+    >>> from robustlab.dynamics import plant
+    >>> round(longest_period(plant("mass-spring-damper", m=1.0, c=0.1, k=4.0).state_space()), 3)
+    3.143
+    """
+    poles = _rates(model)
+    swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
+    return float(2 * np.pi / swings.min()) if len(swings) else 0.0
+
+
 def slowest_time_constant(model: StateSpaceModel) -> float:
     """Slowest time constant in s over the poles that are no integrators; 0 where there is none."""
-    poles = model.poles()
-    if model.is_discrete:
-        poles = np.log(poles[np.abs(poles) > 0]) / model.dt
+    poles = _rates(model)
     rate = np.abs(poles.real)
     rate = rate[rate > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]
     return float(1.0 / rate.min()) if len(rate) else 0.0

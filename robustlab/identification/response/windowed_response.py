@@ -118,8 +118,8 @@ class ResponseWindows:
         if not keep:
             return
         self.basis = [self._nuisance(row) for row in self.rows]
-        forced = self.response(self.u, np.arange(model.n_inputs))
-        self.forced = [[self.project(j, f[..., row]) for f in forced] for j, row in enumerate(self.rows)]
+        self.answers = self.response(self.u, np.arange(model.n_inputs))
+        self.forced = [[self.project(j, f[..., row]) for f in self.answers] for j, row in enumerate(self.rows)]
         self.target = [self.project(j, self.y[..., j]) for j in range(len(self.rows))]
 
     def _cut(self, x: Array) -> Array:
@@ -152,17 +152,18 @@ class ResponseWindows:
 
     def _nuisance(self, row: int) -> Array:
         """Orthonormal basis (n, r) of what a start, a constant disturbance and a constant sensor error can do."""
-        n_x = self.model.n_states
-        free = np.empty((self.length, n_x))
+        free = self._free(row)
+        drive = self.gamma[:, self.model.n_inputs :]
+        held = np.vstack([np.zeros((1, self.model.n_states)), np.cumsum(free[:-1] @ drive, axis=0)])
+        return _orthonormal(np.column_stack([free, held, np.ones(self.length)]))
+
+    def _free(self, row: int) -> Array:
+        """Output over a window from a unit of each state at its start, (n, n_x)."""
+        free = np.empty((self.length, self.model.n_states))
         line = self.model.C[row]
         for k in range(self.length):
             free[k], line = line, line @ self.phi
-        drive = self.gamma[:, self.model.n_inputs :]
-        held = np.vstack([np.zeros((1, n_x)), np.cumsum(free[:-1] @ drive, axis=0)])
-        columns = np.column_stack([free, held, np.ones(self.length)])
-        size = np.linalg.norm(columns, axis=0)
-        left, sigma, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-        return left[:, sigma > RANK * sigma[0]]
+        return free
 
     def project(self, j: int, x: Array) -> Array:
         """What the nuisance of output j leaves of x (windows, n), as one vector."""
@@ -173,6 +174,14 @@ class ResponseWindows:
         """Least-squares factors (n_u,) of the inputs' responses in output j, and R²."""
         columns = np.column_stack(self.forced[j])
         share, factors = explained(self.target[j], columns, np.full(columns.shape[1], -np.inf), np.inf)
+        return factors, share
+
+    def raw(self, j: int) -> tuple[Array, float]:
+        """`plain` with nothing but the windows' starts left out: what a steady input does counts here, too."""
+        row = self.rows[j]
+        q = _orthonormal(self._free(row))
+        target, *columns = ((x - (x @ q) @ q.T).ravel() for x in (self.y[..., j], *(f[..., row] for f in self.answers)))
+        share, factors = explained(target, np.column_stack(columns), np.full(len(columns), -np.inf), np.inf)
         return factors, share
 
     def delayed(self, delays: list[int]) -> list[list[Array]]:
@@ -242,6 +251,15 @@ class ResponseWindows:
         if not len(a) or np.linalg.cond(a) > 1e12:
             return 0.0
         return abs(float(self.model.C[row] @ np.linalg.solve(a, b[:, port])))
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Orthonormal basis (n, r) of what the columns span."""
+    size = np.linalg.norm(columns, axis=0)
+    if not size.any():
+        return np.zeros((len(columns), 0))
+    left, sigma, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return left[:, sigma > RANK * sigma[0]]
 
 
 def _ratio(x: Array, y: Array) -> float:

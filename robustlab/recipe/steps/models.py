@@ -49,7 +49,7 @@ class PlantStep(Step):
         made = rl.plant(self.plant, **given, **self.choices)
         facts = []
         for p in made.parameters.values():
-            spread = f" ± {100 * p.tolerance:g} %" if p.tolerance else ""
+            spread = f" ± {p.tolerance_text}" if p.tolerance else ""
             facts.append(Fact(f"{p.name}, {p.meaning}", f"{quantity(p.value, p.unit)}{spread}", p.source))
         numbers = {
             name: {"value": p.value, "unit": p.unit, "tolerance": p.tolerance} for name, p in made.parameters.items()

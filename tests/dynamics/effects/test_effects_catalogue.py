@@ -44,6 +44,11 @@ IDS = [
     "stiffness",
     "cubic-stiffness",
     "end-stop",
+    "pendulum-gravity",
+    "actuator-lag",
+    "asymmetric-coulomb-friction",
+    "torque-ripple",
+    "one-sided-spring",
 ]
 PLANTS = ["dc-motor", "servo-axis", "two-mass", "mass-spring-damper", "linear-actuator"]
 AT_JOINT = {"force_unit": "N m", "speed_unit": "rad/s", "position_unit": "rad"}

@@ -111,6 +111,21 @@ SMOOTH = {
             )
         },
     ),
+    "one-sided-spring": (
+        JOINT,
+        {"k": 0.3, "q0": 4.0, "d": 5e-4},
+        {"force": lambda t, q, v, i: -max(0.0, 0.3 * (q - 4) + 5e-4 * v) * (q > 4)},
+    ),
+    "pendulum-gravity": (
+        JOINT,
+        {"G": 0.004, "H": -0.003},
+        {"force": lambda t, q, v, i: -0.004 * np.sin(q) + 0.003 * np.cos(q)},
+    ),
+    "torque-ripple": (
+        JOINT,
+        {"Ac": 0.004, "As": 0.003, "f": 50.0},
+        {"force": lambda t, q, v, i: 0.004 * np.cos(100 * np.pi * t) + 0.003 * np.sin(100 * np.pi * t)},
+    ),
 }
 
 

@@ -1,0 +1,204 @@
+r"""What a small force at a port changes in the windows of a fit, and the sums that every regression on it needs.
+
+The errors of a window near a fit of a hypothesis, in units of the sensors' noise, are
+
+.. math:: e = J\,\delta + X\,\eta + O\,f + \text{noise}
+
+with :math:`\delta, \eta` the moves of the standardised parameters and of the window's start, and f the force at the
+port, held over short segments of the window. O is simulated, pulse by pulse, all windows at once; where the model is
+linear, one pulse tells all, later ones answer alike. All that is ever asked of it are its products
+:math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]`, once per window: any curve of the force, any random force and any noise
+level are then sums over segments, without a further simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Scales, Site
+from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.ports.law_kernel import TIME, law
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, averaged
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+
+__all__ = ["ForceResponse", "force_response", "plain_places"]
+
+SEGMENTS = 60  # of a window, at most: finer ones tell faster forces, each is a simulation
+PULSE = 0.02  # of the force that moves the port: small against it, large against rounding
+WILD = 1e6
+
+
+@law
+def recorded_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (sample time, then the force at each sample of the record)."""
+    return p[1 + min(len(p) - 2, int(seen[TIME] / p[0] + 1e-6))]
+
+
+class _RecordedForce(Effect):
+    """A force, or an addition to an input, that is given sample by sample; no effect of the catalogue."""
+
+    id = "recorded-force"
+    title = "Recorded force"
+    equation = "f(t)"
+    site_kind = "joint"
+    nameable = False
+
+    def __init__(self, dt: float) -> None:
+        self.dt = dt
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return ()
+
+    def laws(self, site: Site, values: Mapping[str, Array]) -> tuple[Law, ...]:  # type: ignore[override]
+        if site.kind == "input":
+            return ()
+        return (Law(recorded_force, site.name, np.append(self.dt, values["samples"])),)  # type: ignore[arg-type]
+
+    def input(self, signal: Array, values: Mapping[str, Array], h: float) -> Array:  # type: ignore[override]
+        return signal + np.repeat(values["samples"], len(signal) // len(values["samples"]))
+
+
+@dataclass(frozen=True, eq=False)
+class ForceResponse:
+    """One record's windows.
+
+    Attributes
+    ----------
+    gram
+        G, (n_windows, n, n) with n = n_segments + n_z + n_x + 1.
+    points
+        Number of known points of each window, (n_windows,).
+    edges
+        First sample of each segment within a window, and the end, (n_segments + 1,).
+    samples
+        Index of each sample of the windows, (n_windows, length).
+    xi
+        Starts at the fit, (n_windows, n_x).
+    force
+        RMS of the force that moves the port along the record; ``unit`` is its unit.
+    speed, position
+        Of the port along the record, (n,), None where not told; with their units.
+    """
+
+    gram: Array
+    points: Indices
+    edges: Indices
+    samples: Indices
+    xi: Array
+    force: float
+    unit: str
+    speed: Array | None
+    position: Array | None
+    speed_unit: str
+    position_unit: str
+    record: PreparedRecord
+
+    @property
+    def segments(self) -> int:
+        """Their number in a window."""
+        return len(self.edges) - 1
+
+    def mean(self, values: Array) -> Array:
+        """Means over the segments of columns (n, k) along the record: (n_windows, n_segments, k)."""
+        return np.add.reduceat(values[self.samples], self.edges[:-1], axis=1) / np.diff(self.edges)[:, None]
+
+
+def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
+    """The plant's own joints, or its inputs where it has none."""
+    simulator = problem.simulators(fit.hypothesis)[0]
+    model = simulator.model(*problem.split(fit.hypothesis, fit.z))
+    joints = tuple(Site("joint", p.name) for p in model.ports.values() if p.kind == "joint" and "." not in p.name)
+    return joints or tuple(Site("input", s.name) for s in problem.plant.inputs)
+
+
+def force_response(problem: Problem, fit: Fit, place: Site) -> list[ForceResponse]:
+    """Responses at a fit to a force at a joint, or to an addition to an input, one a record."""
+    dt = problem.records[0].record.dt
+    pulse = Candidate(_RecordedForce(dt), place, (), ({},), Scales())
+    wider = Hypothesis((*fit.hypothesis.candidates, pulse))
+    return [_of_record(problem, fit, place, k, s) for k, s in enumerate(problem.simulators(wider))]
+
+
+def _of_record(problem: Problem, fit: Fit, place: Site, k: int, simulator: Simulator) -> ForceResponse:
+    record, chosen, xi = problem.records[k], problem.chosen[k], fit.starts[k]
+    wider = Hypothesis((*fit.hypothesis.candidates, Candidate(simulator.effects[-1][0], place, (), ({},), Scales())))
+    nothing = np.zeros(len(record.u))
+    single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0)) / np.sqrt(record.thin)
+
+    def outputs(z: Array, start: Array, samples: Array = nothing) -> Array:
+        factors, values = problem.split(wider, z)
+        return problem.outputs(k, simulator, factors, [*values[:-1], {"samples": samples}], start)  # type: ignore[list-item]
+
+    def points(difference: Array) -> Array:
+        with np.errstate(all="ignore"):
+            scaled = averaged(difference, record.thin) / single
+        return np.clip(scaled, -WILD, WILD).reshape(len(chosen), -1)
+
+    with np.errstate(all="ignore"):
+        here = outputs(fit.z, xi)
+        step, start_step = problem.tuning.step, problem.tuning.start_step
+        j = [points(outputs(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))]
+        x = [points(outputs(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
+        motion = _motion(problem, fit, place, k)
+        length = record.windows.length
+        edges = np.unique(np.append(np.arange(0, length, -(-length // SEGMENTS)), length))
+        samples = record.windows.starts[chosen][:, None] + np.arange(length)
+        size = PULSE * motion["force"]
+
+        def pulse(s: int) -> Array:
+            force = nothing.copy()
+            force[samples[:, edges[s] : edges[s + 1]]] = size
+            return (outputs(fit.z, xi, force) - here) / size
+
+        if _shifts(problem, fit, simulator):
+            first = pulse(0)
+            ends = [np.pad(first[:, : length - e], ((0, 0), (e, 0), (0, 0))) for e in edges[:-1]]
+            last = (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # a shorter last segment pushes less
+            o = [points(r * (last if s == len(ends) - 1 else 1.0)) for s, r in enumerate(ends)]
+        else:
+            o = [points(pulse(s)) for s in range(len(edges) - 1)]
+    error = points(record.measured[chosen] - here)
+    known = np.isfinite(error)
+    columns = np.nan_to_num(np.stack([*o, *j, *x, error], axis=2)) * known[:, :, None]
+    gram = np.swapaxes(columns, 1, 2) @ columns
+    return ForceResponse(gram, known.sum(axis=1), edges, samples, xi, record=record, **motion)
+
+
+def _shifts(problem: Problem, fit: Fit, simulator: Simulator) -> bool:
+    """Whether a later pulse answers like an earlier one: no force law, no map of an output."""
+    _, values = problem.split(fit.hypothesis, fit.z)
+    effects = zip(simulator.effects[:-1], values, strict=True)
+    return not any(site.kind == "output" or effect.laws(site, v) for (effect, site), v in effects)
+
+
+def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> dict[str, Any]:
+    """RMS force, speed and position of the port, and units, along one record as the smoother tells them."""
+    record = problem.records[k]
+    if place.kind == "input":
+        at = [s.name for s in problem.plant.inputs].index(place.name)
+        rms = float(np.sqrt(np.mean(record.u[:, at] ** 2))) or 1.0
+        return {
+            "force": rms, "unit": problem.plant.inputs[at].unit, "speed": None, "position": None, "speed_unit": "",
+            "position_unit": "",
+        }  # fmt: skip
+    factors, _ = problem.split(fit.hypothesis, fit.z)
+    port = port_model(problem.plant, factors).ports[place.name]
+    x, covariance = record.smoothed.x, record.smoothed.covariance
+    v = x @ port.velocity
+    inertia = 1.0 / float(port.velocity @ port.force)
+    rms = float(np.sqrt(np.mean((inertia * np.gradient(v, record.record.dt)) ** 2))) or 1.0
+    q = None
+    if port.position is not None:
+        q = x @ port.position
+        std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
+        q = q if std < 0.05 * np.ptp(q) else None
+    return {
+        "force": rms, "unit": port.unit, "speed": v, "position": q, "speed_unit": port.speed_unit,
+        "position_unit": port.position_unit,
+    }  # fmt: skip

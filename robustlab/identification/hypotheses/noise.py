@@ -1,0 +1,101 @@
+"""The noise that fits are judged by, and fits under it of data that were kept from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+
+__all__ = ["first_noise", "held_out_fit", "noise_ratio", "rms_percent", "settled", "spans", "white", "whitening"]
+
+
+def first_noise(problem: Problem) -> NoiseModel:
+    """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
+    std = []
+    for record in problem.records:
+        single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0))
+        std.append(2.0 * single / np.sqrt(record.thin))
+    return NoiseModel(np.max(std, axis=0), np.zeros((0, std[0].shape[0])))
+
+
+def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
+    """Autoregression (of the usual order where left out) and innovation size of a fit's errors, output by output."""
+    order = problem.tuning.ar_order if order is None else order
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    n_y = errors[0].shape[2]
+    ar, std = np.zeros((order, n_y)), np.ones(n_y)
+    for j in range(n_y):
+        past = np.concatenate([_past(e[:, :, j], order) for e in errors])
+        now = np.concatenate([e[:, order:, j].ravel() for e in errors])
+        known = np.isfinite(past).all(axis=1) & np.isfinite(now)
+        past, now = past[known], now[known]
+        ar[:, j] = np.linalg.lstsq(past, now, rcond=None)[0]
+        rest = now - past @ ar[:, j]
+        std[j] = max(float(np.sqrt(np.mean(rest**2))), 1e-12 * float(np.abs(now).max(initial=1e-300)))
+    return NoiseModel(std, ar)
+
+
+def noise_ratio(problem: Problem, fit: Fit) -> float:
+    """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    size = np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
+    single = np.max(
+        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
+        axis=0,
+    )
+    return float(np.max(size / single))
+
+
+def _past(errors: Array, order: int) -> Array:
+    """The ``order`` points before each point of a window, (n, order), latest first."""
+    length = errors.shape[1]
+    lagged = [errors[:, order - lag - 1 : length - lag - 1] for lag in range(order)]
+    return np.stack(lagged, axis=2).reshape(-1, order)
+
+
+def white(noise: NoiseModel) -> NoiseModel:
+    """White noise of the same innovations: with it the window starts are those of least squares."""
+    return NoiseModel(noise.std, noise.ar[:0])
+
+
+def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
+    """The hypothesis on other windows: parameters as fitted, only the window starts are found anew."""
+    return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
+
+
+def rms_percent(problem: Problem, fit: Fit) -> float:
+    """Windowed RMS error over all outputs in percent of their measured ranges."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    ranges = spans(problem.records)
+    squares = np.concatenate([(e / np.where(ranges > 0, ranges, 1.0)).reshape(-1, len(ranges)) ** 2 for e in errors])
+    return float(100.0 * np.sqrt(np.nanmean(squares)))
+
+
+def spans(records: Sequence[PreparedRecord]) -> Array:
+    """Largest measured range of each output, (n_measured,); 0 of one that no record has."""
+    known = [[y[np.isfinite(y)] for y in r.y.T] for r in records]
+    return np.max([[np.ptp(y) if y.size else 0.0 for y in row] for row in known], axis=0)
+
+
+def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
+    """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows.
+
+    Full whitening is right where the errors are noise. Where something is still missing it is not: then the first
+    order, from a start by least squares, trusts differences between neighbouring points less, in which what is not
+    modelled (a small ripple) shows first.
+    """
+    found, settling = fit, problem.tuning.settling
+    if order == 1:
+        errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+        flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
+        size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
+        plain = NoiseModel(size, noise.ar[:0])
+        found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, FitPlan(settling, 1e-3))
+    for _ in range(2):
+        own = whitening(problem, found, order)
+        found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(settling, 1e-3, robust=True))
+    return found

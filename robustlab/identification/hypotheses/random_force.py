@@ -1,0 +1,173 @@
+r"""The windows of a fit under a random force: what is left of their errors, and how probable they are.
+
+No machine runs without a random force d. With its size s and bandwidth f the errors of a window
+(`robustlab.identification.hypotheses.force_response`) have the covariance
+
+.. math:: \sigma^2 (1 + O\, s^2 K_f\, O^T), \qquad (K_f)_{jk} = e^{-2 \pi f |t_j - t_k|}
+
+and everything else is Gaussian, too: d, the start of the window and the parameters are eliminated in closed form, the
+scale of the noise is taken at its best. The eigenvectors of :math:`L^T O^T O L` with :math:`L L^T = K_f` serve all
+sizes at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.identification.hypotheses.effect_fit import Problem
+from robustlab.identification.hypotheses.force_response import ForceResponse
+
+__all__ = ["FittedWindows", "NoiseLevel", "eliminated"]
+
+
+SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
+# Precision of a start's prior, of that in the fit: the smoother that told the start knew of no force beyond its own
+# bandwidth, and a ripple moves the start by much more than it thought possible.
+START = 0.01
+BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevel:
+    """A random force (size, bandwidth), and the sums of each window with it and the start eliminated.
+
+    ``gram`` (n_windows, k + n_z + 1, ...) over the columns asked for, the parameters and the errors;
+    ``logdet`` (n_windows,).
+    """
+
+    size: float
+    bandwidth: float
+    gram: Array
+    logdet: Array
+    alone_q: float  # V of the hypothesis alone
+    alone: float  # its log likelihood
+
+
+class FittedWindows:
+    """The windows of all records at one place."""
+
+    def __init__(self, records: list[ForceResponse], z: Array, problem: Problem) -> None:
+        self.records, self.z, self.problem = records, z, problem
+        self.points = int(sum(r.points.sum() for r in records))
+        self.force = max(r.force for r in records)
+        self.dt = problem.records[0].record.dt
+        length = self.dt * records[0].samples.shape[1]
+        self.bandwidths = [b / length for b in BANDWIDTHS]
+        self.weight = 1.0  # of the parameters' prior, in units of the noise's variance
+        self.roots = {f: [self._roots(r, f) for r in records] for f in self.bandwidths}
+        nothing = [np.zeros((len(r.gram), r.segments, 0)) for r in records]
+        for _ in range(2):
+            self.alone = max(self.levels(nothing), key=lambda level: level.alone)
+            self.weight = max(1.0, self.alone.alone_q / self.points)
+
+    def _roots(self, record: ForceResponse, bandwidth: float) -> tuple[Array, Array]:
+        """U^T L^T (n_windows, n_segments, n_segments) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
+        middle = 0.5 * self.dt * (record.edges[1:] + record.edges[:-1])
+        kernel = np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+        root = np.linalg.cholesky(kernel + 1e-9 * np.eye(len(kernel)))
+        s = record.segments
+        w, u = np.linalg.eigh(root.T @ record.gram[:, :s, :s] @ root)
+        return np.swapaxes(u, 1, 2) @ root.T, np.maximum(w, 0.0)
+
+    @property
+    def smaller(self) -> Array:
+        """The sizes up to that of the hypothesis alone: what an unnamed force explains the random one need not."""
+        return np.append(0.0, SIZES[1:][SIZES[1:] * self.force <= 1.8 * self.alone.size])
+
+    def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
+        """All random forces, with these columns (n_windows, n_segments, k) a record."""
+        mixed = [self._mixed(r, c) for r, c in zip(self.records, columns, strict=True)]
+        found = []
+        for f in self.bandwidths:
+            turned = [root @ rows for (root, _), (_, rows) in zip(self.roots[f], mixed, strict=True)]
+            for size in sizes if f == self.bandwidths[0] else sizes[1:]:  # none has no bandwidth
+                grams, logdets = [], []
+                for record, (_, w), (gram, _), t in zip(self.records, self.roots[f], mixed, turned, strict=True):
+                    a = (size * self.force) ** 2
+                    scaled = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
+                    g, logdet = _without_start(gram - np.swapaxes(scaled, 1, 2) @ scaled, record)
+                    grams.append(g)
+                    logdets.append(logdet + np.log1p(a * w).sum(axis=1))
+                found.append(self._level(size * self.force, f, np.concatenate(grams), np.concatenate(logdets)))
+        return found
+
+    def _mixed(self, record: ForceResponse, columns: Array) -> tuple[Array, Array]:
+        """Products of the columns, starts, parameters and errors of each window; and those with the segments."""
+        s, n_x = record.segments, record.xi.shape[1]
+        n = record.gram.shape[1]
+        k = columns.shape[2]
+        mix = np.zeros((len(columns), n, k + n - s))
+        mix[:, :s, :k] = columns
+        order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]  # starts, parameters, errors
+        mix[:, order, k + np.arange(n - s)] = 1.0
+        rows = record.gram @ mix
+        # starts go first, so that they are eliminated first
+        gram = np.swapaxes(mix, 1, 2) @ rows
+        first = [*range(k, k + n_x), *range(k), *range(k + n_x, gram.shape[1])]
+        return gram[:, first][:, :, first], rows[:, :s][:, :, first]
+
+    def _level(self, size: float, bandwidth: float, gram: Array, logdet: Array) -> NoiseLevel:
+        n_z = len(self.z)
+        total = self.with_prior(gram.sum(axis=0)[-n_z - 1 :, -n_z - 1 :])
+        q, det = (float(v) for v in eliminated(total, n_z))
+        log_likelihood = -0.5 * self.points * np.log(q / self.points) - 0.5 * (logdet.sum() + det)
+        return NoiseLevel(size, bandwidth, gram, logdet, q, log_likelihood)
+
+    def with_prior(self, gram: Array) -> Array:
+        """Products over (..., parameters, errors) with the parameters' prior."""
+        n_z = len(self.z)
+        prior = np.zeros(gram.shape[-2:])
+        prior[-n_z - 1 : -1, -n_z - 1 : -1] = np.eye(n_z)
+        prior[-n_z - 1 : -1, -1] = prior[-1, -n_z - 1 : -1] = -self.z
+        prior[-1, -1] = self.z @ self.z
+        return gram + self.weight * prior
+
+    def segment_sums(self, share: float = 1.0) -> list[tuple[Array, Array]]:
+        """Products of the segments with each other and with the errors.
+
+        Under the noise of the hypothesis alone, of its random force a share.
+        """
+        found = []
+        for k, record in enumerate(self.records):
+            s = record.segments
+            root, w = self.roots[self.alone.bandwidth][k]
+            a = (share * self.alone.size) ** 2
+            t = root @ record.gram[:, :s]
+            t = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
+            gram = record.gram - np.swapaxes(t, 1, 2) @ t
+            n, n_x = gram.shape[1], record.xi.shape[1]
+            first = [*range(n - 1 - n_x, n - 1), *range(s), *range(s, n - 1 - n_x), n - 1]
+            g, _ = _without_start(gram[:, first][:, :, first], record)
+            found.append((g, g[:, :s, -1]))
+        # the parameters are eliminated approximately: at their best for the errors, not for each force
+        n_z = len(self.z)
+        total = self.with_prior(sum(g.sum(axis=0) for g, _ in found)[-n_z - 1 :, -n_z - 1 :])
+        dz = np.linalg.solve(total[:-1, :-1], total[:-1, -1]) if n_z else np.zeros(0)
+        return [(g[:, : r.segments, : r.segments], b - g[:, : r.segments, r.segments : -1] @ dz)
+                for (g, b), r in zip(found, self.records, strict=True)]  # fmt: skip
+
+
+def _without_start(gram: Array, record: ForceResponse) -> tuple[Array, Array]:
+    """The window's start, which comes first, eliminated with its prior; and log det of its equations."""
+    n_x = record.xi.shape[1]
+    gram = gram.copy()
+    gram[:, :n_x, :n_x] += START * np.eye(n_x)
+    gram[:, :n_x, -1] -= START * record.xi
+    gram[:, -1, :n_x] -= START * record.xi
+    gram[:, -1, -1] += START * (record.xi**2).sum(axis=1)
+    h, right = gram[:, :n_x, :n_x], gram[:, :n_x, n_x:]
+    rest = gram[:, n_x:, n_x:] - np.swapaxes(right, 1, 2) @ np.linalg.solve(h, right)
+    return rest, np.linalg.slogdet(h)[1]
+
+
+def eliminated(gram: Array, count: int) -> tuple[Array, Array]:
+    """V without the last but one ``count`` unknowns, and log det of their equations."""
+    if count == 0:
+        return gram[..., -1, -1], np.zeros(gram.shape[:-2])
+    h, b = gram[..., -count - 1 : -1, -count - 1 : -1], gram[..., -count - 1 : -1, -1:]
+    v = gram[..., -1, -1] - (np.swapaxes(b, -1, -2) @ np.linalg.solve(h, b))[..., 0, 0]
+    return v, np.linalg.slogdet(h)[1]

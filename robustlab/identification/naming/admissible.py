@@ -1,0 +1,69 @@
+"""Which fitted sets of effects may be an answer at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import parameter_groups, port_model
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
+
+__all__ = ["admissible", "beyond_tolerance"]
+
+
+LEAST_PERIODS = 2.0  # of a ripple over the position: less is a slope, a curve, a spring, a stop
+
+
+def admissible(
+    plant: LinearPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
+) -> Callable[[Problem, Fit], bool]:
+    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen.
+
+    Parameters
+    ----------
+    stated
+        Parameter -> (relative tolerance, whether it was assumed).
+    fitted, held
+        The records: a force over the position must be seen for two of its periods in both.
+    """
+    limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
+    strokes = _strokes(plant, fitted, held)
+
+    def allowed(problem: Problem, fit: Fit) -> bool:
+        _, values = problem.split(fit.hypothesis, fit.z)
+        for candidate, own in zip(fit.hypothesis.candidates, values, strict=True):
+            if not beyond_tolerance(problem, fit, candidate, limits):
+                return False
+            if candidate.effect.spatial and "k" in own:
+                stroke = strokes.get(candidate.site.name, np.inf)
+                if abs(own["k"]) * stroke < LEAST_PERIODS * 2.0 * np.pi:
+                    return False
+        return True
+
+    return allowed
+
+
+def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
+    """False for a parameter effect whose factor lies within the parameter's tolerance: nothing is missing then."""
+    if candidate.site.kind != "parameter":
+        return True
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
+    own = candidate.effect.factors(problem.plant, candidate.site, values[k])
+    name = next(iter(own))
+    total = np.log(factors.get(name, 1.0) * own[name])
+    return bool(abs(total) > np.log1p(limits[candidate.site.name]))
+
+
+def _strokes(plant: LinearPlant, fitted: Problem, held: Problem) -> dict[str, float]:
+    """The longest stroke at each joint and output that the fitted and the held-out records both have."""
+    model = port_model(plant)
+    rows = {n: p.position for n, p in model.ports.items() if p.position is not None}
+    rows |= {s.name: row for s, row in zip(plant.outputs, model.C, strict=True)}
+    found = {}
+    for name, row in rows.items():
+        longest = [max(float(np.ptp(r.smoothed.x @ row)) for r in p.records) for p in (fitted, held)]
+        found[name] = min(longest)
+    return found

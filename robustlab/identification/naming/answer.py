@@ -1,0 +1,343 @@
+"""From the posterior of the sets to what is said: verdict, names, intervals, gaps, and what remains.
+
+The best set is named where its probability is high enough and nothing stands beside it that no test on these records
+tells from it. "Complete" and "no missing effect" are not said where the errors are far beyond noise, where a line over
+time or position is significant, or where an unnamed force explains what the names do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+
+from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.errors import NoTrustworthyNumber, RobustlabError
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, settled, white
+from robustlab.identification.hypotheses.prepared_record import start_std
+from robustlab.identification.naming.discovery_parts import (
+    EffectValue,
+    InputClock,
+    NamedEffect,
+    NominalValue,
+    Rival,
+    SearchEntry,
+    SetProbability,
+)
+from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
+from robustlab.identification.naming.gaps import held_out_gaps
+from robustlab.identification.naming.posterior import Alternative, Posterior
+from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
+from robustlab.identification.naming.search import Found
+from robustlab.identification.naming.updated_plant import updated_plant
+from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.unnamed.unnamed_effect import ResidualForce
+from robustlab.record import Record
+from robustlab.result import Status
+
+if TYPE_CHECKING:
+    from robustlab.identification.comparison.noise_floor import NoiseFloor
+    from robustlab.identification.experiment.next_experiment import NextExperiment
+
+__all__ = ["Case", "answer"]
+
+
+INTERVAL = 1.96  # standard deviations of a 95 % interval
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One call of `discover`: what was given, checked and prepared."""
+
+    plant: LinearPlant
+    records: Sequence[Record]
+    repeats: Sequence[Record]
+    period: float | None
+    stated: Mapping[str, tuple[float, bool]]
+    findings: tuple[Finding, ...]
+    held_text: str
+    pool: Sequence[Candidate]
+
+
+class _Judgement(NamedTuple):
+    """The verdict and what it rests on: residual force, its lines, error over noise, noise floor and F against it."""
+
+    verdict: Verdict
+    complete: bool
+    left: LeftOver | None
+    lines: tuple[dict[str, float | str], ...]
+    noise_ratio: float
+    floor: NoiseFloor | None
+    excess: Mapping[str, float]
+
+
+class _Stages:
+    """Runs what comes after the naming: what fails is told, and never loses the naming."""
+
+    def __init__(self) -> None:
+        self.findings: list[Finding] = []
+
+    def run(self, what: str, work: Callable[[], T], instead: T) -> T:
+        try:
+            with np.errstate(all="ignore"):
+                return work()
+        except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError) as fault:
+            hint = "the names stand without it"
+            self.findings.append(Finding("stage", what, f"not computed: {fault}", "a number", hint, False, {}))
+            return instead
+
+
+def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
+    """The result of `discover`."""
+    problem, held, stages = found.problem, found.held, _Stages()
+    best = posterior.best.fit
+    fit = settled(problem, best, found.noise)
+    judged = _judged(case, found, posterior, fit, stages)
+    if not judged.complete and best.hypothesis.candidates:
+        fit = settled(problem, best, found.noise, 1)
+    bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
+    rivals = posterior.alternatives()
+    if judged.verdict == "unknown" and not best.hypothesis.candidates:
+        rivals = []  # nothing was named, and nothing is missing no longer stands beside them
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
+    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit})
+    names = tuple(r.name for r in case.records)
+    left = judged.left
+    unsettled = left if left and not judged.complete else None
+    structure = {"noise_ratio": judged.noise_ratio}
+    experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
+    curves = stages.run("residual force", left.curves, None) if left else None
+    missing = (
+        stages.run("missing force", lambda: _missing_force(found, bare), None) if best.hypothesis.candidates else None
+    )
+    unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
+    findings = [*case.findings, *_search_findings(found), *stages.findings]
+    return Discovery(
+        status=Status.CONVERGED if judged.verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
+        verdict=judged.verdict,
+        complete=judged.complete,
+        effects=tuple(_named(found, posterior, fit, k, rivals) for k in range(len(fit.hypothesis.candidates))),
+        rivals=tuple(_rival(problem, a) for a in rivals),
+        nominal=_nominal(problem, fit, case.stated),
+        gap_before=overall(gaps.windows, "nominal"),
+        gap_refitted=overall(gaps.windows, "refitted"),
+        gap_after=overall(gaps.windows, "updated"),
+        gaps=gaps.windows,
+        free_run=gaps.free_run,
+        free_run_on=gaps.free_run_on,
+        held_out=case.held_text,
+        plant=case.plant.name,
+        records=names,
+        window=problem.records[0].windows.length * problem.records[0].record.dt,
+        posterior=_probabilities(posterior),
+        search=_entries(found),
+        clocks=_clocks(problem, fit),
+        candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
+        structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
+        residual_force=curves,
+        missing_force=missing,
+        unnamed=unnamed,
+        noise_floor=judged.floor,
+        floor_excess=judged.excess,
+        remaining_lines=judged.lines,
+        findings=tuple(findings),
+        series=gaps.series,
+        model=updated_plant(problem, fit, f"fitted to {', '.join(names)}"),
+        next_experiment=experiment,
+    )
+
+
+# --- the verdict -----------------------------------------------------------------------------------------------------
+
+
+def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
+    problem, held, tuning = found.problem, found.held, found.problem.tuning
+    left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
+    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
+    floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
+    ratio = noise_ratio(problem, fit)
+    gap = rms_percent(held, held_out_fit(held, fit, white(found.noise)))
+    large = ratio > tuning.beyond_noise or (gap > tuning.coarse and ratio > tuning.above_noise)
+    structure = left is not None and left.structure.found
+    remains = structure or large or bool(lines) or any(f > tuning.repeatable for f in excess.values())
+    remains = remains or not posterior.generalises
+    verdict = _verdict(found, posterior, remains)
+    complete = not remains and verdict != "unknown"
+    return _Judgement(verdict, complete, left, lines, ratio, floor, excess)
+
+
+def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
+    tuning, best = found.problem.tuning, posterior.best
+    if not best.key:
+        return "unknown" if remains else "no missing effect"
+    if remains and _explained(found, best.fit) < tuning.explained:
+        return "unknown"
+    alone = best.probability >= tuning.sure and len(posterior.collection) == 1
+    return "named" if alone and found.settled else "ambiguous"
+
+
+def _explained(found: Found, fit: Fit) -> float:
+    """Share of the fall in V from the bare model to noise that the named effects brought about."""
+    bare, now = found.empty.fit.cost, fit.cost
+    points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
+    return 1.0 if bare <= points else (bare - now) / (bare - points)
+
+
+def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
+    """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
+    from robustlab.identification.comparison.noise_floor import noise_floor
+
+    problem, record = found.problem, case.records[0]
+    first = problem.records[0]
+    names = [problem.plant.outputs[k].name for k in first.columns]
+    own = [name for name in names if name in first.record.outputs]
+    try:
+        floor = noise_floor(record, period=case.period, repeats=case.repeats, outputs=own)
+    except NoTrustworthyNumber:
+        return None, {}
+    if floor.source != "periods" or first.record.n != record.n:
+        return floor, {}
+    # Windows at the same phases of every period.
+    per_period = max(1, round(floor.samples / first.windows.length))
+    length = floor.samples // per_period
+    starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
+    windows = Windows(starts.astype(np.int64), length)
+    s = first.smoothed
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, problem.tuning))
+    there = problem.on([cut])
+    placed = held_out_fit(there, fit, white(found.noise))
+    errors = cut.measured - simulated_outputs(there, placed)[0]
+    excess = {}
+    for name in own:
+        j = names.index(name)
+        residual = np.full((floor.count, floor.samples), np.nan)
+        residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
+        tested = floor.excess(residual)
+        if tested.F is not None:
+            excess[name] = tested.F
+    return floor, excess
+
+
+def _missing_force(found: Found, bare: Fit) -> ResidualForce | None:
+    """The force that the refitted nominal model lacks."""
+    left = left_over(_everything(found), bare, found.noise)
+    return left.curves() if left else None
+
+
+def _everything(found: Found) -> Problem:
+    """All records, those held out as well."""
+    problem = found.problem
+    return problem.on([*problem.records, *(r for r in found.held.records if r not in problem.records)])
+
+
+def _search_findings(found: Found) -> list[Finding]:
+    told = []
+    if found.interrupted:
+        text = f"stopped by the user after {found.expanded} sets were looked beyond"
+        told.append(Finding("interrupted", "search", text, "a search that ends by itself", "run it again", False, {}))
+    elif not found.settled:
+        text = f"not settled after {found.expanded} sets were looked beyond"
+        told.append(Finding("search", "search", text, "a set that nothing makes more probable", "", False, {}))
+    return told
+
+
+def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative]) -> NextExperiment | None:
+    """What would separate the named effects from their rivals."""
+    if not rivals:
+        return None
+    from robustlab.identification.experiment.next_experiment import propose_experiment
+
+    others = {a.weighed.key: a.weighed.fit for a in rivals}
+    return propose_experiment(problem, best, list(others.values()))
+
+
+# --- the parts of the result -----------------------------------------------------------------------------------------
+
+
+def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
+    """Parameters of the k-th effect with posterior intervals."""
+    candidate = fit.hypothesis.candidates[k]
+    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
+    z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
+    values = []
+    for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
+        ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
+        values.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, ends[0], ends[1], p.meaning))
+    return tuple(values)
+
+
+def _named(found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
+    candidate = fit.hypothesis.candidates[k]
+    own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
+    less = next((v for v in found.sets if v.key == posterior.best.key - {candidate.key}), found.empty)
+    effect = candidate.effect
+    return NamedEffect(
+        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(found.problem, fit, k),
+        posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
+        tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
+    )  # fmt: skip
+
+
+def _rival(problem: Problem, a: Alternative) -> Rival:
+    fit = a.weighed.fit
+    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == a.candidate.key)
+    effect = a.candidate.effect
+    return Rival(
+        effect.id, effect.title, a.candidate.site.name, a.instead_of.effect.id if a.instead_of else "none",
+        a.weighed.distance, a.evidence, a.weighed.probability, _effect_values(problem, fit, k),
+    )  # fmt: skip
+
+
+def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[NominalValue, ...]:
+    factors, _ = problem.split(fit.hypothesis, fit.z)
+    moved: dict[str, list[float]] = {}
+    for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
+        for name in nuisance.names:
+            centre = z if name in factors else 0.0  # an effect that scales the group has its factor instead
+            factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
+            moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
+    values = []
+    for name, p in problem.plant.parameters.items():
+        low, value, high = moved.get(name, [p.value] * 3)
+        tolerance = stated[name][0]
+        far = abs(np.log(value / p.value)) > np.log1p(tolerance) if p.value else abs(value) > tolerance
+        beyond = name in moved and bool(far)
+        ends = min(low, high), max(low, high)
+        values.append(NominalValue(name, p.value, value, p.unit, *ends, *stated[name], beyond))
+    return tuple(values)
+
+
+def _clocks(problem: Problem, fit: Fit) -> tuple[InputClock, ...]:
+    hold = problem.clock.hold or ("zoh",) * len(problem.plant.inputs)
+    shift = problem.shift(fit.hypothesis, fit.z) or (0.0,) * len(hold)
+    std = {n.input: n.spread * s for n, s in zip(problem.nuisances, fit.std, strict=False) if n.input}
+    return tuple(
+        InputClock(s.name, "held" if h == "zoh" else h, t, std.get(s.name, 0.0))
+        for s, h, t in zip(problem.plant.inputs, hold, shift, strict=True)
+    )
+
+
+def _places(fit: Fit) -> tuple[str, ...]:
+    return tuple(f"{c.effect.id}@{c.site.name}" for c in fit.hypothesis.candidates)
+
+
+def _probabilities(posterior: Posterior) -> tuple[SetProbability, ...]:
+    best = posterior.best.visited.evidence
+    return tuple(
+        SetProbability(
+            _places(w.fit), tuple(c.effect.id for c in w.fit.hypothesis.candidates), w.probability,
+            w.visited.evidence - best, w.distance,
+        )
+        for w in posterior.sets
+    )  # fmt: skip
+
+
+def _entries(found: Found) -> tuple[SearchEntry, ...]:
+    best = found.best.evidence
+    words = {True: "judged", False: "no answer: within tolerance, or too little of its period is seen"}
+    return tuple(SearchEntry(_places(v.fit), v.evidence - best, words[v.allowed]) for v in found.sets)

@@ -1,0 +1,197 @@
+"""Which effects are worth a full fit on top of a set: two short fits of every one, on few windows and then on some.
+
+Derivatives over what the set itself has are borrowed from the set in the first of them, so that it costs one
+simulation a parameter of the effect. Both look at cost alone; evidence, priors and held-out data have their say later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
+
+__all__ = ["Start", "may_follow", "promising", "without"]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """An effect on top of a set, and the standardised parameters from which a fit of both begins."""
+
+    candidate: Candidate
+    hypothesis: Hypothesis
+    z: Array
+
+
+def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
+    """An effect already there, the parent of a refinement that is there, or a second coupling, is not looked for."""
+    for there in base.candidates:
+        same = candidate.site == there.site
+        if candidate.effect.id == there.effect.id and same:
+            return False
+        if there.effect.refines == candidate.effect.id and same:
+            return False
+        if there.effect.refines and there.effect.refines == candidate.effect.refines and same:
+            return False
+        if candidate.effect.structural and there.effect.structural:
+            return False
+    return True
+
+
+def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
+    """The hypothesis without its k-th effect, and its standardised parameters."""
+    z = list(fit.z[: len(problem.nuisances)])
+    at, kept = len(problem.nuisances), []
+    for j, candidate in enumerate(fit.hypothesis.candidates):
+        own = fit.z[at : at + len(candidate.parameters)]
+        at += len(candidate.parameters)
+        if j != k:
+            kept.append(candidate)
+            z.extend(own)
+    return Hypothesis(tuple(kept)), np.array(z)
+
+
+def promising(
+    problem: Problem, base: Fit, best: Fit, pool: Sequence[Candidate], known: dict[str, Array], workers: Executor,
+    said: Callable[[int, int], None],
+) -> list[Start]:  # fmt: skip
+    """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
+
+    Parameters
+    ----------
+    best
+        The most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
+    known
+        Key of an effect -> standardised parameters of base and effect that an earlier look ended with; put down here.
+    said
+        Called with the number of short fits done and to do.
+    """
+    tuning, noise = problem.tuning, base.noise
+    jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
+    few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.first_windows)
+    some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.second_windows)
+    few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
+    some_base = few_base if some is few else some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
+    borrowed = few.derivatives(few_base)
+    few_ceiling = min(few_ceiling, few_base.cost - 2.0 * tuning.promising)
+    some_ceiling = min(some_ceiling, some_base.cost - 2.0 * tuning.promising)
+
+    def first(job: Start) -> tuple[Start, Fit]:
+        plan = FitPlan(tuning.first, tuning.rough, draft=True, ceiling=few_ceiling)
+        return job, few.fit(job.hypothesis, noise, job.z, few_base.starts, plan, borrowed)
+
+    def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
+        job, fit = entry
+        plan = FitPlan(tuning.second, tuning.rough, draft=True, ceiling=some_ceiling)
+        return job, some.fit(fit.hypothesis, noise, fit.z, some_base.starts, plan)
+
+    looked = []
+    for done, entry in enumerate(workers.map(first, jobs), start=1):
+        looked.append(entry)
+        said(done, len(jobs) + tuning.kept_second)
+    nearest = _best_of_each(looked)
+    known.update({job.candidate.key: fit.z for job, fit in nearest})
+    kept = _kept(nearest, few_base.cost, tuning.promising, tuning.kept_second, tuning.kept_gains)
+    nearer = _best_of_each(workers.map(second, kept))
+    known.update({job.candidate.key: fit.z for job, fit in nearer})
+    kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
+    return [Start(job.candidate, fit.hypothesis, fit.z) for job, fit in kept]
+
+
+def _kept(
+    entries: Sequence[tuple[Start, Fit]], cost: float, least: float, most: int, gains: int
+) -> list[tuple[Start, Fit]]:
+    """The best by the fall of V, and beside them the best of the gains, which the prior may prefer at the same V."""
+    ordered = sorted(entries, key=lambda e: e[1].cost)
+    chosen = [e for e in ordered if cost - e[1].cost > 2.0 * least][:most]
+    wrong = [e for e in ordered if e[0].candidate.effect.gain_like and e not in chosen]
+    return chosen + wrong[:gains]
+
+
+def _best_of_each(fits: Iterable[tuple[Start, Fit]]) -> list[tuple[Start, Fit]]:
+    """The cheapest fit of each effect and site over its starts."""
+    best: dict[str, tuple[Start, Fit]] = {}
+    for job, fit in fits:
+        key = job.candidate.key
+        if key not in best or fit.cost < best[key][1].cost:
+            best[key] = (job, fit)
+    return list(best.values())
+
+
+def _starts(problem: Problem, base: Fit, candidate: Candidate, known: Mapping[str, Array]) -> list[Start]:
+    """From where a fit of the effect begins: its own starts, or where an earlier look left it."""
+    if candidate.key in known:
+        hypothesis, z = extended(problem, base.hypothesis, base.z, candidate, candidate.starts[0])
+        earlier = known[candidate.key]
+        return [Start(candidate, hypothesis, earlier if len(earlier) == len(z) else z)]
+    own = [*candidate.starts, *_as_refitted(problem, base, candidate)]
+    found = [Start(candidate, *extended(problem, base.hypothesis, base.z, candidate, start)) for start in own]
+    return found + _unstretched(problem, base, candidate)
+
+
+def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dict[str, float], ...]:
+    """For a wrong parameter: the factor that the refit within the tolerances has already stretched it to."""
+    if candidate.site.kind != "parameter":
+        return ()
+    for nuisance, z in zip(problem.nuisances, base.z, strict=False):
+        if nuisance.label == candidate.site.name:
+            return ({candidate.parameters[0].name: nuisance.factor(float(z))},)
+    return ()
+
+
+def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
+    """For a wrong gain: nominal parameters back at their values, and the gain at what the most stretched one had."""
+    if not candidate.effect.gain_like or candidate.site.kind in ("parameter", "joint") or not problem.nuisances:
+        return []
+    scaled = [n.names and not n.additive for n in problem.nuisances]
+    stretch = [n.spread * z for n, z, own in zip(problem.nuisances, base.z, scaled, strict=False) if own]
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < problem.tuning.most_stretched else 0.0, default=0.0)
+    found = []
+    for sign in (1.0, -1.0):
+        start = {candidate.parameters[0].name: float(np.exp(sign * likely))}
+        hypothesis, z = extended(problem, base.hypothesis, base.z, candidate, start)
+        z[: len(problem.nuisances)] = 0.0
+        found.append(Start(candidate, hypothesis, z))
+    return found
+
+
+def extended(
+    problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, Any]
+) -> tuple[Hypothesis, Array]:
+    """The base with the candidate, and the point from which its fit starts; a refinement replaces its parent."""
+    kept, z, at = [], list(base_z[: len(problem.nuisances)]), len(problem.nuisances)
+    for there in base.candidates:
+        own = base_z[at : at + len(there.parameters)]
+        at += len(there.parameters)
+        if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+            start = {**start, **{k: v for k, v in there.values(own).items() if k in start}}
+            continue
+        kept.append(there)
+        z.extend(own)
+    return Hypothesis((*kept, candidate)), np.array([*z, *candidate.standardised(start)])
+
+
+def _thinned(problem: Problem, fit: Fit, best: Fit, wanted: int) -> tuple[Problem, list[Array], float]:
+    """Windows for a short look, the fitted starts there, and a V beyond which nothing there can come near the best.
+
+    Half of them are those that the fit explains worst, since an effect may act in few windows (a stop, a saturation);
+    the other half lie evenly over the records, so that what explains the worst does not spoil the rest.
+    """
+    count = sum(len(c) for c in problem.chosen)
+    far = 2.0 * problem.tuning.far_behind
+    if count < 2 * wanted:
+        return problem, list(fit.starts), best.cost + far
+    taken = np.zeros(count, dtype=bool)
+    taken[:: round(2 * count / wanted)] = True
+    worst = [k for k in np.argsort(-fit.window_cost) if not taken[k]]
+    taken[worst[: max(1, wanted - int(taken.sum()))]] = True
+    ends = np.cumsum([len(c) for c in problem.chosen])[:-1]
+    masks = np.split(taken, ends)
+    chosen = [c[m] for c, m in zip(problem.chosen, masks, strict=True)]
+    ceiling = float(best.window_cost[taken].sum() + best.z @ best.z) + far
+    return problem.on(problem.records, chosen), [x[m] for x, m in zip(fit.starts, masks, strict=True)], ceiling

@@ -1,0 +1,314 @@
+r"""The search over sets of effects, by evidence on what is fitted and on what is held out.
+
+A hypothesis is a set S of effects at their places. With the chain rule
+
+.. math:: \log p(S | y) = \log p(y_f | S) + \log p(y_h | y_f, S) + \log p(S) + \text{const}
+
+the first term is Laplace's evidence of the fitted windows, the second the likelihood of the held-out ones with the
+parameters as fitted, the third the prior: a constant for each effect, less for a refinement of another effect, and for
+a ripple divided among all periods that were looked through.
+
+From the empty set on the most probable set that was not looked at yet is expanded by one effect, all promising ones
+fitted. When nothing that is added to the best set makes it more probable, each of its effects (and, of three, each two)
+are taken away and the rest is expanded again: so an effect that came first and only stood for what came later is
+dropped, exchanged, or two are replaced by one. The search ends when no such move finds a more probable set. All sets
+are judged under one noise model, that of the best one; when that changes, they are fitted again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, noise_ratio, whitening
+from robustlab.identification.naming.clock import held_inputs, short_steps
+from robustlab.identification.naming.first_look import Start, may_follow, promising, without
+from robustlab.identification.tuning import NamingTuning
+
+__all__ = ["Found", "Key", "Visited", "key_of", "search_sets"]
+
+Key = frozenset[str]
+Allowed = Callable[[Problem, Fit], bool]
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Visited:
+    """A set of effects as it was fitted.
+
+    Attributes
+    ----------
+    fit
+        Under the noise model of the search.
+    prior
+        Log prior of the set.
+    held_out
+        Log-likelihood of the held-out windows, parameters as fitted, up to a constant common to all sets.
+    allowed
+        False where it may not be the answer: a parameter within its tolerance, a ripple of which too little is seen.
+    """
+
+    fit: Fit
+    prior: float
+    held_out: float
+    allowed: bool
+
+    @property
+    def key(self) -> Key:
+        """Keys of its effects."""
+        return key_of(self.fit.hypothesis)
+
+    @property
+    def evidence(self) -> float:
+        """Log of the posterior probability, up to a constant common to all sets."""
+        return self.fit.evidence + self.held_out + self.prior
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the search ended with.
+
+    Attributes
+    ----------
+    sets
+        All that were judged, the most probable first.
+    empty
+        The set without any effect, the nominal model within its tolerances.
+    noise
+        The noise model under which all were judged.
+    expanded
+        Number of sets that were expanded; ``settled`` is False where the budget of them ended the search.
+    interrupted
+        True where the user ended it.
+    problem, held
+        As they were given, with the clock under which all was simulated.
+    """
+
+    sets: tuple[Visited, ...]
+    empty: Visited
+    noise: NoiseModel
+    expanded: int
+    settled: bool
+    interrupted: bool
+    problem: Problem
+    held: Problem
+
+    @property
+    def best(self) -> Visited:
+        """The most probable set."""
+        return self.sets[0]
+
+
+def key_of(hypothesis: Hypothesis) -> Key:
+    """Keys of the effects of a set, in no order."""
+    return frozenset(c.key for c in hypothesis.candidates)
+
+
+def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
+    """Log prior of a set."""
+    total = 0.0
+    for candidate in hypothesis.candidates:
+        total += math.log(tuning.prior_effect)
+        if candidate.effect.refines:
+            total += math.log(tuning.prior_refinement)
+        if candidate.effect.spatial and candidate.scales.orders:
+            total -= math.log(tuning.looked_elsewhere)
+    return total
+
+
+def search_sets(
+    problem: Problem, held: Problem, pool: Sequence[Candidate], allowed: Allowed, progress: Progress
+) -> Found:
+    """Search the sets of effects of ``pool``.
+
+    Parameters
+    ----------
+    problem, held
+        The windows to fit and the windows that are kept from the fits.
+    allowed
+        Whether a fitted set may be the answer.
+    progress
+        Called with the number of fits done, those expected, and what is being done.
+    """
+    with ThreadPoolExecutor(problem.tuning.workers) as workers:
+        return _Search(problem, held, pool, allowed, progress, workers).run()
+
+
+@dataclass(eq=False)
+class _Search:
+    """State of a search: sets visited under the present noise, and which of them were expanded under it."""
+
+    problem: Problem
+    held: Problem
+    pool: Sequence[Candidate]
+    allowed: Allowed
+    progress: Progress
+    workers: Executor
+    visited: dict[Key, Visited] = field(default_factory=dict)
+    expanded: set[Key] = field(default_factory=set)
+    looked: dict[Key, dict[str, Array]] = field(default_factory=dict)
+    expansions: int = 0
+    noise: NoiseModel = field(init=False)
+    sharpened: bool = False
+
+    @property
+    def tuning(self) -> NamingTuning:
+        return self.problem.tuning
+
+    def run(self) -> Found:
+        self.noise = first_noise(self.problem)
+        z = np.zeros(len(self.problem.nuisances))
+        empty = self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(self.tuning.base))
+        self._visit(empty)
+        interrupted = settled = False
+        try:
+            self._expand(Key())
+            self._sharpen()
+            while self.expansions < self.tuning.most_expansions:
+                key = self._next()
+                if key is None:
+                    settled = True
+                    break
+                best = self.best
+                self._expand(key)
+                if self.best.key != best.key:
+                    self._sharpen()
+        except KeyboardInterrupt:
+            interrupted = True
+        order = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
+        return Found(
+            tuple(order),
+            self.visited[Key()],
+            self.noise,
+            self.expansions,
+            settled,
+            interrupted,
+            self.problem,
+            self.held,
+        )
+
+    @property
+    def best(self) -> Visited:
+        return max((v for v in self.visited.values() if v.allowed), key=lambda v: v.evidence)
+
+    def _next(self) -> Key | None:
+        """The set to expand next: the best one, else what remains of it when one or two of its effects are away."""
+        best = self.best.key
+        if len(best) < self.tuning.most_effects and best not in self.expanded:
+            return best
+        sizes = [len(best) - away for away in (1, 2) if away <= len(best)]
+        smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
+        for key in smaller:
+            if key not in self.visited:
+                self._without(key)
+        left = [k for k in smaller if k not in self.expanded]
+        return max(left, key=lambda k: self.visited[k].evidence, default=None)
+
+    def _without(self, key: Key) -> None:
+        """Fit the best set with only the effects of ``key``."""
+        fit = self.best.fit
+        while len(fit.hypothesis.candidates) > len(key):
+            k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key not in key)
+            hypothesis, z = without(self.problem, fit, k)
+            fit = self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(self.tuning.last))
+        self._visit(fit)
+
+    def _expand(self, key: Key) -> None:
+        """Fit the most promising effects on top of a set."""
+        base = self.visited[key].fit
+        open_ones = [c for c in self.pool if may_follow(c, base.hypothesis)]
+        text = " + ".join(sorted(key)) or "the nominal model"
+
+        def said(done: int, expected: int) -> None:
+            self.progress(done, expected + self.tuning.kept_last, f"what could be added to {text}")
+
+        known = self.looked.setdefault(key, {})
+        best = self.best.fit
+        starts = promising(self.problem, base, best, open_ones, known, self.workers, said)
+        ceiling = min(base.cost - 2.0 * self.tuning.promising, best.cost + 2.0 * self.tuning.far_behind)
+
+        def full(start: Start) -> Fit:
+            gain = start.candidate.effect.gain_like
+            plan = FitPlan(self.tuning.full, 0.05, ceiling=np.inf if gain else ceiling)
+            return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
+
+        for fit in self.workers.map(full, starts):
+            self._visit(fit)
+        self.expanded.add(key)
+        self.expansions += 1
+        self._from_children(key)
+
+    def _from_children(self, key: Key) -> None:
+        """Fit a set once more from where its best extension stands.
+
+        A fit may rest in a minimum that is not the lowest (contacts make many); an effect that only leads out of it
+        would seem to explain what the set explains as well.
+        """
+        base = self.visited[key].fit
+        leader = min((v.fit for v in self.visited.values()), key=lambda f: f.cost)
+        kept = base.hypothesis.candidates
+        if leader.hypothesis.candidates[: len(kept)] != kept or leader is base:
+            return
+        again = self.problem.fit(
+            base.hypothesis, self.noise, leader.z[: len(base.z)], leader.starts, FitPlan(self.tuning.second)
+        )
+        if again.cost < base.cost:
+            self._visit(again)
+
+    def _visit(self, fit: Fit) -> None:
+        """Judge a fit, and keep it where it is the better one of its set."""
+        key = key_of(fit.hypothesis)
+        there = self.visited.get(key)
+        if there is not None and there.fit.evidence >= fit.evidence:
+            return
+        judged = held_out_fit(self.held, fit, self.noise)
+        self.visited[key] = Visited(
+            fit,
+            log_prior(fit.hypothesis, self.tuning),
+            -0.5 * (judged.cost - float(fit.z @ fit.z)),
+            self.allowed(self.problem, fit),
+        )
+
+    def _white(self, fit: Fit) -> bool:
+        """Whether a fit's errors are as large as its noise model says."""
+        points = sum(e[np.isfinite(e)].size for e in self.problem.errors(fit.hypothesis, fit.z, fit.starts))
+        return 0.8 < fit.cost / points < 1.25
+
+    def _sharpen(self) -> None:
+        """Take the noise from the best set, fit again all that may still matter under it, and forget the rest."""
+        leader = self.best.fit
+        if self.sharpened and self._white(leader):
+            return
+        self.sharpened = True
+        self.noise = self._noise_of(leader)
+        leader = self._clocked(self._again(leader))
+        self.noise = self._noise_of(leader)
+        ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.kept_last + 1]
+        kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
+        self.visited, self.expanded = {}, set()
+
+        for fit in self.workers.map(self._again, kept.values()):
+            self._visit(fit)
+
+    def _noise_of(self, fit: Fit) -> NoiseModel:
+        """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
+        near = noise_ratio(self.problem, fit) < self.tuning.beyond_noise
+        return whitening(self.problem, fit, self.tuning.ar_order if near else 1)
+
+    def _again(self, fit: Fit) -> Fit:
+        """The set fitted under the present noise and clock, from where it stands."""
+        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(self.tuning.full, 0.05))
+
+    def _clocked(self, fit: Fit) -> Fit:
+        """The best set under the input holds that suit it and steps that are short enough for it."""
+        fit, self.problem = held_inputs(self.problem, fit)
+        self.problem = short_steps(self.problem, fit)
+        self.held = self.held.under(self.problem.clock)
+        return self._again(fit)

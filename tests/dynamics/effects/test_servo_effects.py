@@ -1,0 +1,295 @@
+"""What real servos have: gravity, lag, directions, ripple over time, contacts on one side; against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.extended.effect_loads import effect_loads
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+from robustlab.errors import InputError
+from robustlab.statespace import Signal, StateSpaceModel
+
+ROUND = Site("joint", "w")
+FAST = 2 * math.pi / 0.01  # rad/s: a period of 10 ms
+
+
+def disc(stiffness=0.0, damping=0.0):
+    """A body of the inertia 1 that turns: forces are accelerations."""
+    states = (Signal("q", "rad"), Signal("w", "rad/s"))
+    model = StateSpaceModel(
+        [[0, 1], [-stiffness, -damping]], [[0], [1]], [[1, 0]], [[0]], inputs=["u"], outputs=["q"], states=states
+    )
+    return linear_plant_of(model)
+
+
+def turned(pairs, n, h, x0=(0.0, 0.0), u=None, plant=None):
+    """States (n, 2) of the disc with effects, in steps of exactly h."""
+    force = np.zeros(n) if u is None else u
+    run = Simulator(plant or disc(), [(effect(name), ROUND) for name, _ in pairs], force[:, None], h)
+    run.sub, run.held = 1, force[:, None].copy()
+    return run.run({}, [values for _, values in pairs], np.array([x0]), Windows(np.array([0]), n)).states[0]
+
+
+def exact(force, n, h, x0, stiffness=0.0):
+    t = np.arange(n) * h
+    rate = lambda t, x: [x[1], force(t, *x) - stiffness * x[0]]  # noqa: E731
+    return solve_ivp(rate, (0, t[-1]), x0, t_eval=t, rtol=1e-9, atol=1e-11, max_step=2e-4).y.T
+
+
+# --- second order in the step ----------------------------------------------------------------------------------------
+
+SMOOTH = {
+    "pendulum-gravity": (
+        {"G": 0.3 * FAST**2, "H": 0.1 * FAST**2},
+        lambda t, q, v: -(0.3 * math.sin(q) + 0.1 * math.cos(q)) * FAST**2,
+    ),
+    "torque-ripple": (
+        {"Ac": 1e4, "As": 5e3, "f": 70.0},
+        lambda t, q, v: 1e4 * math.cos(140 * math.pi * t) + 5e3 * math.sin(140 * math.pi * t),
+    ),
+    "one-sided-spring": (
+        {"k": -0.5 * FAST**2, "q0": 0.2, "d": 0.1 * FAST},
+        lambda t, q, v: max(0.0, 0.5 * FAST**2 * (0.2 - q) - 0.1 * FAST * v) if q < 0.2 else 0.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_half_the_step_leaves_a_quarter_of_the_error(name):
+    """On an oscillator of ten samples a period, over four periods."""
+    values, force = SMOOTH[name]
+    plant, errors = disc(FAST**2), []
+    for h in (5e-4, 2.5e-4):
+        n = round(0.04 / h) + 1
+        truth = exact(force, n, h, (1.0, 0.0), FAST**2)[:, 0]
+        errors.append(np.abs(turned([(name, values)], n, h, (1.0, 0.0), plant=plant)[:, 0] - truth).max())
+    assert errors[1] < 0.3 * errors[0]
+    assert errors[1] < 0.02
+
+
+# --- gravity ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.7, math.pi / 2])
+def test_a_pendulum_swings_with_its_period_about_its_own_zero_and_keeps_its_energy(zero):
+    mgl, swing = 30.0, 1.2
+    values = {"G": mgl * math.cos(zero), "H": -mgl * math.sin(zero)}
+    q, v = turned([("pendulum-gravity", values)], 20000, 1e-3, (zero + swing, 0.0)).T
+    energy = 0.5 * v**2 - mgl * np.cos(q - zero)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+    assert (q.min(), q.max()) == pytest.approx((zero - swing, zero + swing), abs=2e-3)
+    down = np.flatnonzero((q[:-1] > zero) & (q[1:] <= zero))
+    crossing = 1e-3 * (down + (q[down] - zero) / (q[down] - q[down + 1]))
+    period = 4 * ellipk(math.sin(swing / 2) ** 2) / math.sqrt(mgl)
+    assert np.diff(crossing).mean() == pytest.approx(period, rel=1e-5)
+
+
+def test_gravity_needs_a_joint_that_turns():
+    gravity = effect("pendulum-gravity")
+    for name, places in (("servo-axis", 0), ("mass-spring-damper", 0), ("dc-motor", 1)):
+        plant = rl.plant(name)
+        assert len(gravity.sites(plant, port_model(plant))) == places
+
+
+def test_a_plant_with_gravity_rests_where_it_hangs_and_has_its_stiffness():
+    motor = rl.plant("dc-motor")
+    real = rl.with_effects(motor, {"pendulum-gravity": {"G": 0.03, "H": -0.04}})
+    hangs = math.atan2(0.04, 0.03)
+    rates = real.derivative([hangs, 0.0, 0.0], [0.0])
+    assert rates == pytest.approx(np.zeros(3), abs=1e-6)
+    linear = real.linear_model(([hangs, 0.0, 0.0], [0.0]))
+    assert linear.A[1, 0] == pytest.approx(-0.05 / motor.values["J"], rel=1e-6)
+    footprint = effect("pendulum-gravity").footprint(Site("joint", "omega"), {"G": 0.03, "H": -0.04}, 1.0)
+    assert footprint.gain_upper == footprint.offset == pytest.approx(0.05)
+
+
+# --- lag -------------------------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(st.floats(-5, 1).map(lambda e: 10.0**e), st.sampled_from([1e-4, 1e-3, 1e-2]), st.integers(0, 99))
+def test_a_lagged_step_is_the_mean_of_the_exact_one(T, h, seed):
+    """Of a held input: x' = (u - x) / T piece by piece, with the mean of x from its own balance."""
+    u = np.random.default_rng(seed).normal(size=40)
+    found, x, expected = effect("actuator-lag").input(u, {"T": T}, h), u[0], []
+    for level in u:
+        end = level + (x - level) * math.exp(-h / T)
+        expected.append(level - T * (end - x) / h)
+        x = end
+    np.testing.assert_allclose(found, expected, atol=1e-10 * max(1.0, T / h))
+
+
+def test_a_lag_goes_with_its_limits():
+    lag, u = effect("actuator-lag"), np.r_[0.0, np.ones(20)]
+    np.testing.assert_array_equal(lag.input(u, {"T": 0.0}, 1e-3), u)
+    np.testing.assert_allclose(lag.input(u, {"T": 1e-9}, 1e-3), u, atol=1e-5)
+    np.testing.assert_allclose(lag.input(np.full(5, 2.0), {"T": 0.3}, 1e-3), 2.0, rtol=1e-15)
+    assert len(lag.input(u[:0], {"T": 0.3}, 1e-3)) == 0
+    with pytest.raises(InputError, match=r"actuator-lag: T.*-0.1 s"):
+        lag.input(u, {"T": -0.1}, 1e-3)
+
+
+def test_a_motor_behind_a_lag_moves_as_the_equations_say():
+    motor, T = rl.plant("dc-motor"), 4e-3
+    t = np.arange(300) * 1e-3
+    u = np.where(np.arange(300) // 50 % 2, -6.0, 8.0)
+    model, free = motor.state_space(), rl.simulate(motor, t, {"u": u})["phi"]
+    wide = np.block([[model.A, model.B], [np.zeros((1, 3)), np.array([[-1 / T]])]])
+    x, truth = np.r_[np.zeros(3), u[0]], []
+    for k in range(300):  # each sample exactly, its input held
+        truth.append(x[0])
+        rate = lambda _, y, k=k: wide @ y + np.r_[0.0, 0.0, 0.0, u[k] / T]  # noqa: E731
+        x = solve_ivp(rate, (0, 1e-3), x, rtol=1e-10, atol=1e-12, method="LSODA").y[:, -1]
+    found = rl.simulate(rl.with_effects(motor, {"actuator-lag": {"T": T}}), t, {"u": u})["phi"]
+    assert np.abs(found - truth).max() < 1e-3 * np.abs(free - truth).max()
+
+
+def test_a_lag_is_a_state_where_delays_are_rational_and_a_parameter_of_the_set():
+    motor, T = rl.plant("dc-motor", R=(6.0, 0.0), Kf=(1e-5, 0.0)), 4e-3
+    real = rl.with_effects(motor, {"input-delay": {"d": 2e-3}, "actuator-lag": {"T": (T, 1e-3)}})
+    s = 1j * np.array([1.0, 30.0, 400.0])
+    rational = 1 - s * 1e-3 + s**2 * 4e-6 / 12
+    rational = rational / np.conj(rational)
+    bare = rl.frequency_response(motor.state_space(), s.imag)[:, :, 0]
+
+    def expected(time):
+        return bare * (rational / (1 + s * time))[:, None]
+
+    np.testing.assert_allclose(rl.frequency_response(real.linear_model(pade=2), s.imag)[:, :, 0], expected(T))
+    assert real.linear_model().n_states == 3
+    assert any("a lag of 0.004 s" in left.reason for left in real.left_out())
+    made = rl.uncertain_from(real, sigmas=2.0).model
+    lag = next(b for b in made.blocks if b.name == "actuator-lag@u")
+    assert (lag.parameter.low, lag.parameter.high) == pytest.approx((2e-3, 6e-3))
+    assert "Lag of the actuator" in lag.origin
+    for delta, time in ((0.0, T), (1.0, 6e-3), (-1.0, 2e-3), (0.4, 4.8e-3)):
+        member = made.evaluate({"actuator-lag@u": delta})
+        np.testing.assert_allclose(rl.frequency_response(member, s.imag)[:, :, 0], expected(time), rtol=1e-8)
+    known = rl.uncertain_from(rl.with_effects(motor, {"actuator-lag": {"T": T}})).model
+    assert "actuator-lag@u" not in [b.name for b in known.blocks]
+    np.testing.assert_allclose(
+        rl.frequency_response(known.nominal, s.imag)[:, :, 0], bare / (1 + s * T)[:, None], rtol=1e-9
+    )
+    with pytest.raises(InputError, match=r"lag actuator-lag@u.*stays positive"):
+        rl.uncertain_from(real, sigmas=5.0)
+
+
+# --- Coulomb friction by direction -----------------------------------------------------------------------------------
+
+LEVELS = {"F_pos": 5.0, "F_neg": 2.0}
+
+
+@pytest.mark.parametrize(("v0", "level"), [(3.0, 5.0), (-3.0, 2.0)])
+def test_a_body_stops_by_the_level_of_its_direction_and_stays(v0, level):
+    states = turned([("asymmetric-coulomb-friction", LEVELS)], 3000, 1e-3, (0.0, v0))
+    assert abs(states[-1, 0]) == pytest.approx(v0**2 / (2 * level), rel=1e-6)
+    assert (states[math.ceil(abs(v0) / level * 1e3) + 1 :, 1] == 0).all()
+
+
+@pytest.mark.parametrize(("force", "moves"), [(4.99, False), (5.01, True), (-1.99, False), (-2.01, True)])
+def test_it_breaks_away_at_the_level_of_its_direction(force, moves):
+    states = turned([("asymmetric-coulomb-friction", LEVELS)], 50, 1e-3, u=np.full(50, force))
+    assert (states[-1, 1] != 0.0) == moves
+
+
+def test_it_is_coulomb_friction_of_the_mean_level_and_a_load_of_half_the_difference():
+    u = 9.0 * np.sin(np.linspace(0, 30, 3000)) * np.linspace(0, 1, 3000)
+    one = turned([("asymmetric-coulomb-friction", LEVELS)], 3000, 1e-3, u=u)
+    two = turned([("coulomb-friction", {"Fc": 3.5}), ("constant-load", {"T0": 1.5})], 3000, 1e-3, u=u)
+    assert (one[:, 1] == 0).sum() > 100
+    np.testing.assert_allclose(one, two, atol=1e-12)
+
+
+# --- ripple over time ------------------------------------------------------------------------------------------------
+
+
+def test_a_free_body_follows_a_ripple_and_windows_keep_its_time():
+    values = {"Ac": 40.0, "As": 0.0, "f": 8.0}
+    omega = 2 * math.pi * 8.0
+    t = np.arange(1000) * 1e-3
+    v = turned([("torque-ripple", values)], 1000, 1e-3)[:, 1]
+    np.testing.assert_allclose(v, 40.0 / omega * np.sin(omega * t), atol=1e-9)
+    run = Simulator(disc(), [(effect("torque-ripple"), ROUND)], np.zeros((1000, 1)), 1e-3)
+    windows = run.run({}, [values], np.zeros((2, 2)), Windows(np.array([130, 600]), 300)).states[:, :, 1]
+    for k, start in enumerate((130, 600)):
+        np.testing.assert_allclose(windows[k], v[start : start + 300] - v[start], atol=1e-9)
+    late = Simulator(disc(), [(effect("torque-ripple"), ROUND)], np.zeros((300, 1)), 1e-3, 0.13)
+    np.testing.assert_allclose(
+        late.run({}, [values], np.zeros((1, 2)), Windows(np.array([0]), 300)).states[0, :, 1], windows[0], atol=1e-9
+    )
+
+
+def test_a_ripple_is_a_bounded_load_and_moves_no_point_of_rest():
+    motor = rl.plant("dc-motor")
+    real = rl.with_effects(motor, {"torque-ripple": {"Ac": 3e-3, "As": 4e-3, "f": 50.0}})
+    np.testing.assert_array_equal(real.derivative(np.zeros(3), [0.0]), np.zeros(3))
+    np.testing.assert_allclose(real.linear_model().A, motor.state_space().A)
+    (load,) = effect_loads(real).loads
+    assert (load.bound, load.unit) == (pytest.approx(5e-3), "N m")
+    noise = rl.uncertain_from(real).noise
+    assert [n.bound for n in noise] == [pytest.approx(5e-3)]
+    t = np.arange(500) * 1e-3
+    record = rl.simulate(real, t, {"u": np.sin(t)})
+    along = effect_loads(real).along(record)[load.name]
+    expected = 0.6 * np.cos(100 * math.pi * (t + 5e-4)) + 0.8 * np.sin(100 * math.pi * (t + 5e-4))
+    np.testing.assert_allclose(along[:-1], expected[:-1], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("dt", "expected"), [(1e-3, (50, 100, 60, 120)), (4.5e-3, (50, 100, 60)), (9e-3, (50,)), (0.02, (5,))]
+)
+def test_a_ripple_is_looked_for_at_the_mains_that_the_sampling_shows(dt, expected):
+    found = [s["f"] for s in effect("torque-ripple").starts(Scales(dt=dt))]
+    assert found == pytest.approx(list(expected))
+
+
+# --- contacts on one side --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_body_bounces_off_one_side_and_flies_on_the_other(side):
+    values = {"k": side * 400.0, "q0": side * 1.0, "d": 0.0}
+    states = turned([("one-sided-spring", values)], 3000, 1e-3, (0.0, side * 2.0))
+    assert np.abs(side * states[:, 0]).max() > 3.0
+    assert (side * states[:, 0]).max() == pytest.approx(1 + 2.0 / 20.0, rel=1e-4)
+    assert states[-1, 1] == pytest.approx(-side * 2.0, rel=1e-6)
+    away = turned([("one-sided-spring", values)], 3000, 1e-3, (0.0, -side * 2.0))
+    np.testing.assert_allclose(away[:, 1], -side * 2.0, rtol=1e-12)
+
+
+def test_a_damped_contact_gives_back_what_kelvin_and_voigt_say_at_any_step():
+    zeta, k = 0.3, 400.0
+    swing = math.sqrt(1 - zeta**2)
+    expected = math.exp(-zeta / swing * math.atan2(2 * zeta * swing, 2 * zeta**2 - 1))
+    for h, within in ((1e-3, 1e-2), (1e-4, 1e-3)):
+        values = {"k": k, "q0": 0.1, "d": 2 * zeta * math.sqrt(k)}
+        states = turned([("one-sided-spring", values)], round(0.4 / h), h, (0.0, 2.0))
+        assert -states[-1, 1] / 2.0 == pytest.approx(expected, rel=within)
+    stiff = turned([("one-sided-spring", {"k": k, "q0": 0.1, "d": 1e5})], 400, 1e-3, (0.0, 2.0))
+    assert np.abs(stiff[-100:, 1]).max() < 0.1  # a damper far too quick for the step does not throw it back
+
+
+def test_one_side_is_the_stop_whose_other_side_is_out_of_reach():
+    u = 30.0 * np.sin(np.linspace(0, 25, 2000))
+    one = turned([("one-sided-spring", {"k": 800.0, "q0": 0.1, "d": 2.0})], 2000, 1e-3, u=u)
+    two = turned([("end-stop", {"q_min": -1e9, "q_max": 0.1, "kc": 800.0, "dc": 2.0})], 2000, 1e-3, u=u)
+    np.testing.assert_array_equal(one, two)
+    assert one[:, 0].max() > 0.1
+
+
+def test_the_sector_of_a_contact_is_that_about_the_zero():
+    spring, site = effect("one-sided-spring"), ROUND
+    assert spring.footprint(site, {"k": -5.0, "q0": -1.0, "d": 0.0}, 0.9).gain_upper == 0.0
+    assert spring.footprint(site, {"k": -5.0, "q0": -1.0, "d": 0.0}, 1.1).gain_upper == 5.0
+    assert spring.footprint(site, {"k": 5.0, "q0": -1.0, "d": 0.0}, 1.1) is None  # pressed at the zero

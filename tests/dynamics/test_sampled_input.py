@@ -1,0 +1,219 @@
+"""Inputs between their samples and shifted in time, against closed forms and scipy's integrator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.integrate import solve_ivp
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.ports.sampled_input import SampledInput
+from robustlab.errors import InputError
+
+HOLDS = ("zoh", "linear", "smooth")
+signals = hnp.arrays(np.float64, st.integers(2, 40), elements=st.floats(-10, 10))
+DT = 1e-3
+
+
+def whole(n):
+    return Windows(np.array([0]), n)
+
+
+def oscillator(samples_a_period, ratio=0.01):
+    omega = 2 * np.pi / (samples_a_period * DT)
+    return rl.plant("mass-spring-damper", m=1.0, k=omega**2, c=2 * ratio * omega), omega
+
+
+@settings(deadline=None)
+@given(signals, st.integers(-50, 50), st.integers(1, 5), st.sampled_from(HOLDS))
+def test_a_shift_by_whole_samples_shifts_the_record(u, late, sub, hold):
+    n = len(u)
+    moved = SampledInput(u, hold).steps(sub, late).reshape(n, sub, 2)
+    plain = SampledInput(u, hold).steps(sub).reshape(n, sub, 2)
+    size = 1e-9 * (1 + np.abs(plain).max())
+    for k in range(n):
+        if k < late:
+            expected = np.full((sub, 2), u[0])
+        elif k - late > n - 1:
+            expected = np.full((sub, 2), u[-1])
+        else:
+            expected = plain[k - late]
+        assert np.abs(moved[k] - expected).max() <= size
+
+
+@settings(deadline=None)
+@given(signals, st.floats(-60, 60), st.integers(1, 5))
+def test_the_mean_of_a_held_input_is_exact_for_any_shift(u, late, sub):
+    # the integral of a held input is a broken line through its sums, before and after at the slope of the ends
+    edges = np.arange(sub * len(u) + 1) / sub - late
+    far = 200.0
+    knots = np.concatenate([[-far], np.arange(len(u) + 1), [len(u) + far]])
+    totals = np.concatenate([[-far * u[0]], [0.0], np.cumsum(u), [np.sum(u) + far * u[-1]]])
+    expected = sub * np.diff(np.interp(edges, knots, totals))
+    assert SampledInput(u).steps(sub, late).mean(axis=1) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_the_line_of_a_step_has_the_first_moment_of_what_it_stands_for(hold):
+    u = np.random.default_rng(3).normal(size=12)
+    signal, sub, late = SampledInput(u, hold), 2, 0.3137
+    theta = (np.arange(4000) + 0.5) / 4000
+    fine = np.stack([SampledInput(u, hold).samples(late - x) for x in theta], axis=1)  # at t_k + theta
+    for r in range(sub):
+        part = fine[:, 2000 * r : 2000 * (r + 1)]
+        tau = np.linspace(-1, 1, 2001)[:-1] + 1 / 2000
+        p, q = signal.steps(sub, late).reshape(-1, sub, 2)[:, r].T
+        assert 0.5 * (p + q) == pytest.approx(part.mean(axis=1), abs=2e-3)
+        assert (q - p) / 3 == pytest.approx((part * tau).mean(axis=1), abs=2e-3)
+
+
+def test_a_polynomial_of_degree_five_is_its_own_spline():
+    t = np.arange(20.0)
+    p = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.03, -0.004, 1e-4])
+    for late in (0.4, -0.3):
+        found = SampledInput(p(t), "smooth").samples(late)
+        assert found[2:-2] == pytest.approx(p(t - late)[2:-2], rel=1e-10)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("hold", HOLDS)
+def test_short_records_pass_through_their_samples(n, hold):
+    u = np.random.default_rng(n).normal(size=n)
+    assert SampledInput(u, hold).samples() == pytest.approx(u)
+    assert np.isfinite(SampledInput(u, hold).steps(3, 0.4)).all()
+
+
+@pytest.mark.parametrize("samples_a_period", [8, 9, 12])
+def test_a_resonance_under_a_continuous_force(samples_a_period):
+    plant, omega = oscillator(samples_a_period)
+    k, c = plant.values["k"], plant.values["c"]
+    n, late = 400, 0.37 * DT
+
+    def force(t):
+        return k * (np.sin(omega * t + 0.3) + 0.4 * np.cos(0.7 * omega * t))
+
+    t = np.arange(n) * DT
+    for shift in (0.0, late):
+        truth = solve_ivp(
+            lambda s, x, shift=shift: [x[1], force(s - shift) - c * x[1] - k * x[0]],
+            (0, t[-1]), [0, 0], t_eval=t, rtol=1e-10, atol=1e-12, method="DOP853",
+        ).y  # fmt: skip
+        first = 10  # before its first sample the input of the record stands still
+        for sub in (2, 4):
+            run = Simulator(plant, [], force(t)[:, None], DT, sub=sub, hold=("smooth",))
+            window = Windows(np.array([first]), n - first)
+            found = run.run({}, [], truth[None, :, first], window, (shift,)).outputs[0, :, 0]
+            assert np.abs(found - truth[0, first:]).max() < 1e-4 * np.abs(truth[0]).max()
+
+
+@pytest.mark.parametrize("sub", [1, 2, 4])
+def test_straight_lines_between_samples_are_exact_on_a_resonance(sub):
+    plant, omega = oscillator(8)
+    k, c = plant.values["k"], plant.values["c"]
+    n = 60
+    u = k * np.random.default_rng(5).normal(size=n)
+    t, x, truth = np.arange(n) * DT, np.zeros(2), []
+    for j in range(n):
+        truth.append(x)
+        after = u[min(j + 1, n - 1)]
+        x = solve_ivp(
+            lambda s, x, j=j, after=after: [x[1], u[j] + (after - u[j]) * (s - t[j]) / DT - c * x[1] - k * x[0]],
+            (t[j], t[j] + DT), x, rtol=1e-10, atol=1e-12,
+        ).y[:, -1]  # fmt: skip
+    run = Simulator(plant, [], u[:, None], DT, sub=sub, hold=("linear",))
+    found = run.run({}, [], np.zeros((1, 2)), whole(n)).states[0]
+    assert np.abs(found - truth).max(axis=0) == pytest.approx(0.0, abs=1e-7 * omega)
+
+
+@pytest.mark.parametrize("late", [0.25, 0.5, -0.3, 2.7])
+def test_the_edges_of_a_held_input_lie_where_the_shift_puts_them(late):
+    plant, _ = oscillator(12, 0.05)
+    k = plant.values["k"]
+    n = 80
+    u = np.repeat(k * np.random.default_rng(8).normal(size=n // 4), 4)
+    # the same response, stepped on a grid on which the shifted edges lie
+    fine = 20
+    held = np.concatenate([np.full(200, u[0]), np.repeat(u, fine), np.full(200, u[-1])])
+    at = 200 - round(late * fine)
+    truth = Simulator(plant, [], held[at : at + n * fine][:, None], DT / fine, sub=1)
+    truth = truth.run({}, [], np.zeros((1, 2)), whole(n * fine)).states[0, ::fine]
+    scale = np.abs(truth).max(axis=0)
+    errors = []
+    for sub in (2, 4):
+        run = Simulator(plant, [], u[:, None], DT, sub=sub)
+        found = run.run({}, [], np.zeros((1, 2)), whole(n), (late * DT,)).states[0]
+        errors.append((np.abs(found - truth) / scale).max())
+    assert errors[0] < 2e-3
+    assert errors[1] < 0.3 * errors[0] + 1e-10
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_the_response_is_smooth_in_the_shift(hold):
+    plant, _ = oscillator(12, 0.05)
+    u = plant.values["k"] * np.random.default_rng(2).normal(size=(100, 1))
+    run = Simulator(plant, [], u, DT, sub=2, hold=(hold,))
+
+    def response(shift):
+        return run.run({}, [], np.zeros((1, 2)), whole(100), (shift,)).outputs[0, :, 0]
+
+    step = 2e-3 * 0.25 * DT
+    for shift in (0.0, 0.3 * DT, 0.5 * DT):  # 0 and half a sample: edges pass from one step to the next
+        right = (response(shift + step) - response(shift)) / step
+        left = (response(shift) - response(shift - step)) / step
+        middle = (response(shift + 20 * step) - response(shift - 20 * step)) / (40 * step)
+        scale = np.abs(middle).max()
+        assert np.abs(right - left).max() < 0.04 * scale
+        assert np.abs(0.5 * (right + left) - middle).max() < 0.03 * scale
+
+
+def test_effects_on_the_input_act_between_the_samples():
+    # a saturated sine into a free mass: its speed is the integral of the clipped sine
+    plant = rl.plant("mass-spring-damper", m=1.0, c=0.0, k=0.0)
+    n, omega = 200, 2 * np.pi / 40e-3
+    t = np.arange(n) * DT
+    fine = np.clip(np.sin(omega * (np.arange(n * 100) + 0.5) * DT / 100), -0.6, 0.6)
+    truth = np.concatenate([[0.0], np.cumsum(fine)])[: n * 100 : 100] * DT / 100
+    pair = (effect("input-saturation"), Site("input", "f"))
+    run = Simulator(plant, [pair], np.sin(omega * t)[:, None], DT, sub=4, hold=("smooth",))
+    found = run.run({}, [{"u_max": 0.6}], np.zeros((1, 2)), whole(n)).outputs[0, :, 1]
+    assert np.abs(found - truth).max() < 1e-3 * np.abs(truth).max()
+
+
+def test_a_delay_and_a_shift_are_one_and_the_same():
+    plant, _ = oscillator(20)
+    u = np.random.default_rng(4).normal(size=(90, 1))
+    pairs = [(effect("input-dead-zone"), Site("input", "f")), (effect("input-delay"), Site("input", "f"))]
+    values = [{"d": 0.2}, {"d": 1.3e-3}]
+    late = Simulator(plant, pairs, u, DT, sub=2).run({}, values, np.zeros((1, 2)), whole(90)).outputs
+    moved = Simulator(plant, pairs[:1], u, DT, sub=2)
+    moved = moved.run({}, values[:1], np.zeros((1, 2)), whole(90), (1.3e-3,)).outputs
+    assert (late == moved).all()
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_the_input_that_the_plant_sees_is_told_as_its_mean_over_each_sample(hold):
+    # a free mass gathers the mean force of a sample
+    plant = rl.plant("mass-spring-damper", m=1.0, c=0.0, k=0.0)
+    u = np.random.default_rng(6).normal(size=(40, 1))
+    run = Simulator(plant, [(effect("input-gain"), Site("input", "f"))], u, DT, sub=3, hold=(hold,))
+    speed = run.run({}, [{"s": 1.5}], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0, :, 1]
+    assert run.seen_input([{"s": 1.5}], (0.4 * DT,))[:-1, 0] * DT == pytest.approx(np.diff(speed), abs=1e-15)
+
+
+def test_what_cannot_be_is_named():
+    plant, _ = oscillator(20)
+    u = np.zeros((9, 1))
+    with pytest.raises(InputError, match="zoh, linear, smooth"):
+        Simulator(plant, [], u, DT, hold=("foh",))
+    with pytest.raises(InputError, match="one for each of 1 inputs"):
+        Simulator(plant, [], u, DT, hold=("zoh", "zoh"))
+    with pytest.raises(InputError, match="1 or more"):
+        Simulator(plant, [], u, DT, sub=0)
+    with pytest.raises(InputError, match="one for each of 1 inputs"):
+        Simulator(plant, [], u, DT).run({}, [], np.zeros((1, 2)), whole(9), (0.0, 0.0))

@@ -1,0 +1,212 @@
+"""Evidence of an unnamed force: against dense Gaussian densities, closed forms, and records of a known ripple."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from robustlab.identification.naming.ranking import first_noise
+from scipy.stats import multivariate_normal
+
+import robustlab as rl
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses import unnamed_force as unnamed
+from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.force_response import ForceResponse, force_response, plain_places
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.hypotheses.random_force import START, FittedWindows
+from robustlab.identification.hypotheses.unnamed_force import unnamed_force, unnamed_forces
+
+DT = 2e-3
+AXIS = rl.plant("servo-axis")
+M, FV, GAIN = 95.1089, 203.5034, 35.15065
+
+
+# --- the sums, against dense densities -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Random windows: segments O, parameters J, starts X, errors e."""
+
+    o: np.ndarray
+    j: np.ndarray
+    x: np.ndarray
+    e: np.ndarray
+    xi: np.ndarray
+    z: np.ndarray
+
+    def covariance(self, size: float, bandwidth: float, columns: np.ndarray | None = None, strength: float = 0.0):
+        """Of all errors in a row, less the noise's scale; and their mean."""
+        count, points, s = self.o.shape
+        middle = DT * (np.arange(s) * 5 + 2.5)
+        kernel = size**2 * np.exp(-2 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+        j = self.j.reshape(count * points, self.j.shape[2])
+        total = np.eye(count * points) + j @ j.T
+        mean = -j @ self.z
+        for w in range(count):
+            own = slice(w * points, (w + 1) * points)
+            total[own, own] += self.o[w] @ kernel @ self.o[w].T + self.x[w] @ self.x[w].T / START
+            mean[own] -= self.x[w] @ self.xi[w]
+        if columns is not None:
+            g = np.concatenate([self.o[w] @ columns[w] for w in range(count)])
+            total = total + strength * g @ g.T
+        return total, mean
+
+    def windows(self) -> FittedWindows:
+        count, points, s = self.o.shape
+        every = np.concatenate([self.o, self.j, self.x, self.e[:, :, None]], axis=2)
+        record = SimpleNamespace(u=np.zeros((count * s * 5, 1)), record=SimpleNamespace(dt=DT))
+        samples = np.arange(count * s * 5).reshape(count, s * 5)
+        response = ForceResponse(
+            np.swapaxes(every, 1, 2) @ every, np.full(count, points), np.arange(s + 1) * 5, samples, self.xi, 1.0, "N",
+            None, None, "", "", record,
+        )  # fmt: skip
+        return FittedWindows([response], self.z, SimpleNamespace(records=[record]))
+
+
+@pytest.fixture(scope="module", params=[0, 2])
+def dense(request) -> Dense:
+    rng = np.random.default_rng(3)
+    n_z = request.param
+    o, j, x = rng.normal(size=(4, 14, 6)), rng.normal(size=(4, 14, n_z)), rng.normal(size=(4, 14, 2))
+    return Dense(o, j, x, 0.7 * rng.normal(size=(4, 14)), 0.3 * rng.normal(size=(4, 2)), 0.5 * rng.normal(size=n_z))
+
+
+def profiled(e: np.ndarray, covariance: np.ndarray, mean: np.ndarray) -> float:
+    """Log density at the best scale of the noise, without what depends on the number of points alone."""
+    scale = (e - mean) @ np.linalg.solve(covariance, e - mean) / len(e)
+    density = multivariate_normal(mean, scale * covariance, allow_singular=False)
+    return float(density.logpdf(e)) + 0.5 * len(e) * (1.0 + np.log(2.0 * np.pi))
+
+
+def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
+    windows = dense.windows()
+    levels = windows.levels([np.zeros((4, 6, 0))], np.array([0.0, 0.03, 0.3]))
+    assert len(levels) == 1 + 3 * 2
+    for level in levels:
+        covariance, mean = dense.covariance(level.size, level.bandwidth)
+        free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all
+        assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8)
+
+
+def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
+    windows = dense.windows()
+    columns = np.random.default_rng(5).normal(size=(4, 6, 3))
+    family = SimpleNamespace(price=1.5)
+    best = unnamed._judged(windows, [family], [columns], np.array([0, 3]))[0]
+    e = dense.e.ravel()
+
+    def of(level, strength):
+        return dense.covariance(level.size, level.bandwidth, columns, strength)
+
+    alone = max(profiled(e, *of(level, 0.0)) for level in windows.levels([columns]))
+    with_it = profiled(e, *of(best.level, best.strength))
+    tried = len(unnamed.STRENGTHS)
+    assert best.evidence == pytest.approx(with_it - alone - np.log(tried) - 1.5, abs=1e-7)
+
+    def predictive(covariance, mean, scale):
+        total = 0.0
+        for w in range(4):
+            own = np.arange(56) // 14 == w
+            inner = np.linalg.solve(covariance[np.ix_(~own, ~own)], covariance[np.ix_(~own, own)])
+            at = mean[own] + inner.T @ (e - mean)[~own]
+            spread = covariance[np.ix_(own, own)] - covariance[np.ix_(own, ~own)] @ inner
+            total += multivariate_normal(at, scale * spread).logpdf(e[own])
+        return total
+
+    expected = predictive(*of(best.level, best.strength), best.q / 56)
+    expected -= predictive(*of(windows.alone, 0.0), windows.alone.alone_q / 56)
+    assert best.cross_validated == pytest.approx(expected, abs=1e-7)
+
+
+# --- on records ------------------------------------------------------------------------------------------------------
+
+
+def measured(extra, noise=2e-5, seconds=6.0, seed=0) -> rl.Record:
+    """The axis with an extra force ``extra(t, q, v)`` in N, by Runge-Kutta's method; position with noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds / DT)) * DT
+    u = 1.5 * np.sin(2 * np.pi * 0.9 * t) + np.repeat(rng.choice([-1.0, 1.0], len(t) // 100), 100)
+
+    def rate(now, held, q, v):
+        return np.array([v, (GAIN * held - FV * v + extra(now, q, v)) / M])
+
+    q, x = np.zeros(len(t)), np.zeros(2)
+    for k, now in enumerate(t):
+        q[k] = x[0]
+        a = rate(now, u[k], *x)
+        b = rate(now + DT / 2, u[k], *(x + DT / 2 * a))
+        c = rate(now + DT / 2, u[k], *(x + DT / 2 * b))
+        x = x + DT / 6 * (a + 2 * b + 2 * c + rate(now + DT, u[k], *(x + DT * c)))
+    return rl.Record(t, {"u": u}, {"q": q + noise * rng.normal(size=len(t))}, {"u": "V", "q": "m"})
+
+
+def fitted(record: rl.Record):
+    model = port_model(AXIS)
+    problem = Problem(
+        AXIS, [prepare(AXIS, model, record, 200)], nuisance_parameters(AXIS, stated_tolerances(AXIS, None))
+    )
+    zero = np.zeros(len(problem.nuisances))
+    return problem, problem.fit(Hypothesis(()), first_noise(problem), zero, plan=FitPlan(10))
+
+
+def test_a_pulse_moves_a_mass_as_the_closed_form_says():
+    problem, fit = fitted(measured(lambda t, q, v: 0.0))
+    (place,) = plain_places(problem, fit)
+    response = force_response(problem, fit, place)[0]
+    record = problem.records[0]
+    factors, _ = problem.split(fit.hypothesis, fit.z)
+    mass, damping = M * factors["M"], FV * factors["Fv"]
+
+    def moved(t, push):  # position of the mass at rest, pushed by one newton for a time
+        tau = mass / damping
+
+        def step(s):
+            s = np.maximum(s, 0.0)
+            return (s - tau * (1.0 - np.exp(-s / tau))) / damping
+
+        return step(t) - step(t - push)
+
+    first, width = response.edges[7], response.edges[8] - response.edges[7]
+    t = DT * (np.arange(200) - first)
+    y = np.where(t > 0, moved(t, DT * width), 0.0)[10:]
+    points = y[: len(y) // record.thin * record.thin].reshape(-1, record.thin).mean(axis=1)
+    single = max(record.smoothed.noise_std[0], record.resolution[0] / np.sqrt(12)) / np.sqrt(record.thin)
+    assert response.gram[3, 7, 7] == pytest.approx(np.sum((points / single) ** 2), rel=1e-6)
+
+
+def test_nothing_wins_where_nothing_is_missing():
+    problem, fit = fitted(measured(lambda t, q, v: 0.0))
+    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    assert not any(force.wins for force in left.forces)
+    assert left.noise_ratio < 1.1
+
+
+def test_a_ripple_over_time_is_found_with_its_period_and_amplitude():
+    problem, fit = fitted(measured(lambda t, q, v: 1.2 * np.cos(2 * np.pi * 7.0 * t + 1.0)))
+    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    best = left.forces[0]
+    assert best.wins
+    assert best.over == "line over time"
+    assert best.unit == "N"
+    assert best.period == pytest.approx(1.0 / 7.0, rel=0.01)
+    assert best.amplitude == pytest.approx(1.2, abs=max(4 * best.amplitude_std, 0.12))
+
+
+def test_the_noise_ratio_of_a_strong_ripple_is_well_above_one():
+    problem, fit = fitted(measured(lambda t, q, v: 12.0 * np.cos(2 * np.pi * 7.0 * t + 1.0)))
+    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    assert left.forces[0].over == "line over time"
+    assert left.noise_ratio > 1.5
+
+
+def test_a_friction_over_speed_is_found_and_drawn():
+    problem, fit = fitted(measured(lambda t, q, v: -3.0 * np.tanh(v / 2e-3)))
+    best = unnamed_forces(problem, fit)[0]
+    assert best.wins
+    assert best.over == "speed"
+    ends = best.force[-1] - best.force[0]
+    assert ends < 0.0  # it holds back in both directions
+    assert best.share > 0.8
