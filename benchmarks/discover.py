@@ -246,13 +246,11 @@ def true_error(case: Any, found: Any) -> float:
 
     What measurement and truth differ by is taken as a record without input and fitted by the windows' starts alone.
     """
-    from robustlab.identification.naming.greedy_naming import held_out_fit, white
-    from robustlab.identification.naming.ranking import first_noise
-
     from robustlab import Record
     from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
     from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
     from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem, simulated_outputs
+    from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, white
     from robustlab.identification.hypotheses.prepared_record import prepare
 
     measured, plant = case.held_out, linear_plant_of(case.plant, "bench")

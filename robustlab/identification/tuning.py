@@ -78,7 +78,7 @@ class NamingTuning:
 
     # --- clocks
     clock_share: float = 0.25  # of a sample: standard deviation of an input's shift
-    least_steps: int = 2  # a sample
+    least_steps: int = 1  # a sample
     most_steps: int = 8  # a sample: more follow stiffer contacts and take more time
     step_error: float = 0.1  # of the noise, by which half as long steps may change a residual
 
@@ -112,9 +112,8 @@ class NamingTuning:
 
     # --- verdict
     explained: float = 0.9  # of what the bare model lacks; below, what was named is not the effect
-    # Held-out error in percent of the range that is no machine's noise, where it is also this many times the sensors'.
-    coarse: float = 3.0
-    above_noise: float = 5.0
+    held_out_slack: float = 0.05  # of the held-out error that a wrong gain may cost
+    most_noise: float = 1.5  # error over noise and random force, beyond which something systematic is missing
     repeatable: float = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
 
     # --- what remains

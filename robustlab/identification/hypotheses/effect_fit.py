@@ -51,6 +51,7 @@ __all__ = [
     "NoiseModel",
     "Nuisance",
     "Problem",
+    "Setting",
     "predicted",
     "refit_distance",
     "simulated_outputs",
@@ -99,6 +100,14 @@ class Clock:
 
     sub: int | None = None
     hold: tuple[Hold, ...] | None = None
+
+
+class Setting(NamedTuple):
+    """What a simulation is run with: factors of the plant's parameters, values of each effect, shift of each input."""
+
+    factors: Mapping[str, float]
+    values: Sequence[Mapping[str, float]]
+    shift: Sequence[float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,6 +293,10 @@ class Problem:
             return None
         return tuple(0.0 if s.name in late else float(told.get(s.name, 0.0)) for s in self.plant.inputs)
 
+    def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
+        """What a simulation is run with at the standardised parameters."""
+        return Setting(*self.split(hypothesis, z), self.shift(hypothesis, z))
+
     def size(self, hypothesis: Hypothesis) -> int:
         """Number of standardised parameters."""
         return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
@@ -308,19 +321,19 @@ class Problem:
     def _record_errors(self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array) -> Array:
         record, chosen = self.records[k], self.chosen[k]
         with np.errstate(all="ignore"):
-            outputs = self.outputs(k, simulator, hypothesis, z, xi)
+            outputs = self.outputs(k, simulator, self.setting(hypothesis, z), xi)
         return averaged(record.measured[chosen] - outputs, record.thin)
 
-    def outputs(self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array) -> Array:
+    def outputs(self, k: int, simulator: Simulator, setting: Setting, xi: Array) -> Array:
         """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
-        factors, values = self.split(hypothesis, z)
+        factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
         x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
-        motion = simulator.run(factors, values, x0[used], windows, self.shift(hypothesis, z))
+        motion = simulator.run(factors, values, x0[used], windows, shift)
         outputs = motion.outputs[:, :, list(record.columns)]
         return outputs[chosen] if everything else outputs
 
@@ -609,7 +622,7 @@ def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
 def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
     """Outputs of the chosen windows under a fit, (n_windows, length, n_measured) a record."""
     return [
-        problem.outputs(k, simulator, fit.hypothesis, fit.z, fit.starts[k])
+        problem.outputs(k, simulator, problem.setting(fit.hypothesis, fit.z), fit.starts[k])
         for k, simulator in enumerate(problem.simulators(fit.hypothesis))
     ]
 

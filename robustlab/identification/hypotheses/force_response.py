@@ -132,8 +132,9 @@ def _of_record(problem: Problem, fit: Fit, place: Site, k: int, simulator: Simul
     single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0)) / np.sqrt(record.thin)
 
     def outputs(z: Array, start: Array, samples: Array = nothing) -> Array:
-        factors, values = problem.split(wider, z)
-        return problem.outputs(k, simulator, factors, [*values[:-1], {"samples": samples}], start)  # type: ignore[list-item]
+        setting = problem.setting(wider, z)
+        pushed = setting._replace(values=[*setting.values[:-1], {"samples": samples}])  # type: ignore[dict-item]
+        return problem.outputs(k, simulator, pushed, start)
 
     def points(difference: Array) -> Array:
         with np.errstate(all="ignore"):

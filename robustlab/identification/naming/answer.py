@@ -17,7 +17,7 @@ from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, settled, white
+from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_parts import (
     EffectValue,
@@ -156,19 +156,17 @@ def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
 
 
 def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
-    problem, held, tuning = found.problem, found.held, found.problem.tuning
+    tuning = found.problem.tuning
     left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
     lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
-    ratio = noise_ratio(problem, fit)
-    gap = rms_percent(held, held_out_fit(held, fit, white(found.noise)))
-    large = ratio > tuning.beyond_noise or (gap > tuning.coarse and ratio > tuning.above_noise)
     structure = left is not None and left.structure.found
-    remains = structure or large or bool(lines) or any(f > tuning.repeatable for f in excess.values())
+    remains = structure or bool(lines) or any(f > tuning.repeatable for f in excess.values())
+    remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
     remains = remains or not posterior.generalises
     verdict = _verdict(found, posterior, remains)
     complete = not remains and verdict != "unknown"
-    return _Judgement(verdict, complete, left, lines, ratio, floor, excess)
+    return _Judgement(verdict, complete, left, lines, posterior.noise_ratio, floor, excess)
 
 
 def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
@@ -332,6 +330,7 @@ def _probabilities(posterior: Posterior) -> tuple[SetProbability, ...]:
         SetProbability(
             _places(w.fit), tuple(c.effect.id for c in w.fit.hypothesis.candidates), w.probability,
             w.visited.evidence - best, w.distance,
+            f"{'dry ' if w.unnamed.dry else ''}force over {w.unnamed.over} at {w.unnamed.port}" if w.unnamed else "",
         )
         for w in posterior.sets
     )  # fmt: skip

@@ -7,30 +7,47 @@ sets that differ in one effect and whose refit distance d for these very records
 tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an accident of the
 fits, and is not counted.
 
+An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set leaves
+one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the empty set
+in any case; what it brings is added to their evidence. So a name that an unnamed force explains as well is not sure,
+and where the force alone is more probable than all names, nothing is named.
+
 A set whose error on held-out data is larger than that of the nominal model refitted within its tolerances is no answer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, refit_distance
+from robustlab.errors import RobustlabError
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
+from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, rms_percent, white
+from robustlab.identification.hypotheses.unnamed_force import Unnamed, UnnamedEvidence, unnamed_force
 from robustlab.identification.naming.search import Found, Key, Visited
 
 __all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
 
 
+NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
+LIFTED_BEYOND = 5.0  # log evidence by which a force may lift another set higher than the best one
+
+
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A set with its probability, and its refit distance from the most probable one (NaN where not asked for)."""
+    """A set with its probability.
+
+    ``distance`` is its refit distance from the most probable one (NaN where not asked for), ``unnamed`` the force that
+    more probably than not acts beside it (None also where it was not looked for).
+    """
 
     visited: Visited
     probability: float
     distance: float
+    unnamed: UnnamedEvidence | None = None
 
     @property
     def fit(self) -> Fit:
@@ -59,11 +76,18 @@ class Posterior:
 
     ``collection`` is the smallest of them with the probability that an answer needs, and whatever no test tells from
     the best. ``generalises`` is False where every more probable set than the empty one fails on held-out data.
+    ``left`` is what the best set leaves, place by place.
     """
 
     sets: tuple[Weighed, ...]
     collection: tuple[Weighed, ...]
     generalises: bool
+    left: tuple[Unnamed, ...]
+
+    @property
+    def noise_ratio(self) -> float:
+        """Error of the best set over noise and random force; the largest over the places, NaN where not known."""
+        return max((u.noise_ratio for u in self.left), default=np.nan)
 
     @property
     def best(self) -> Weighed:
@@ -92,22 +116,83 @@ def weigh(found: Found) -> Posterior:
     """The posterior of what the search found."""
     problem, tuning = found.problem, found.problem.tuning
     ordered, generalises = _generalising(found)
+    left, forces = _unnamed(problem, ordered)
+    evidence = {v.key: v.evidence + _gain(forces.get(v.key)) for v in ordered}
+    ordered.sort(key=lambda v: -evidence[v.key])
     best = ordered[0]
-    evidence = {v.key: v.evidence for v in ordered}
     distance = {best.key: 0.0}
     for other in _exchanged(best, ordered[1:], tuning.far_behind)[: tuning.most_rivals]:
         d = distance[other.key] = refit_distance(problem, best.fit, other.fit)
         if d < tuning.cannot_tell:
-            least = best.evidence - best.prior - 0.5 * d**2 + other.prior
+            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
             evidence[other.key] = max(evidence[other.key], least)
     log = np.array([evidence[v.key] for v in ordered]) / tuning.temperature
     share = np.exp(log - log.max())
     share /= share.sum()
-    weighed = [Weighed(v, float(p), distance.get(v.key, np.nan)) for v, p in zip(ordered, share, strict=True)]
+    weighed = [
+        Weighed(v, float(p), distance.get(v.key, np.nan), forces.get(v.key))
+        for v, p in zip(ordered, share, strict=True)
+    ]
+    weighed = _folded(weighed)
     # The best fit stays first: a twin whose prior is larger is told beside it.
     sets = [weighed[0], *sorted(weighed[1:], key=lambda w: -w.probability)]
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
-    return Posterior(tuple(sets), tuple(_collected(sets, tuning.sure, twins)), generalises)
+    collection = tuple(_collected(sets, tuning.sure, twins))
+    return Posterior(tuple(sets), collection, generalises, left.get(best.key, ()))
+
+
+def _folded(weighed: Sequence[Weighed]) -> list[Weighed]:
+    """Sets without those that have an effect more of which the records say nothing, neither for it nor against it.
+
+    What a larger set is the more probable for, its prior put aside, is the evidence of the records for what it has
+    more. Where there is none, its probability is that of the smaller set, and of something that no record shows.
+    """
+    kept: list[Weighed] = []
+    for entry in sorted(weighed, key=lambda w: len(w.key)):
+        plain = entry.visited.evidence - entry.visited.prior
+        within = [k for k, w in enumerate(kept) if w.key < entry.key]
+        silent = [k for k in within if plain - (kept[k].visited.evidence - kept[k].visited.prior) < NO_EVIDENCE]
+        if silent and entry.unnamed is None:
+            k = max(silent, key=lambda k: kept[k].probability)
+            kept[k] = replace(kept[k], probability=kept[k].probability + entry.probability)
+        else:
+            kept.append(entry)
+    order = {w.key: k for k, w in enumerate(weighed)}
+    return sorted(kept, key=lambda w: order[w.key])
+
+
+def _unnamed(
+    problem: Problem, ordered: Sequence[Visited]
+) -> tuple[dict[Key, tuple[Unnamed, ...]], dict[Key, UnnamedEvidence]]:
+    """What sets leave, and the unnamed force beside each: of the best, the empty one, and all that it could lift."""
+    left = {v.key: _left(problem, v.fit) for v in (ordered[0], *(v for v in ordered[1:] if not v.key))}
+    forces = {key: force for key, u in left.items() if (force := _winning(u)) is not None}
+    reach = ordered[0].evidence - _gain(forces.get(ordered[0].key)) - LIFTED_BEYOND
+    for visited in ordered[1 : problem.tuning.most_rivals] if ordered[0].key in forces else []:
+        if visited.key not in left and visited.evidence > reach:
+            left[visited.key] = _left(problem, visited.fit)
+            if (force := _winning(left[visited.key])) is not None:
+                forces[visited.key] = force
+    return left, forces
+
+
+def _left(problem: Problem, fit: Fit) -> tuple[Unnamed, ...]:
+    """What a set leaves at each place; nothing where it cannot be told (hardly any motion)."""
+    try:
+        with np.errstate(all="ignore"):
+            return tuple(unnamed_force(problem, fit, place) for place in plain_places(problem, fit))
+    except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):
+        return ()
+
+
+def _winning(left: Sequence[Unnamed]) -> UnnamedEvidence | None:
+    """The most probable force of those that beat nothing."""
+    return max((f for u in left for f in u.forces if f.wins), key=_gain, default=None)
+
+
+def _gain(force: UnnamedEvidence | None) -> float:
+    """Log evidence that it brings: the more careful one of its two judges."""
+    return 0.0 if force is None else min(force.evidence, force.cross_validated)
 
 
 def _generalising(found: Found) -> tuple[list[Visited], bool]:
@@ -120,7 +205,13 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     most = error(found.empty)
     left = [v for v in found.sets if v.allowed]
     failed = False
-    while left[0].key and error(left[0]) > most:
+
+    def fails(visited: Visited) -> bool:
+        # A wrong gain and the tolerances that are stretched for it leave the same errors.
+        gains = all(c.effect.gain_like for c in visited.fit.hypothesis.candidates)
+        return error(visited) > most * (1.0 + found.problem.tuning.held_out_slack * gains)
+
+    while left[0].key and fails(left[0]):
         left, failed = left[1:], True
     return left, not (failed and not left[0].key)
 
