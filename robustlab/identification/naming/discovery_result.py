@@ -344,7 +344,7 @@ def _gap_lines(d: Discovery) -> list[str]:
     head = f"gap (rms) on data that the fit never saw: {d.held_out}"
     if d.free_run_on and d.free_run_on != d.held_out:
         head += f"; free run: {d.free_run_on}"
-    rows = [("", "", *MODELS, "")]
+    rows: list[tuple[str, ...]] = [("", "", *MODELS, "")]
     for name, gap in d.gaps.items():
         rows.append((name, f"windows of {d.window:.3g} s", *_sizes(gap)))
         if name in d.free_run:
