@@ -74,7 +74,7 @@ def answer(monkeypatch):
 
 def test_friction_is_named_by_the_real_command(run, files, tmp_path):
     out = tmp_path / "out"
-    code, text, err = run(
+    code, text, _ = run(
         "discover", "servo-axis", files / "run7.h5", "--held-out", files / "run8.h5", "--out", out, *EXCLUDED, "--json"
     )
     result = json.loads(text)

@@ -89,8 +89,7 @@ def test_lines_come_while_one_step_takes_long_and_end_with_it(monkeypatch):
 def test_an_error_ends_the_lines_and_goes_on(monkeypatch):
     monkeypatch.setattr(module, "EVERY", 0.01)
     before = threading.active_count()
-    with pytest.raises(KeyboardInterrupt), Progress(lambda _: None) as progress:
-        progress.step(1, 2, "x")
+    with pytest.raises(KeyboardInterrupt), Progress(lambda _: None):
         raise KeyboardInterrupt
     assert threading.active_count() == before
 
