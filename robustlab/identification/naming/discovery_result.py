@@ -410,7 +410,8 @@ def _nominal_line(p: NominalValue) -> str:
 
 def _clock_line(c: InputClock) -> str:
     between = "held from sample to sample" if c.hold == "held" else "linear from sample to sample"
-    return _row(c.input, f"{between}; late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)")
+    late = f"late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)" if c.std else "clock not fitted"
+    return _row(c.input, f"{between}; {late}")
 
 
 def _next(d: Discovery) -> str:
