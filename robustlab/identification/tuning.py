@@ -73,6 +73,8 @@ class NamingTuning:
     kept_last: int = 7
     kept_gains: int = 3  # wrong gains beside them: at the same cost the prior may prefer one
     full: int = 15  # iterations of a full fit
+    rough_fits: int = 4  # full fits before the noise is known, of fewer iterations: they only have to find a leader
+    rough_full: int = 6
     promising: float = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
     most_stretched: float = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
 

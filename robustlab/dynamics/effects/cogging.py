@@ -14,11 +14,19 @@ from collections.abc import Mapping
 import numba as nb
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.effects.spatial_wave import order_parameter, orders_or_usual, wave_mean
+from robustlab.dynamics.effects.spatial_wave import (
+    order_parameter,
+    orders_or_usual,
+    wave_mean,
+    wave_mean_and_slope,
+)
 from robustlab.dynamics.ports.law_kernel import GQ, Q0, Q, law
-from robustlab.dynamics.ports.step_solutions import CLOSE, SECANTS, bracket, guess, is_open, narrowed
+from robustlab.dynamics.ports.step_solutions import CLOSE, bracket, guess, is_open, narrowed
 
 __all__ = ["EFFECT", "cogging_force"]
+
+
+LOOKS = 6  # before the root is bracketed
 
 
 @nb.njit(cache=True)
@@ -32,16 +40,17 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Parameters p = (A_c, A_s, k)."""
     most = abs(p[0]) + abs(p[1])
     args = (seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2])
-    # The force hardly changes the way: a secant from no force at all is there in three or four looks.
-    before, r_before = 0.0, _residual(0.0, args)
-    force = -r_before
-    for _ in range(SECANTS):
-        r = _residual(force, args)
-        if abs(r) <= CLOSE * most:
-            return force
-        if abs(r) > 0.5 * abs(r_before):
+    # The force hardly changes the way: Newton steps from no force at all are there after two looks.
+    force = 0.0
+    for _ in range(LOOKS):
+        mean, slope = wave_mean_and_slope(seen[Q0], seen[Q] + seen[GQ] * force, p[0], p[1], p[2])
+        feedback = seen[GQ] * slope
+        r = force - mean
+        if abs(feedback) > 0.5:
             break
-        before, r_before, force = force, r, force - r * (force - before) / (r - r_before)
+        force -= r / (1.0 - feedback)
+        if abs(r * feedback) <= CLOSE * most:
+            return force
     b = bracket(-most, _residual(-most, args), most, _residual(most, args))
     while is_open(b):
         force = guess(b)

@@ -2,7 +2,8 @@ r"""Input delay: the plant sees the input d seconds late.
 
 .. math:: u'(t) = u(t - d)
 
-The input is held in steps; each step of the delayed input is its mean over that step.
+The input is held in steps; each step of the delayed input is its mean over that step. A simulation shifts the samples
+themselves (`robustlab.dynamics.ports.sampled_input`), first moments included.
 """
 
 from __future__ import annotations

@@ -109,21 +109,26 @@ def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
 
 
 def _presliding(law: Law, q: float) -> tuple[float, float]:
-    """The same for a law with memory at rest: what resists a displacement far below sliding, slow and quick."""
-    still = np.zeros(max(1, law.memory))
+    """The same for a law with memory at rest: what resists two displacements far below sliding, slow and quick.
 
-    def resisting(h: float) -> float:
-        v, force = TUNING.displacement / h, 0.0
+    From one to the next the force grows by the stiffness, be it that of the mean over the way or that of its end.
+    """
+
+    def resisting(h: float, z: Array) -> tuple[float, Array]:
+        v, force, after = TUNING.displacement / h, 0.0, z
         for _ in range(TUNING.force_passes):
             g = TUNING.compliance_share * v / max(abs(force), 1e-30)
-            found, _ = _asked(law, [q, v, q, v - g * force, 0.0, g, h, ANY_TIME], still)
+            found, after = _asked(law, [q, v, q, v - g * force, 0.0, g, h, ANY_TIME], z)
             if abs(found - force) <= TUNING.force_agreed * abs(found):
                 break
             force = found
-        return force
+        return force, after
 
-    slow, quick = resisting(TUNING.slow), resisting(TUNING.quick)
-    return slow / TUNING.displacement, (quick - slow) * TUNING.quick / TUNING.displacement
+    still = np.zeros(max(1, law.memory))
+    slow, displaced = resisting(TUNING.slow, still)
+    further, _ = resisting(TUNING.slow, displaced)
+    quick, _ = resisting(TUNING.quick, still)
+    return (further - slow) / TUNING.displacement, (quick - slow) * TUNING.quick / TUNING.displacement
 
 
 def extrapolated(difference: Callable[[float], float], step: float) -> float:

@@ -128,6 +128,7 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
     seen = np.zeros(N_SEEN)
     z_next = memory.copy()
     q0, v0, q_free, v_free = np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws)
+    q_asked, v_asked = np.zeros(n_laws), np.zeros(n_laws)
     gq, gv = np.zeros((3, n_laws, n_laws)), np.zeros((3, n_laws, n_laws))  # what force k does to the motion at port j
     for part in range(3):
         for j in range(n_laws):
@@ -169,8 +170,11 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                             c_v += velocity[j, i] * x[end, i]
                         q0[j], v0[j], q_free[j], v_free[j] = a, b, c_q, c_v
                         f[part, j] = f[before, j]
+                        for i in range(n_z):
+                            z_next[j, i] = memory[j, i]
                     seen[STEP] = h if part == 0 else 0.5 * h
                     seen[TIME] = t0 + (row + 0.5 if part == 2 else row) * h
+                    least = -1.0  # of a motion at a port for its law to be asked again
                     for _sweep in range(sweeps):
                         change = 0.0
                         largest = 0.0
@@ -181,6 +185,10 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                                     a += gq[part, j, other] * f[part, other]
                                     b += gv[part, j, other] * f[part, other]
                             compliance = gv[part, j, j]
+                            if abs(b - v_asked[j]) <= least and abs(a - q_asked[j]) <= least * seen[STEP]:
+                                largest = max(largest, abs(f[part, j]) * compliance)
+                                continue
+                            q_asked[j], v_asked[j] = a, b
                             seen[Q0] = q0[j]
                             seen[V0] = v0[j]
                             seen[Q] = a
@@ -191,7 +199,8 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                             change = max(change, abs(force - f[part, j]) * compliance)
                             largest = max(largest, abs(force) * compliance)
                             f[part, j] = force
-                        if change <= AGREED * largest:
+                        least = AGREED * largest
+                        if change <= least:
                             break
                     for j in range(n_laws):
                         for i in range(n):
@@ -216,9 +225,9 @@ def _resolved(f):  # type: ignore[no-untyped-def]
     """One where a step and its two halves agree on the forces (3, n_laws), and zero where they do not."""
     unlike = 0.0
     for j in range(f.shape[1]):
-        size = abs(f[0, j]) + abs(f[1, j]) + abs(f[2, j])
+        size = UNRESOLVED * (abs(f[0, j]) + abs(f[1, j]) + abs(f[2, j]))
         if size > 0.0:
-            ratio = (f[0, j] - 0.5 * (f[1, j] + f[2, j])) / (UNRESOLVED * size)
+            ratio = (f[0, j] - 0.5 * (f[1, j] + f[2, j])) / size
             unlike += ratio * ratio * ratio * ratio
     return 1.0 / (1.0 + unlike)
 

@@ -232,11 +232,14 @@ class _Search:
         known = self.looked.setdefault(key, {})
         best = self.best.fit
         starts = promising(self.problem, base, best, open_ones, known, self.workers, said)
+        if not self.sharpened:
+            starts = starts[: self.tuning.rough_fits]
         ceiling = min(base.cost - 2.0 * self.tuning.promising, best.cost + 2.0 * self.tuning.far_behind)
 
         def full(start: Start) -> Fit:
             gain = start.candidate.effect.gain_like
-            plan = FitPlan(self.tuning.full, 0.05, ceiling=np.inf if gain else ceiling)
+            rounds = self.tuning.full if self.sharpened else self.tuning.rough_full
+            plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
             return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
 
         for fit in self.workers.map(full, starts):
@@ -290,7 +293,7 @@ class _Search:
         self.noise = self._noise_of(leader)
         leader = self._clocked(self._again(leader))
         self.noise = self._noise_of(leader)
-        ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.kept_last + 1]
+        ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.rough_fits]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         self.visited, self.expanded = {}, set()
 
