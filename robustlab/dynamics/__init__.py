@@ -33,6 +33,7 @@ __all__ = [
 # name -> module; the module holds a function of its own last name that makes the plant from its parameters
 _PLANTS = {
     "dc-motor": "plants.dc_motor",
+    "brushless-motor": "plants.brushless_motor",
     "servo-axis": "plants.servo_axis",
     "mass-spring-damper": "plants.mass_spring_damper",
     "two-mass": "plants.two_mass",

@@ -52,7 +52,7 @@ TRIED = ("coulomb-friction", "presliding", "input-dead-zone", "brush-drop", "con
 @pytest.mark.slow
 def test_chapter_11(tmp_path):
     left_out = [name for name in catalogue() if name not in TRIED]
-    settings = [f"explained.exclude={json.dumps(left_out)}"]
+    settings = [f"{step}.exclude={json.dumps(left_out)}" for step in ("explained", "square_alone")]
     result = run_recipe(load_recipe(recipe_path("chapter-11"), settings), tmp_path / "out")
     assert unmet(result) == []
     assert result.exit_code == 0

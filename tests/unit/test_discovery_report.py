@@ -21,6 +21,7 @@ from robustlab.identification.naming.discovery_parts import (
     Rival,
     SearchEntry,
     SetProbability,
+    wave_amplitude,
 )
 from robustlab.identification.naming.discovery_result import (
     Discovery,
@@ -209,6 +210,8 @@ def test_details_have_all_it_rests_on():
         assert part in text
     assert "next experiment" not in text
     assert "findings" not in text
+    fixed = made(clocks=(InputClock("u", "linear", 0.0, 0.0),)).summary(details=True)
+    assert "linear from sample to sample; clock not fitted" in fixed
 
 
 @pytest.mark.parametrize(("probability", "said"), [(0.9799, False), (0.9801, True)])
@@ -225,6 +228,18 @@ def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
         assert "within their tolerances" not in text
     zero = replace(far, nominal=0.0, value=0.7, lower=0.5, upper=0.9, unit="N s/m", tolerance=1.0, beyond=False)
     assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
+
+
+def test_what_is_periodic_is_told_by_amplitude_and_period():
+    values = {"Ac": (3.0, "N m"), "As": (-4.0, "N m"), "k": (7.0, "1/rad")}
+    parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1, "") for name, (x, unit) in values.items())
+    ripple = NamedEffect("cogging", "Cogging", "f = ...", "omega", parts, 1.0, 9.0, ())
+    d = made(effects=(ripple,), candidates=("cogging", "coulomb-friction"))
+    assert "amplitude   5 N m, period 0.8976 rad, 7 a turn" in d.summary()
+    assert numbers(d)["effects"]["cogging"]["amplitude"] == pytest.approx(5.0)
+    assert "amplitude" not in numbers(made())["effects"]["coulomb-friction"]
+    assert numbers(made(candidates=("cogging",)))["effects"]["cogging"]["amplitude"] == 0.0
+    assert wave_amplitude({"Fc": 1.0}) is None
 
 
 def test_rivals_say_how_far_apart_they_are():
@@ -484,6 +499,7 @@ def test_requirements_may_address_names_and_numbers():
     assert met(d, that="naming.lower.coulomb-friction.Fc", at_least=20.0)
     assert met(d, that="naming.confidence.coulomb-friction", at_least=0.9)
     assert met(d, that="naming.gap_ratio", within=[29.9, 30.1])
+    assert met(d, that="naming.refitted_ratio", within=[8.9, 9.1])
     assert met(d, that="naming.gaps.q.updated", at_most=0.002)
     assert met(d, that="naming.nominal.M", equals=96.0)
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import pytest
 
+from robustlab.identification.naming import progress as module
 from robustlab.identification.naming.progress import Progress
 
 
@@ -60,6 +64,43 @@ def test_a_milestone_is_told_at_once_and_counts_as_a_line():
 
 
 def test_without_a_listener_nothing_happens():
-    progress = Progress(None)
-    progress.step(1, 2, "x")
-    progress.tell("x")
+    with Progress(None) as progress:
+        progress.step(1, 2, "x")
+        progress.tell("x")
+
+
+def test_lines_come_while_one_step_takes_long_and_end_with_it(monkeypatch):
+    monkeypatch.setattr(module, "EVERY", 0.02)
+    before, lines = threading.active_count(), []
+    with Progress(lines.append) as progress:
+        progress.step(1, 3, "a long fit")
+        deadline = time.monotonic() + 10.0
+        while len(lines) < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        progress.tell("what remains")
+    told = len(lines)
+    assert told >= 4
+    assert lines[0].startswith("a long fit (0 s so far, about ")
+    assert threading.active_count() == before
+    time.sleep(0.1)
+    assert len(lines) == told
+
+
+def test_an_error_ends_the_lines_and_goes_on(monkeypatch):
+    monkeypatch.setattr(module, "EVERY", 0.01)
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt), Progress(lambda _: None):
+        raise KeyboardInterrupt
+    assert threading.active_count() == before
+
+
+def test_a_reader_that_went_away_does_not_stop_the_search(monkeypatch):
+    monkeypatch.setattr(module, "EVERY", 0.01)
+    asked = threading.Event()
+
+    def gone(_):
+        asked.set()
+        raise BrokenPipeError
+
+    with Progress(gone):
+        assert asked.wait(10.0)

@@ -114,10 +114,11 @@ def discover(
     problem, held, held_text = _problems(linear, model, measured, kept_out, stated, window, tuning)
     pool = [c for c in candidates(linear, model, problem.records, tuning) if c.effect.id not in left_out]
     case = Case(linear, measured, repeats, period, stated, findings, held_text, pool)
-    said = Progress(progress)
-    found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), said.step)
-    said.tell("what remains")
-    return replace(answer(case, found, weigh(found)), seconds=time.perf_counter() - began)
+    with Progress(progress) as said:
+        found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), said.step)
+        said.tell("what remains")
+        result = answer(case, found, weigh(found))
+    return replace(result, seconds=time.perf_counter() - began)
 
 
 def _linear(plant: Any) -> LinearPlant:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +18,10 @@ __all__ = [
     "Rival",
     "SearchEntry",
     "SetProbability",
+    "wave_amplitude",
 ]
+
+WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of what is periodic in the position
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,12 @@ class NamedEffect(Evidence):
     confidence: float
     evidence: float
     rivals: tuple[str, ...]
+
+
+def wave_amplitude(values: Mapping[str, float]) -> float | None:
+    """Amplitude of an effect that is periodic, from its cosine and sine part; None of any other."""
+    pair = next(((c, s) for c, s in WAVES if c in values and s in values), None)
+    return math.hypot(values[pair[0]], values[pair[1]]) if pair else None
 
 
 @dataclass(frozen=True)

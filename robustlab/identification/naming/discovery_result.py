@@ -17,6 +17,7 @@ from robustlab.identification.naming.discovery_parts import (
     Rival,
     SearchEntry,
     SetProbability,
+    wave_amplitude,
 )
 from robustlab.result import Evidence, Status
 
@@ -295,6 +296,7 @@ def _title(effect: str) -> str:
 def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]:
     lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
     lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
+    lines += _wave_line(effect)
     if not details:
         return lines
     lines += [_row("  equation", effect.equation)]
@@ -307,6 +309,20 @@ def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]
         told = f"probability {chance(r.probability)}, {_number(r.distance)} noise sigmas apart (3 tell)"
         lines.append(_row("  or", f"{r.title}, {r.name} at {r.site} ({values}): {told}"))
     return lines
+
+
+def _wave_line(effect: NamedEffect) -> list[str]:
+    """Amplitude and period of an effect that is periodic: what a person looks for in its cosine and sine part."""
+    values = {p.name: p.value for p in effect.parameters}
+    amplitude = wave_amplitude(values)
+    if amplitude is None or not values.get("k"):
+        return []
+    period = 2.0 * math.pi / values["k"]
+    (unit,) = (p.unit for p in effect.parameters if p.name == "k")
+    told = f"period {_number(period, unit.removeprefix('1/'))}"
+    if "rad" in unit:
+        told += f", {values['k']:.4g} a turn"
+    return [_row("  amplitude", f"{_number(amplitude, effect.parameters[0].unit)}, {told}")]
 
 
 def _doubt_line(r: Rival) -> str:
@@ -328,7 +344,7 @@ def _gap_lines(d: Discovery) -> list[str]:
     head = f"gap (rms) on data that the fit never saw: {d.held_out}"
     if d.free_run_on and d.free_run_on != d.held_out:
         head += f"; free run: {d.free_run_on}"
-    rows = [("", "", *MODELS, "")]
+    rows: list[tuple[str, ...]] = [("", "", *MODELS, "")]
     for name, gap in d.gaps.items():
         rows.append((name, f"windows of {d.window:.3g} s", *_sizes(gap)))
         if name in d.free_run:
@@ -394,7 +410,8 @@ def _nominal_line(p: NominalValue) -> str:
 
 def _clock_line(c: InputClock) -> str:
     between = "held from sample to sample" if c.hold == "held" else "linear from sample to sample"
-    return _row(c.input, f"{between}; late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)")
+    late = f"late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)" if c.std else "clock not fitted"
+    return _row(c.input, f"{between}; {late}")
 
 
 def _next(d: Discovery) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem, simulated_outputs
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
@@ -120,7 +120,7 @@ def _rms(errors: Sequence[Array]) -> float:
 
 
 def _series(
-    held: Problem, record: PreparedRecord, samples: Array, measured: Array, outputs: Mapping[str, Array]
+    held: Problem, record: PreparedRecord, samples: Indices, measured: Array, outputs: Mapping[str, Array]
 ) -> dict[str, Any]:
     """Clock, inputs and outputs of one record at these samples; outputs beyond numbers are NaN."""
     signals = {}

@@ -1,25 +1,27 @@
-"""Where a search stands, told now and then: a line with the time passed and the time to go.
+"""Where a search stands, told every few seconds: a line with the time passed and the time to go.
 
 The clock only prints. What a search does never depends on it, so that the answer is the same on a busy machine.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
+from typing import Self
 
 __all__ = ["Progress"]
 
-EVERY = 4.0  # s between lines; a step may take one more second, and the user still hears within five
+EVERY = 4.0  # s between lines, with a second to spare: the user hears every five
 
 
 class Progress:
-    """Lines of progress for a callable.
+    """Lines of progress for a callable; inside a ``with`` block they come even while a step takes long.
 
     Parameters
     ----------
     say
-        Takes a line of text; None says nothing.
+        Takes a line of text, from a thread of its own too; None says nothing.
     clock
         Seconds, from any beginning.
     """
@@ -27,9 +29,22 @@ class Progress:
     def __init__(self, say: Callable[[str], None] | None, clock: Callable[[], float] = time.monotonic) -> None:
         self._say, self._clock = say, clock
         self._began = self._told = clock()
+        self._now: tuple[float, float, str] = (0.0, 0.0, "begun")
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._beat = threading.Thread(target=self._go_on, daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._say is not None:
+            self._beat.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._beat.is_alive():
+            self._beat.join()
 
     def step(self, done: float, expected: float, text: str) -> None:
-        """Say the text with times where the last line is some seconds old.
+        """What is being done now; said with times where the last line is some seconds old.
 
         Parameters
         ----------
@@ -38,15 +53,33 @@ class Progress:
         text
             What is being done.
         """
-        now = self._clock()
-        if now - self._told >= EVERY:
-            self.tell(f"{text} ({_times(now - self._began, done, expected)})")
+        self._now = (done, expected, text)
+        self._say_if_due()
 
     def tell(self, text: str) -> None:
-        """Say a text at once: a part of the search has ended."""
+        """Say a text at once: a part of the search has ended, and how long the next one takes is not known."""
+        self._now = (0.0, 0.0, text)
         if self._say is not None:
-            self._told = self._clock()
-            self._say(text)
+            with self._lock:
+                self._told = self._clock()
+                self._say(text)
+
+    def _say_if_due(self) -> None:
+        if self._say is None:
+            return
+        with self._lock:
+            now = self._clock()
+            if now - self._told >= EVERY:
+                self._told = now
+                done, expected, text = self._now
+                self._say(f"{text} ({_times(now - self._began, done, expected)})")
+
+    def _go_on(self) -> None:
+        while not self._over.wait(EVERY / 8.0):
+            try:
+                self._say_if_due()
+            except OSError:  # nobody reads any more; the search itself meets that where it prints its result
+                return
 
 
 def _times(elapsed: float, done: float, expected: float) -> str:

@@ -200,20 +200,22 @@ class _Search:
 
     def _next(self) -> Key | None:
         """The set to expand next: the best one, else what remains of it when one or two of its effects are away."""
-        best = self.best.key
+        whole = self.best
+        best = whole.key
         if len(best) < self.tuning.most_effects and best not in self.expanded:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best)]
         smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
         for key in smaller:
             if key not in self.visited:
-                self._without(key)
+                self._without(whole.fit, key)
+        if self.best.key != best:
+            return self._next()
         left = [k for k in smaller if k not in self.expanded]
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
 
-    def _without(self, key: Key) -> None:
-        """Fit the best set with only the effects of ``key``."""
-        fit = self.best.fit
+    def _without(self, fit: Fit, key: Key) -> None:
+        """Fit a set again with only the effects of ``key``."""
         while len(fit.hypothesis.candidates) > len(key):
             k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key not in key)
             hypothesis, z = without(self.problem, fit, k)

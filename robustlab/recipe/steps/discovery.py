@@ -92,15 +92,17 @@ def numbers(d: Discovery) -> dict[str, Any]:
     """What requirements may address.
 
     ``verdict``, ``complete``, ``names``, ``answer`` (names and rivals), ``count``, ``gap_before``, ``gap_refitted``,
-    ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``gaps.OUTPUT.updated`` in its unit;
-    ``free_run.before``, ``.refitted``, ``.after`` in percent of the range and ``free_run.outputs.OUTPUT.updated``;
-    ``effects.ID.PARAMETER`` with ``lower`` and ``upper`` alike (95 %), ``confidence.ID``, ``nominal.PARAMETER``,
+    ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``refitted_ratio``,
+    ``gaps.OUTPUT.updated`` in its unit; ``free_run.before``, ``.refitted``, ``.after`` in percent of the range and
+    ``free_run.outputs.OUTPUT.updated``; ``effects.ID.PARAMETER`` (and ``.amplitude`` of what is periodic in the
+    position) with ``lower`` and ``upper`` alike (95 %), ``confidence.ID`` (its probability), ``nominal.PARAMETER``,
     ``next_experiment.name`` ("none" where no rival is left) and ``.separation``; ``line.position.period`` and
     ``.amplitude`` of the strongest line that remains over the position, and ``line.time`` alike.
 
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
-    is not met, while a misspelt one is refused.
+    is not met, while a misspelt one is refused; of what is periodic its amplitude is 0.
     """
+    from robustlab.identification.naming.discovery_parts import wave_amplitude
     from robustlab.identification.naming.discovery_result import overall
 
     effects, lower, upper, confidence = (_absent(d) for _ in range(4))
@@ -109,6 +111,8 @@ def numbers(d: Discovery) -> dict[str, Any]:
         # A second effect of the same kind, at another place, is told by that place.
         key = e.name if e.name not in d.names[: d.effects.index(e)] else f"{e.name}@{e.site}"
         effects[key] = {p.name: p.value for p in e.parameters}
+        if (amplitude := wave_amplitude(effects[key])) is not None:
+            effects[key]["amplitude"] = amplitude
         lower[key] = {p.name: p.lower for p in e.parameters}
         upper[key] = {p.name: p.upper for p in e.parameters}
         confidence[key] = e.confidence
@@ -122,6 +126,7 @@ def numbers(d: Discovery) -> dict[str, Any]:
         "gap_refitted": d.gap_refitted,
         "gap_after": d.gap_after,
         "gap_ratio": d.gap_before / d.gap_after if d.gap_after > 0 else math.inf,
+        "refitted_ratio": d.gap_refitted / d.gap_after if d.gap_after > 0 else math.inf,
         "gaps": {name: gap.to_json() for name, gap in d.gaps.items()},
         "free_run": {
             "before": overall(d.free_run, "nominal"),
@@ -155,7 +160,12 @@ def _absent(d: Discovery) -> dict[str, dict[str, float]]:
     """Every effect that was tried, with parameters that are no number."""
     from robustlab.dynamics.effects.catalogue import catalogue
     from robustlab.dynamics.effects.contract import Scales
+    from robustlab.identification.naming.discovery_parts import wave_amplitude
 
     known = catalogue()
     tried = [known[name] for name in d.candidates if name in known]
-    return {effect.id: {p.name: math.nan for p in effect.parameters(Scales())} for effect in tried}
+    found = {effect.id: {p.name: math.nan for p in effect.parameters(Scales())} for effect in tried}
+    for values in found.values():
+        if wave_amplitude(values) is not None:
+            values["amplitude"] = 0.0
+    return found

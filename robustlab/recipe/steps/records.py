@@ -16,6 +16,7 @@ from robustlab.recipe.steps.vocabulary import (
 )
 
 if TYPE_CHECKING:
+    from robustlab.identification.comparison.comparison_result import Comparison
     from robustlab.record import Record
 
 
@@ -117,9 +118,14 @@ class CompareStep(Step):
             )
             facts.append(Fact(f"{name}: free run", _errors(gap.unit, free)))
             facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, windowed)))
+            facts.append(Fact(f"{name}: where", _where(found, name)))
         for name, figure in comparison_figures(found).items():
             work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
-        summary = f"{self.of} against {self.record}, a {work.origin(self.record)} record."
+        most = max(found.outputs.values(), key=lambda gap: gap.rms_percent)
+        summary = (
+            f"{self.of} against {self.record}, a {work.origin(self.record)} record: in free run {most.name} is off by "
+            f"{most.rms_percent:.3g} % of its range (rms), most at {quantity(most.peak_time, 's', 3)}."
+        )
         numbers = found.to_json(series=False)
         return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
@@ -132,6 +138,20 @@ def _as_record(found: Record, summary: str, notes: tuple[str, ...]) -> Outcome:
         Fact("Signals", ", ".join(signals)),
     )
     return Outcome(found, summary, numbers, facts, notes=notes)
+
+
+def _where(found: Comparison, name: str) -> str:
+    """When, at what speed and at what position the windowed error of an output is largest."""
+    w, motion = found.windows[name], found.motion
+    told = [f"{w.start[w.worst]:.3g} to {w.stop[w.worst]:.3g} s"]
+    for bins, over, unit in (
+        (found.speed.get(name), "of speed", motion.speed_unit),
+        (found.position.get(name), "of position", motion.position_unit),
+    ):
+        if bins:
+            worst = max(bins, key=lambda b: b.rms)
+            told.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} {over}")
+    return f"windowed error largest at {'; at '.join(told)}"
 
 
 def _errors(unit: str, sizes: tuple[float, float, float, float, float]) -> str:
