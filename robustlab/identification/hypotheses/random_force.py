@@ -145,7 +145,7 @@ class FittedWindows:
             found.append((g, g[:, :s, -1]))
         # the parameters are eliminated approximately: at their best for the errors, not for each force
         n_z = len(self.z)
-        total = self.with_prior(sum(g.sum(axis=0) for g, _ in found)[-n_z - 1 :, -n_z - 1 :])
+        total = self.with_prior(np.sum([g.sum(axis=0)[-n_z - 1 :, -n_z - 1 :] for g, _ in found], axis=0))
         dz = np.linalg.solve(total[:-1, :-1], total[:-1, -1]) if n_z else np.zeros(0)
         return [(g[:, : r.segments, : r.segments], b - g[:, : r.segments, r.segments : -1] @ dz)
                 for (g, b), r in zip(found, self.records, strict=True)]  # fmt: skip
