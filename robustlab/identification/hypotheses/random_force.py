@@ -27,7 +27,7 @@ __all__ = ["FittedWindows", "NoiseLevel", "eliminated"]
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
 # Precision of a start's prior, of that in the fit: the smoother that told the start knew of no force beyond its own
 # bandwidth, and a ripple moves the start by much more than it thought possible.
-START = 0.01
+START = 1e-4
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
 
 
