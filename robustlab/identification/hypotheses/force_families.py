@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.identification.hypotheses.force_response import ForceResponse
 from robustlab.identification.hypotheses.random_force import FittedWindows
 
 __all__ = ["Family", "Over", "families"]
@@ -114,7 +113,7 @@ def _curve(
     for k, (record, x) in enumerate(zip(windows.records, raw, strict=True)):
         column = functions((x - middle) / half)
         columns.append(record.mean(column if turn is None else column * turn[k][:, None]))
-    square = sum((c**2).sum(axis=(0, 1)) for c in columns) / sum(c.shape[0] * c.shape[1] for c in columns)
+    square = np.concatenate([c.reshape(-1, c.shape[2]) ** 2 for c in columns]).mean(axis=0)
     size = np.sqrt(np.maximum(square if about_zero else square.sum(), 1e-300))
     return Family(
         *what, [c / size for c in columns], lambda x: functions((x - middle) / half) / size,
@@ -138,12 +137,6 @@ def _lines(windows: FittedWindows) -> list[Family]:
     return families
 
 
-def _faded(windows: FittedWindows, v: Array | None, wave: Array | float, record: ForceResponse) -> Array | float:
-    """By how much a segment's mean is smaller than the wave."""
-    step = windows.dt * float(record.edges[1] - record.edges[0])
-    return np.sinc(np.asarray(wave) * (step if v is None else v * step))
-
-
 def _line(
     windows: FittedWindows,
     what: tuple[Over, str, str],
@@ -155,7 +148,9 @@ def _line(
     """Cosine and sine with phases of their own in each record, over the position in each direction, too."""
     columns = []
     for k, record in enumerate(windows.records):
-        fade = _faded(windows, None if v is None else v[k], wave, record)
+        step = windows.dt * float(record.edges[1] - record.edges[0])
+        # A staircase at the segments' middles answers weaker than the wave; a segment that sees many waves, their mean.
+        fade = 1.0 / np.sinc(wave * step) if v is None else np.sinc(wave * v[k] * step)
         phase = 2.0 * np.pi * wave * x[k]
         pair = np.stack([np.cos(phase) * fade, np.sin(phase) * fade], axis=2)
         if v is not None:
@@ -190,12 +185,12 @@ def _strongest(
     power = np.zeros(len(waves))
     some = np.linspace(0, len(waves) - 1, min(24, len(waves))).round().astype(int)
     expected = np.zeros(len(some))
-    for k, (record, (m, b)) in enumerate(zip(windows.records, windows.segment_sums(), strict=True)):
+    for k, (m, b) in enumerate(windows.segment_sums()):
         speed = None if v is None else v[k]
         for turn in (1.0,) if speed is None else (1.0, np.sign(speed)):
             power += np.abs(_transformed(x[k], b * turn, waves)) ** 2
             for i, at in enumerate(some):
-                wave = np.exp(2j * np.pi * waves[at] * x[k]) * turn * _faded(windows, speed, waves[at], record)
+                wave = np.exp(2j * np.pi * waves[at] * x[k]) * turn
                 expected[i] += float(np.einsum("ws,wst,wt->", wave.conj(), m, wave).real)
     level = power / np.maximum(np.interp(waves, waves[some], expected), 1e-300)
     found: list[tuple[float, float]] = []

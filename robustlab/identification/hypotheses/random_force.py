@@ -27,7 +27,7 @@ __all__ = ["FittedWindows", "NoiseLevel", "eliminated"]
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
 # Precision of a start's prior, of that in the fit: the smoother that told the start knew of no force beyond its own
 # bandwidth, and a ripple moves the start by much more than it thought possible.
-START = 0.01
+START = 1e-4
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
 
 
@@ -145,7 +145,7 @@ class FittedWindows:
             found.append((g, g[:, :s, -1]))
         # the parameters are eliminated approximately: at their best for the errors, not for each force
         n_z = len(self.z)
-        total = self.with_prior(sum(g.sum(axis=0) for g, _ in found)[-n_z - 1 :, -n_z - 1 :])
+        total = self.with_prior(np.sum([g.sum(axis=0)[-n_z - 1 :, -n_z - 1 :] for g, _ in found], axis=0))
         dz = np.linalg.solve(total[:-1, :-1], total[:-1, -1]) if n_z else np.zeros(0)
         return [(g[:, : r.segments, : r.segments], b - g[:, : r.segments, r.segments : -1] @ dz)
                 for (g, b), r in zip(found, self.records, strict=True)]  # fmt: skip

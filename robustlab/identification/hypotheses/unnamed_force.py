@@ -39,6 +39,7 @@ from robustlab.identification.hypotheses.random_force import FittedWindows, Nois
 
 __all__ = ["Unnamed", "UnnamedEvidence", "unnamed_force", "unnamed_forces"]
 
+PRIOR = 0.05  # probability that something acts that is not in the catalogue, before any data
 STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
 
 
@@ -51,13 +52,15 @@ class UnnamedEvidence:
     port, over, coordinate, dry
         Where it acts, what it follows (of an input: which); ``dry`` where it turns round with the direction of motion.
     evidence
-        Gain in log evidence, in nats; what was searched is paid for.
+        Gain in log evidence, in nats; what was searched is paid for, the prior of an unnamed force is not.
     cross_validated
         Gain in log predictive density, window by window, with the curve told by all the others.
     fall
         By how much the cost falls, at the noise of the hypothesis with the force.
     share
         Of what the hypothesis leaves beyond that noise, which share goes; 0..1.
+    rms
+        Of the force along the records.
     x, force, std
         The curve: coordinate, force and its standard deviation; of a line over one period.
     unit, coordinate_unit
@@ -74,6 +77,7 @@ class UnnamedEvidence:
     cross_validated: float
     fall: float
     share: float
+    rms: float
     x: Array
     force: Array
     std: Array
@@ -85,8 +89,8 @@ class UnnamedEvidence:
 
     @property
     def wins(self) -> bool:
-        """Whether it is more probable than nothing, judged by both."""
-        return self.evidence > 0.0 and self.cross_validated > 0.0
+        """Whether it is more probable than nothing, its prior included, and helps on data that it was not told."""
+        return self.evidence > -np.log(PRIOR) and self.cross_validated > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,13 +221,20 @@ def _told(windows: FittedWindows, place: Site, family: Family, best: _Best) -> U
     fall = (best.level.alone_q - best.q) / (best.q / n)
     beyond = best.level.alone_q / best.q * n - n
     share = float(np.clip(fall / beyond, 0.0, 1.0)) if beyond > 0 else 0.0
+    along = np.concatenate([(c @ best.mean).ravel() for c in family.columns])
     drawn = family.basis(family.grid)
-    std = np.sqrt(np.maximum(np.einsum("mk,kl,ml->m", drawn, best.covariance, drawn), 0.0))
+    mean, covariance, dry = best.mean, best.covariance, family.dry
     period = amplitude = amplitude_std = float("nan")
     if family.wave:
-        period, amplitude = 1.0 / family.wave, float(np.hypot(*best.mean[:2]))
-        amplitude_std = float(np.sqrt(0.5 * (best.covariance[0, 0] + best.covariance[1, 1])))
+        # Of a line over the position the part that is the same both ways, or the one that turns round with the motion.
+        dry = family.over == "line over position" and np.hypot(*mean[2:4]) > np.hypot(*mean[:2])
+        if dry:
+            mean, covariance = np.roll(mean, -2), np.roll(covariance, -2, axis=(0, 1))
+        period, amplitude = 1.0 / family.wave, float(np.hypot(*mean[:2]))
+        amplitude_std = float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1])))
+    std = np.sqrt(np.maximum(np.einsum("mk,kl,ml->m", drawn, covariance, drawn), 0.0))
     return UnnamedEvidence(
-        place.name, family.over, family.coordinate, family.dry, best.evidence, best.cross_validated, float(fall), share,
-        family.grid, drawn @ best.mean, std, windows.records[0].unit, family.unit, period, amplitude, amplitude_std,
+        place.name, family.over, family.coordinate, bool(dry), best.evidence, best.cross_validated, float(fall), share,
+        float(np.sqrt(np.mean(along**2))),
+        family.grid, drawn @ mean, std, windows.records[0].unit, family.unit, period, amplitude, amplitude_std,
     )  # fmt: skip
