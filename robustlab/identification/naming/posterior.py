@@ -9,8 +9,8 @@ fits, and is not counted.
 
 An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set
 leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
-empty set in any case; what it brings is added to their evidence. So a name that an unnamed force explains as well is not
-sure, and where the force alone is more probable than all names, nothing is named.
+empty set in any case; what it brings is added to their evidence. So a name that an unnamed force explains as well is
+not sure, and where the force alone is more probable than all names, nothing is named.
 
 A set whose error on held-out data is larger than that of the nominal model refitted within its tolerances is no answer.
 """
