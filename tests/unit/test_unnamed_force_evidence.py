@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from robustlab.identification.naming.ranking import first_noise
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
@@ -14,6 +13,7 @@ from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.force_response import ForceResponse, force_response, plain_places
+from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.hypotheses.random_force import START, FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import unnamed_force, unnamed_forces
@@ -94,8 +94,8 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     windows = dense.windows()
     columns = np.random.default_rng(5).normal(size=(4, 6, 3))
-    family = SimpleNamespace(price=1.5)
-    best = unnamed._judged(windows, [family], [columns], np.array([0, 3]))[0]
+    family = SimpleNamespace(price=1.5, columns=[columns])
+    best = unnamed._judged(windows, family, 1)
     e = dense.e.ravel()
 
     def of(level, strength):
