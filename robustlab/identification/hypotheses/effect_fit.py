@@ -275,8 +275,8 @@ class Problem:
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
         """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        how = {"sub": self.clock.sub, "hold": self.clock.hold, "rough": self.clock.rough}
-        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0, **how) for r in self.records]
+        sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
+        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0, sub, hold, rough) for r in self.records]
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
