@@ -83,8 +83,9 @@ class NamingTuning:
     step_error: float = 0.1  # of the noise, by which half as long steps may change a residual
 
     # --- the sets of effects
-    most_effects: int = 5
+    most_effects: int = 4
     most_expansions: int = 12  # sets to which effects are added before the search is called unfinished
+    most_work: int = 120_000_000  # steps of simulation, after which no further set is expanded
     prior_effect: float = 0.02  # of an effect at a place
     prior_refinement: float = 0.1  # of a refinement, over that of the effect it refines
     looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found

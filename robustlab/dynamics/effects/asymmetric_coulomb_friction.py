@@ -40,6 +40,7 @@ class AsymmetricCoulombFriction(Effect):
     site_kind = "joint"
     force = uneven_dry_force
     refines = "coulomb-friction"
+    equals = ("coulomb-friction", "constant-load")
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.1 * scales.force, 1.2)

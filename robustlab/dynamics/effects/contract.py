@@ -211,6 +211,8 @@ class Effect(ABC):
     person: str = ""
     # Id of the parent on top of which alone it is looked for. A refinement contains its parent.
     refines: str | None = None
+    # Ids of effects that together do exactly the same; it is as probable as they are.
+    equals: tuple[str, ...] = ()
     nameable: bool = True  # False for what is known noise and never a name (quantisation)
     needs_position: bool = False  # True where it sits only at joints whose position is a state
     # True where its period over the position is a parameter; it is then tried at each strong spatial line

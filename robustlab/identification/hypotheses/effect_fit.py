@@ -215,6 +215,8 @@ class Problem:
         Numbers of the fits, and of whatever is done with them.
     clock
         Steps and input holds that all hypotheses share.
+    work
+        Steps of each simulation that this problem, and those made from it, have run; put down by the problem.
     """
 
     def __init__(
@@ -225,18 +227,19 @@ class Problem:
         chosen: Sequence[Indices] | None = None,
         tuning: NamingTuning = TUNING,
         clock: Clock = Clock(),
+        work: list[int] | None = None,
     ) -> None:
         self.plant, self.records, self.nuisances, self.tuning = plant, tuple(records), tuple(nuisances), tuning
-        self.clock = clock
+        self.clock, self.work = clock, [] if work is None else work
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
 
     def on(self, records: Sequence[PreparedRecord], chosen: Sequence[Indices] | None = None) -> Problem:
         """The same plant and nuisances over other records or windows."""
-        return Problem(self.plant, records, self.nuisances, chosen, self.tuning, self.clock)
+        return Problem(self.plant, records, self.nuisances, chosen, self.tuning, self.clock, self.work)
 
     def under(self, clock: Clock) -> Problem:
         """The same problem with other steps or holds."""
-        return Problem(self.plant, self.records, self.nuisances, self.chosen, self.tuning, clock)
+        return Problem(self.plant, self.records, self.nuisances, self.chosen, self.tuning, clock, self.work)
 
     # --- parameters --------------------------------------------------------------------------------------------------
 
@@ -302,6 +305,7 @@ class Problem:
         x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
+        self.work.append(len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
         motion = simulator.run(factors, values, x0[used], windows, shift)
         outputs = motion.outputs[:, :, list(record.columns)]
         return outputs[chosen] if everything else outputs

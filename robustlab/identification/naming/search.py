@@ -115,7 +115,7 @@ def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
     """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
-        total += math.log(tuning.prior_effect)
+        total += math.log(tuning.prior_effect) * max(1, len(candidate.effect.equals))
         if candidate.effect.refines:
             total += math.log(tuning.prior_refinement)
         if candidate.effect.spatial and candidate.scales.orders:
@@ -171,7 +171,7 @@ class _Search:
         try:
             self._expand(Key())
             self._sharpen()
-            while self.expansions < self.tuning.most_expansions:
+            while self.expansions < self.tuning.most_expansions and sum(self.problem.work) < self.tuning.most_work:
                 key = self._next()
                 if key is None:
                     settled = True
@@ -204,7 +204,7 @@ class _Search:
         best = whole.key
         if len(best) < self.tuning.most_effects and best not in self.expanded:
             return best
-        sizes = [len(best) - away for away in (1, 2) if away <= len(best)]
+        sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
         smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
         for key in smaller:
             if key not in self.visited:
