@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from robustlab.identification.naming.ranking import first_noise
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
@@ -14,6 +13,7 @@ from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.force_response import ForceResponse, force_response, plain_places
+from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.hypotheses.random_force import START, FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import unnamed_force, unnamed_forces
