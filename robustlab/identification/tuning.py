@@ -30,6 +30,8 @@ class NamingTuning:
     # Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
     # its start is told by the fit and not by it.
     start_inflation: float = 30.0
+    most_windows: int = 24  # that the search fits: more tell weaker effects and take more time
+    most_held: int = 12  # that it judges on
     held_out_every: int = 4  # without a held-out record, every so manieth window is kept from the fit
 
     # --- candidates
@@ -52,14 +54,12 @@ class NamingTuning:
     hope: float = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
     longest_step: float = 2.0  # of a standardised parameter in one step
 
-    # --- ranking: successive halving
+    # --- looks at single effects, rough and then fuller
     workers: int = 2
     # Order of the autoregression that makes errors white where they are noise; where something is still missing, whose
     # small and fast part that would bring out, it is the first.
     ar_order: int = 3
     beyond_noise: float = 60.0  # times the sensors' noise: something is missing. A quiet machine's torque noise: < 25
-    bootstraps: int = 500  # of the windows: more, finer shares
-    seed: int = 20261121
     # Iterations of the base and of each round. The base must be at its optimum, or whatever is added would seem to gain
     # what it still had to gain itself.
     base: int = 25
@@ -93,22 +93,9 @@ class NamingTuning:
     looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found
     temperature: float = 1.0  # by which log evidence is divided: above 1, less sure
     sure: float = 0.95  # probability of a set from which it is named, and of the sets in an answer together
-    none_else: float = 0.02  # probability of all other sets below which there are no rivals
     settling: int = 15  # iterations of the reported fits
-    # A new effect must be this much more probable than none (log evidence), on top of the number of effects tried.
-    convincing: float = 4.0
-    wrong_parameter: float = 2.0  # the same for a parameter beyond its tolerance: those are few, asked for by name
-    most_failures: int = 4  # effects that are tried on held-out data before the search ends
-    held_out_gain: float = 3.0  # log-likelihood on held-out data that an effect must bring
-    held_out_loss: float = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well
-    held_out_rise: float = 0.1  # of the held-out error that it may cost
-    held_out_fall: float = 0.03  # of the held-out error that an effect must bring
-    rough_fall: float = 0.10  # the same while something is still missing: small effects then fit what is not theirs
 
     # --- rivals
-    overtaking: float = 0.5  # log evidence by which a refitted alternative takes the place of the named effect
-    evidence_tie: float = 3.0  # log evidence below which two effects count as equally probable: larger, more rivals
-    win_share: float = 0.05  # of the bootstrap samples from which an effect is a rival
     cannot_tell: float = 3.0  # refit distance in noise sigmas below which no test on these records tells two effects
     most_rivals: int = 5  # looked at for each named effect
     far_behind: float = 40.0  # log evidence beyond which the distance is not worth its time

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robustlab.identification.naming.greedy_naming import spans
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue, effect
@@ -25,6 +24,7 @@ from robustlab.identification.hypotheses.candidates import (
     timed_lines,
     with_absolute_tolerances,
 )
+from robustlab.identification.hypotheses.noise import spans
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, prepare, window_length
 from robustlab.statespace import Signal, StateSpaceModel
 

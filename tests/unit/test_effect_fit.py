@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robustlab.identification.naming.ranking import first_noise
 
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
@@ -22,11 +21,12 @@ from robustlab.identification.hypotheses.effect_fit import (
     Hypothesis,
     NoiseModel,
     Problem,
-    _Linearised,
     _whiten,
     averaged,
     simulated_outputs,
 )
+from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.hypotheses.normal_equations import Linearised
 from robustlab.identification.hypotheses.prepared_record import prepare
 
 AXIS = rl.plant("servo-axis")
@@ -75,7 +75,7 @@ def test_eliminated_starts_give_the_step_of_dense_least_squares(seed, n_w, n_x, 
     b = np.concatenate([r.ravel(), z, xi.ravel()])
     dense = -np.linalg.lstsq(a, b, rcond=None)[0]
 
-    reduced = _Linearised.of(r, j, x, xi).reduced(0.0)
+    reduced = Linearised.of(r, j, x, xi).reduced(0.0)
     dz = -np.linalg.solve(np.eye(n_z) + reduced.hessian, z + reduced.gradient)
     dxi = -(reduced.offset + reduced.slope @ dz)
     assert dz == pytest.approx(dense[:n_z], abs=1e-9)

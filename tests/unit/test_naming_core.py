@@ -1,21 +1,10 @@
-"""Naming on small simulated records whose missing effect is known: ranking, distance, what is left, and `discover`."""
+"""Naming on small simulated records whose missing effect is known: distance, what is left, noise, and `discover`."""
 
-from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from robustlab.identification.naming.greedy_naming import (
-    Alternative,
-    Naming,
-    Step,
-    held_out_fit,
-    in_doubt,
-    name_effects,
-    rms_percent,
-)
-from robustlab.identification.naming.ranking import Ranked, Ranking, rank, whitening
 
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
@@ -35,8 +24,9 @@ from robustlab.identification.hypotheses.effect_fit import (
     refit_distance,
     simulated_outputs,
 )
+from robustlab.identification.hypotheses.noise import held_out_fit, rms_percent, whitening
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.discovery import beyond_tolerance
+from robustlab.identification.naming.admissible import beyond_tolerance
 from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.identification.tuning import TUNING
 from robustlab.result import Status
@@ -141,37 +131,6 @@ def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
     assert behind.evidence == pytest.approx(before.evidence, abs=1.5)
 
 
-def test_a_wrong_gain_is_in_doubt_only_where_it_relieves_the_tolerances():
-    problem, pool = problem_of(plain())
-    inertia, gain = pool["inertia @ M"], pool["input-gain @ u"]
-    stretched = replace(fitted(problem), z=np.array([2.0, 2.0]))
-
-    def doubted(candidate, more, base=stretched, allowed=True):
-        entry = Ranked(candidate, fitted(problem, candidate), more, 0.5)
-        ranking = Ranking((entry, Ranked(None, base, 0.0, 0.5)), base.noise)
-        step = Step(NONE, ranking, None, "stop", np.nan)
-        naming = Naming(base, base, base, (step,), base.noise, base.cost, 1)
-        return [a.candidate.key for a in in_doubt(problem, naming, lambda *_: allowed)]
-
-    assert doubted(inertia, 0.5) == ["inertia @ M"]
-    assert doubted(inertia, -0.5) == ["inertia @ M"]  # it has a tolerance, and lies beyond it
-    assert doubted(inertia, -1.5) == []
-    assert doubted(inertia, 0.5, allowed=False) == []  # within its tolerance
-    assert doubted(inertia, 0.5, base=replace(stretched, z=np.zeros(2))) == []  # it relieves nothing
-    assert doubted(gain, 0.5) == ["input-gain @ u"]
-    assert doubted(gain, -0.5) == []  # it has no tolerance that it could contradict
-
-
-def test_of_two_wrong_gains_the_evidence_decides_and_not_the_distance():
-    problem, pool = problem_of(plain())
-    inertia, gain, delay = pool["inertia @ M"], pool["input-gain @ u"], pool["input-delay @ u"]
-    fit = fitted(problem)
-    assert not Alternative(inertia, gain, fit, -5.0, 0.0, 1.0).cannot_be_told
-    assert Alternative(inertia, gain, fit, -2.0, 0.0, 1.0).cannot_be_told
-    assert Alternative(delay, gain, fit, -5.0, 0.0, 1.0).cannot_be_told
-    assert not Alternative(delay, gain, fit, -5.0, 0.0, 4.0).cannot_be_told
-
-
 def test_an_effect_has_no_distance_to_itself():
     problem, fits = late()
     assert all(refit_distance(problem, fit, fit) < 1e-3 for fit in fits.values())
@@ -236,7 +195,7 @@ def test_a_complete_model_leaves_nothing():
     assert not left.structure.found
 
 
-# --- ranking ---------------------------------------------------------------------------------------------------------
+# --- noise and held-out data ------------------------------------------------------------------------------------------
 
 
 def test_whitening_finds_the_autoregression_of_the_errors():
@@ -252,15 +211,6 @@ def test_whitening_finds_the_autoregression_of_the_errors():
     assert found.std == pytest.approx([0.03], rel=0.02)
 
 
-SHORT_POOL = (
-    "coulomb-friction @ v",
-    "viscous-friction @ Fv",
-    "constant-load @ v",
-    "input-delay @ u",
-    "sensor-gain @ q",
-)
-
-
 def apart(problem: Problem) -> tuple[Problem, Problem]:
     """Problem and held-out problem: every fifth window is held out."""
     windows = np.arange(problem.records[0].count)
@@ -268,45 +218,6 @@ def apart(problem: Problem) -> tuple[Problem, Problem]:
         problem.on(problem.records, [windows[windows % 5 != 2]]),
         problem.on(problem.records, [windows[windows % 5 == 2]]),
     )
-
-
-def test_the_true_effect_ranks_first():
-    problem, pool = problem_of(rubbing())
-    ranking = rank(problem, NONE, np.zeros(2), [pool[k] for k in SHORT_POOL], noise_of(problem))
-    assert ranking.best.id == "coulomb-friction"
-    assert ranking.best.evidence == 0.0
-    assert ranking.base.evidence < -100.0
-    assert ranking.base.id == "none"
-    assert ranking.best.wins > 0.95
-    assert sum(r.wins for r in ranking.ranked) == pytest.approx(1.0)
-    assert [r.evidence for r in ranking.ranked] == sorted((r.evidence for r in ranking.ranked), reverse=True)
-
-
-def named(record, tolerance=None):
-    problem, pool = problem_of(record)
-    fit, held = apart(problem)
-    limits = {"M": 0.05, "Fv": 1.0}
-    return name_effects(
-        fit, held, [pool[k] for k in SHORT_POOL], lambda p, f, c: beyond_tolerance(p, f, c, tolerance or limits)
-    )
-
-
-def test_the_search_names_the_friction_and_stops():
-    found = named(rubbing())
-    (effect,) = found.fit.hypothesis.candidates
-    assert effect.key == "coulomb-friction @ v"
-    assert effect.values(found.settled.z[2:])["Fc"] == pytest.approx(20.0, rel=0.02)
-    assert found.steps[0].taken is not None
-    assert found.steps[-1].taken is None
-    assert found.steps[-1].decision.startswith("stop")
-    assert found.fit.cost < 0.1 * found.bare_cost
-
-
-@pytest.mark.parametrize("seed", [3, 4])
-def test_the_search_names_nothing_where_nothing_is_missing(seed):
-    found = named(plain(seed=seed))
-    assert found.fit.hypothesis.candidates == ()
-    assert found.steps[-1].taken is None
 
 
 def test_a_parameter_within_its_tolerance_is_no_missing_effect():

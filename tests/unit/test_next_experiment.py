@@ -15,8 +15,8 @@ from robustlab.identification.experiment.experiment_menu import Piece, experimen
 from robustlab.identification.experiment.next_experiment import propose_experiment
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.hypotheses.noise import first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import prepare, window_length
-from robustlab.identification.naming.ranking import first_noise, whitening
 from robustlab.result import plain
 
 SEED = 5

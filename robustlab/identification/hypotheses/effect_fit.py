@@ -39,6 +39,7 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales,
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.sampled_input import Hold
+from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
@@ -282,8 +283,8 @@ class Problem:
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
         """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        how = {"sub": self.clock.sub, "hold": self.clock.hold, "rough": self.clock.rough}
-        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0, **how) for r in self.records]
+        sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
+        return [Simulator(self.plant, effects, r.u, r.record.dt, sub=sub, hold=hold, rough=rough) for r in self.records]
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
@@ -358,7 +359,7 @@ class Problem:
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
         cost = _total(residual, xi, z)
         hessian = np.eye(len(z))
-        parts: list[_Linearised] = []
+        parts: list[Linearised] = []
         rounds = plan.iterations
         while rounds > 0 or not plan.draft:
             parts = [
@@ -391,7 +392,7 @@ class Problem:
             if improved < max(tolerance, self.tuning.relative * cost):
                 break
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
-        covariance = _sandwich(parts, hessian) if plan.robust else None
+        covariance = sandwich(parts, hessian) if plan.robust else None
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
 
     def cost(self, hypothesis: Hypothesis, noise: NoiseModel, z: Array, starts: Sequence[Array]) -> float:
@@ -399,7 +400,7 @@ class Problem:
         return _total(self.whitened(self.errors(hypothesis, z, starts), noise), starts, z)
 
     @staticmethod
-    def _expected(z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], fixed: bool) -> float:
+    def _expected(z: Array, xi: Sequence[Array], parts: Sequence[Linearised], fixed: bool) -> float:
         """By how much V would fall in an undamped step, were the errors linear."""
         reduced = [p.reduced(0.0) for p in parts]
         fall = sum(float(np.sum(p.xr * r.offset)) for p, r in zip(parts, reduced, strict=True))
@@ -412,13 +413,13 @@ class Problem:
         return np.clip(z, -self.tuning.farthest, self.tuning.farthest)
 
     def _step(
-        self, z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], damping: float, fixed: bool
+        self, z: Array, xi: Sequence[Array], parts: Sequence[Linearised], damping: float, fixed: bool
     ) -> tuple[Array, list[Array]]:
         """The damped step of the parameters and of the window starts."""
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:
-            dz = -np.linalg.solve(_damped(reduced, parts, damping), z + sum(r.gradient for r in reduced))
+            dz = -np.linalg.solve(damped(reduced, parts, damping), z + sum(r.gradient for r in reduced))
             dz = self._within(z + np.clip(dz, -self.tuning.longest_step, self.tuning.longest_step)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
@@ -427,7 +428,7 @@ class Problem:
         z: Array,
         xi: Sequence[Array],
         residual: Sequence[Array],
-        parts: Sequence[_Linearised],
+        parts: Sequence[Linearised],
         hypothesis: Hypothesis,
         simulators: Sequence[Simulator],
         noise: NoiseModel,
@@ -444,7 +445,7 @@ class Problem:
         ]
         reduced = [p.reduced(damping) for p in curved]
         gradient = sum((r.gradient for r in reduced), np.zeros_like(z))
-        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(_damped(reduced, parts, damping), gradient), dtype=float)
+        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(damped(reduced, parts, damping), gradient), dtype=float)
         bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
         straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
@@ -455,7 +456,7 @@ class Problem:
     def _linearised(
         self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
         noise: NoiseModel, fixed: bool, borrowed: tuple[Array, Array] | None,
-    ) -> _Linearised:  # fmt: skip
+    ) -> Linearised:  # fmt: skip
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
 
         def moved(there: Array, start: Array, step: float) -> Array:
@@ -467,9 +468,9 @@ class Problem:
         columns = [moved(z + self.tuning.step * unit, xi, self.tuning.step)[:, :, None] for unit in units]
         j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
         if borrowed:
-            return _Linearised.of(residual, np.concatenate([borrowed[0], j], axis=2), borrowed[1], xi)
+            return Linearised.of(residual, np.concatenate([borrowed[0], j], axis=2), borrowed[1], xi)
         x = [moved(z, xi + self.tuning.start_step * unit, self.tuning.start_step) for unit in np.eye(xi.shape[1])]
-        return _Linearised.of(residual, j, np.stack(x, axis=2), xi)
+        return Linearised.of(residual, j, np.stack(x, axis=2), xi)
 
     def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
         """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
@@ -486,82 +487,6 @@ class Problem:
             empty = np.zeros((*here.shape, 0))
             pairs.append((np.stack(over_z, axis=2) if over_z else empty, np.stack(over_x, axis=2) if over_x else empty))
         return pairs
-
-
-class _Reduced(NamedTuple):
-    """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""
-
-    hessian: Array
-    gradient: Array
-    offset: Array  # (n_windows, n_x)
-    slope: Array  # (n_windows, n_x, n_z)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """Products of the derivatives J over z and X over the starts of one record, window by window."""
-
-    jj: Array  # J^T J summed, (n_z, n_z)
-    jr: Array  # J^T r summed, (n_z,)
-    xx: Array  # X^T X + 1, (n_windows, n_x, n_x)
-    xj: Array  # X^T J, (n_windows, n_x, n_z)
-    xr: Array  # X^T r + xi, (n_windows, n_x)
-    scores: Array  # J^T r of each window, (n_windows, n_z)
-    j: Array  # (n_windows, n_points, n_z)
-    x: Array  # (n_windows, n_points, n_x)
-
-    @classmethod
-    def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
-        xt = np.swapaxes(x, 1, 2)
-        flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
-        return cls(
-            flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
-            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
-        )  # fmt: skip
-
-    def along(self, dz: Array, dxi: Array) -> Array:
-        """Change of the residuals along a step, were they linear."""
-        return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
-
-    def with_residual(self, residual: Array) -> _Linearised:
-        """The same derivatives with other residuals, and no start of its own."""
-        scores = np.einsum("wmz,wm->wz", self.j, residual)
-        xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
-        return replace(self, jr=scores.sum(axis=0), xr=xr, scores=scores)
-
-    @property
-    def diagonal(self) -> Array:
-        """Of J^T J."""
-        return np.diag(self.jj)
-
-    def reduced(self, damping: float) -> _Reduced:
-        """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
-        n_x = self.xx.shape[1]
-        inner = self.xx + damping * self.xx * np.eye(n_x)
-        right = np.concatenate([self.xr[:, :, None], self.xj], axis=2)
-        try:
-            both = np.asarray(np.linalg.solve(inner, right), dtype=float)
-        except np.linalg.LinAlgError:  # a part of the start that no sample of its window shows: it stays as it is
-            both = np.linalg.pinv(inner, hermitian=True) @ right
-        offset, slope = both[:, :, 0], both[:, :, 1:]
-        hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
-        gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
-        return _Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
-
-
-def _damped(reduced: Sequence[_Reduced], parts: Sequence[_Linearised], damping: float) -> Array:
-    """Hessian of V / 2 over z with the prior and the damping."""
-    hessian = sum((r.hessian for r in reduced), np.eye(len(parts[0].jr)))
-    hessian[np.diag_indices(len(hessian))] += damping * (1.0 + sum(p.diagonal for p in parts))
-    return hessian
-
-
-def _sandwich(parts: Sequence[_Linearised], hessian: Array) -> Array:
-    """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
-    scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
-    inverse = np.linalg.pinv(hessian)
-    count = len(scores)
-    return inverse @ (scores.T @ scores) @ inverse * (count / max(1, count - 1))
 
 
 def averaged(error: Array, thin: int) -> Array:

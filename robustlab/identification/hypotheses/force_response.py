@@ -133,7 +133,7 @@ def _of_record(problem: Problem, fit: Fit, place: Site, k: int, simulator: Simul
 
     def outputs(z: Array, start: Array, samples: Array = nothing) -> Array:
         setting = problem.setting(wider, z)
-        pushed = setting._replace(values=[*setting.values[:-1], {"samples": samples}])  # type: ignore[dict-item]
+        pushed = setting._replace(values=[*setting.values[:-1], {"samples": samples}])
         return problem.outputs(k, simulator, pushed, start)
 
     def points(difference: Array) -> Array:

@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import parameter_groups, port_model
+from robustlab.identification.hypotheses.candidates import FEWEST_PERIODS, periods_seen
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
 
 __all__ = ["admissible", "beyond_tolerance"]
-
-
-LEAST_PERIODS = 2.0  # of a ripple over the position: less is a slope, a curve, a spring, a stop
 
 
 def admissible(
@@ -29,7 +28,7 @@ def admissible(
         The records: a force over the position must be seen for two of its periods in both.
     """
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
-    strokes = _strokes(plant, fitted, held)
+    positions = _positions(plant)
 
     def allowed(problem: Problem, fit: Fit) -> bool:
         _, values = problem.split(fit.hypothesis, fit.z)
@@ -37,8 +36,8 @@ def admissible(
             if not beyond_tolerance(problem, fit, candidate, limits):
                 return False
             if candidate.effect.spatial and "k" in own:
-                stroke = strokes.get(candidate.site.name, np.inf)
-                if abs(own["k"]) * stroke < LEAST_PERIODS * 2.0 * np.pi:
+                position = positions[candidate.site.name]
+                if min(periods_seen(own["k"], position, p.records) for p in (fitted, held)) < FEWEST_PERIODS:
                     return False
         return True
 
@@ -57,13 +56,8 @@ def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: M
     return bool(abs(total) > np.log1p(limits[candidate.site.name]))
 
 
-def _strokes(plant: LinearPlant, fitted: Problem, held: Problem) -> dict[str, float]:
-    """The longest stroke at each joint and output that the fitted and the held-out records both have."""
+def _positions(plant: LinearPlant) -> dict[str, Array]:
+    """Row of the states that is the position at each joint, and what each output shows."""
     model = port_model(plant)
-    rows = {n: p.position for n, p in model.ports.items() if p.position is not None}
-    rows |= {s.name: row for s, row in zip(plant.outputs, model.C, strict=True)}
-    found = {}
-    for name, row in rows.items():
-        longest = [max(float(np.ptp(r.smoothed.x @ row)) for r in p.records) for p in (fitted, held)]
-        found[name] = min(longest)
-    return found
+    rows = {s.name: row for s, row in zip(plant.outputs, model.C, strict=True)}
+    return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}

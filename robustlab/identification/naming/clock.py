@@ -20,7 +20,7 @@ __all__ = ["clock_nuisances", "held_inputs", "short_steps", "step_error"]
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float, tuning: NamingTuning) -> tuple[Nuisance, ...]:
     """A shift of each input against the outputs, a part of a sample: clocks are not told more exactly than that."""
-    return tuple(Nuisance(f"clock of {name}", (), tuning.clock_share * dt, name) for name in inputs)
+    return tuple(Nuisance(f"clock of {name}", (), tuning.clock_share * dt, input=name) for name in inputs)
 
 
 def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:

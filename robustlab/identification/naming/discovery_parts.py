@@ -179,7 +179,7 @@ class InputClock(Evidence):
     """What an input does between its samples, and by how much its clock is late against the outputs', in s."""
 
     input: str
-    hold: Literal["held", "linear"]
+    hold: Literal["held", "linear", "smooth"]
     shift: float
     std: float
 

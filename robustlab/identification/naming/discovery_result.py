@@ -409,7 +409,7 @@ def _nominal_line(p: NominalValue) -> str:
 
 
 def _clock_line(c: InputClock) -> str:
-    between = "held from sample to sample" if c.hold == "held" else "linear from sample to sample"
+    between = "held from sample to sample" if c.hold == "held" else f"{c.hold} between samples"
     late = f"late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)" if c.std else "clock not fitted"
     return _row(c.input, f"{between}; {late}")
 

@@ -15,8 +15,8 @@ from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.experiment.next_experiment import propose_experiment
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Hypothesis, Problem
+from robustlab.identification.hypotheses.noise import first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import prepare, window_length
-from robustlab.identification.naming.ranking import first_noise, whitening
 
 FILE = """
 from robustlab.dynamics.effects.signal_effect import SignalGain

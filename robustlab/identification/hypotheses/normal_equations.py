@@ -1,0 +1,103 @@
+r"""Normal equations of a fit in which every window has a start of its own, which is eliminated.
+
+With the residuals r of a window, their derivatives J over the parameters z and X over the start :math:`\xi` of the
+window, a step minimises
+
+.. math:: \sum_w \| r_w + J_w\,dz + X_w\,d\xi_w \|^2 + \|\xi_w + d\xi_w\|^2 + \| z + dz \|^2 .
+
+:math:`d\xi_w = -(X_w^T X_w + 1)^{-1}(X_w^T r_w + \xi_w + X_w^T J_w\,dz)` leaves equations in dz alone (Schur
+complement).
+
+References
+----------
+Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array
+
+__all__ = ["Linearised", "Reduced", "damped", "sandwich"]
+
+
+class Reduced(NamedTuple):
+    """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""
+
+    hessian: Array
+    gradient: Array
+    offset: Array  # (n_windows, n_x)
+    slope: Array  # (n_windows, n_x, n_z)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Products of the derivatives J over z and X over the starts of one record, window by window."""
+
+    jj: Array  # J^T J summed, (n_z, n_z)
+    jr: Array  # J^T r summed, (n_z,)
+    xx: Array  # X^T X + 1, (n_windows, n_x, n_x)
+    xj: Array  # X^T J, (n_windows, n_x, n_z)
+    xr: Array  # X^T r + xi, (n_windows, n_x)
+    scores: Array  # J^T r of each window, (n_windows, n_z)
+    j: Array  # (n_windows, n_points, n_z)
+    x: Array  # (n_windows, n_points, n_x)
+
+    @classmethod
+    def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> Linearised:
+        """From the residuals (n_windows, n_points) and their derivatives; xi (n_windows, n_x)."""
+        xt = np.swapaxes(x, 1, 2)
+        flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
+        return cls(
+            flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
+            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
+        )  # fmt: skip
+
+    def along(self, dz: Array, dxi: Array) -> Array:
+        """Change of the residuals along a step, were they linear."""
+        return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
+
+    def with_residual(self, residual: Array) -> Linearised:
+        """The same derivatives with other residuals, and no start of its own."""
+        scores = np.einsum("wmz,wm->wz", self.j, residual)
+        xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
+        return replace(self, jr=scores.sum(axis=0), xr=xr, scores=scores)
+
+    @property
+    def diagonal(self) -> Array:
+        """Of J^T J."""
+        return np.diag(self.jj)
+
+    def reduced(self, damping: float) -> Reduced:
+        """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
+        n_x = self.xx.shape[1]
+        inner = self.xx + damping * self.xx * np.eye(n_x)
+        right = np.concatenate([self.xr[:, :, None], self.xj], axis=2)
+        try:
+            both = np.asarray(np.linalg.solve(inner, right), dtype=float)
+        except np.linalg.LinAlgError:  # a part of the start that no sample of its window shows: it stays as it is
+            both = np.linalg.pinv(inner, hermitian=True) @ right
+        offset, slope = both[:, :, 0], both[:, :, 1:]
+        hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
+        gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
+        return Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
+
+
+def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float) -> Array:
+    """Hessian of V / 2 over z with the prior and the damping."""
+    hessian = sum((r.hessian for r in reduced), np.eye(len(parts[0].jr)))
+    hessian[np.diag_indices(len(hessian))] += damping * (1.0 + sum(p.diagonal for p in parts))
+    return hessian
+
+
+def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
+    """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
+    scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
+    inverse = np.linalg.pinv(hessian)
+    count = len(scores)
+    return inverse @ (scores.T @ scores) @ inverse * (count / max(1, count - 1))
