@@ -116,8 +116,9 @@ def weigh(found: Found) -> Posterior:
     """The posterior of what the search found."""
     problem, tuning = found.problem, found.problem.tuning
     ordered, generalises = _generalising(found)
-    left, forces = _unnamed(problem, ordered)
-    evidence = {v.key: v.evidence + _gain(forces.get(v.key)) for v in ordered}
+    left, forces = _unnamed(problem, ordered, found.noise.excess)
+    excess = found.noise.excess  # by which the evidence of the sets is made less sure; the forces' own is not
+    evidence = {v.key: v.evidence + _gain(forces.get(v.key)) / excess for v in ordered}
     ordered.sort(key=lambda v: -evidence[v.key])
     best = ordered[0]
     distance = {best.key: 0.0}
@@ -162,12 +163,12 @@ def _folded(weighed: Sequence[Weighed]) -> list[Weighed]:
 
 
 def _unnamed(
-    problem: Problem, ordered: Sequence[Visited]
+    problem: Problem, ordered: Sequence[Visited], excess: float
 ) -> tuple[dict[Key, tuple[Unnamed, ...]], dict[Key, UnnamedEvidence]]:
     """What sets leave, and the unnamed force beside each: of the best, the empty one, and all that it could lift."""
     left = {v.key: _left(problem, v.fit) for v in (ordered[0], *(v for v in ordered[1:] if not v.key))}
     forces = {key: force for key, u in left.items() if (force := _winning(u)) is not None}
-    reach = ordered[0].evidence - _gain(forces.get(ordered[0].key)) - LIFTED_BEYOND
+    reach = ordered[0].evidence - _gain(forces.get(ordered[0].key)) / excess - LIFTED_BEYOND
     for visited in ordered[1 : problem.tuning.most_rivals] if ordered[0].key in forces else []:
         if visited.key not in left and visited.evidence > reach:
             left[visited.key] = _left(problem, visited.fit)
