@@ -278,11 +278,8 @@ class Problem:
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
         """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        clock = self.clock
-        return [
-            Simulator(self.plant, effects, r.u, r.record.dt, sub=clock.sub, hold=clock.hold, rough=clock.rough)
-            for r in self.records
-        ]
+        sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
+        return [Simulator(self.plant, effects, r.u, r.record.dt, sub=sub, hold=hold, rough=rough) for r in self.records]
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None

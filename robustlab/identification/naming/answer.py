@@ -92,9 +92,9 @@ class _Stages:
             return instead
 
 
-def answer(case: Case, found: Found, posterior: Posterior) -> Discovery:
-    """The result of `discover`."""
-    problem, held, stages = found.problem, found.held, _Stages()
+def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Discovery:
+    """The result of `discover`; gaps are measured on all of the windows that are held out."""
+    problem, held, stages = found.problem, held.under(found.problem.clock), _Stages()
     best = posterior.best.fit
     fit = settled(problem, best, found.noise)
     judged = _judged(case, found, posterior, fit, stages)

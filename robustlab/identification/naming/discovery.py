@@ -115,9 +115,11 @@ def discover(
     pool = [c for c in candidates(linear, model, problem.records, tuning) if c.effect.id not in left_out]
     case = Case(linear, measured, repeats, period, stated, findings, held_text, pool)
     with Progress(progress) as said:
-        found = search_sets(problem, held, pool, admissible(linear, stated, problem, held), said.step)
+        allowed = admissible(linear, stated, problem, held)
+        few, some = _spread(problem, tuning.most_windows), _spread(held, tuning.most_held)
+        found = search_sets(few, some, pool, allowed, said.step)
         said.tell("what remains")
-        result = answer(case, found, weigh(found))
+        result = answer(case, found, weigh(found), held)
     return replace(result, seconds=time.perf_counter() - began)
 
 
@@ -196,3 +198,14 @@ def _problems(
     problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning, clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
     return problem, held, f"every {every}th window of the records, kept from the fit"
+
+
+def _spread(problem: Problem, most: int) -> Problem:
+    """At most so many windows, evenly over all records: more of a long record cost time and tell the same."""
+    count = sum(len(c) for c in problem.chosen)
+    if count <= most:
+        return problem
+    taken = np.zeros(count, dtype=bool)
+    taken[np.linspace(0, count - 1, most).round().astype(int)] = True
+    masks = np.split(taken, np.cumsum([len(c) for c in problem.chosen])[:-1])
+    return problem.on(problem.records, [c[m] for c, m in zip(problem.chosen, masks, strict=True)])
