@@ -271,10 +271,12 @@ class _Search:
         """Judge a fit, and keep it where it is the better one of its set."""
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
-        if there is not None and there.fit.evidence >= fit.evidence:
-            return
+        if there is None or there.fit.evidence < fit.evidence:
+            self.visited[key] = self._judged(fit)
+
+    def _judged(self, fit: Fit) -> Visited:
         judged = held_out_fit(self.held, fit, self.noise)
-        self.visited[key] = Visited(
+        return Visited(
             fit,
             log_prior(fit.hypothesis, self.tuning),
             -0.5 * (judged.cost - float(fit.z @ fit.z)),
@@ -297,10 +299,9 @@ class _Search:
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.rough_fits]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
-        self.visited, self.expanded = {}, set()
-
-        for fit in self.workers.map(self._again, kept.values()):
-            self._visit(fit)
+        again = self.workers.map(self._again, kept.values())
+        # At once, for the user may end the search at any time.
+        self.visited, self.expanded = {key_of(fit.hypothesis): self._judged(fit) for fit in again}, set()
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
