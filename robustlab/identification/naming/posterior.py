@@ -245,15 +245,14 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
 
 
 def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:
-    """Sets with one effect in the place of another, where not both are gains, which tolerances alone tell apart."""
+    """Sets with one effect in the place of another, but for refinements in the place of what they refine."""
     found = []
     for other in others:
         gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
         come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
         if len(gone) != 1 or len(come) != 1 or best.evidence - other.evidence > far:
             continue
-        refined = come[0].effect.refines == gone[0].effect.id and come[0].site == gone[0].site
-        if not refined and not (gone[0].effect.gain_like and come[0].effect.gain_like):
+        if not (come[0].effect.refines == gone[0].effect.id and come[0].site == gone[0].site):
             found.append(other)
     return found
 
