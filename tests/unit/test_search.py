@@ -1,4 +1,4 @@
-"""The search over sets of effects, on records of an event-driven integrator: what it finds, drops, merges, and keeps."""
+"""The search over sets of effects, on records of an event-driven integrator: what it finds, drops and merges."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,8 @@ import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
+from robustlab.identification.hypotheses.effect_fit import Hypothesis, Problem
+from robustlab.identification.hypotheses.noise import noise_ratio
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import search as module
 from robustlab.identification.naming.admissible import admissible
@@ -23,7 +24,7 @@ GAIN = AXIS.values["gain"]
 DT = 2e-3
 T = np.arange(1000) * DT
 U = 1.5 * np.sin(2 * np.pi * 1.3 * T) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 20), 50)
-TOLERANCES = {"M": 0.05, "Fv": 1.0}
+TOLERANCES = (("M", 0.05), ("Fv", 1.0))
 FRICTION, LOAD, GAIN_OF_Q = "coulomb-friction @ v", "constant-load @ v", "sensor-gain @ q"
 POOL = (FRICTION, LOAD, "viscous-friction @ Fv", "input-delay @ u", GAIN_OF_Q)
 
@@ -42,7 +43,7 @@ def machine(friction=0.0, load=0.0, seed=0, seen=("q", "v")) -> rl.Record:
 
 
 @cache
-def opened(record: rl.Record, tolerances=tuple(TOLERANCES.items())):
+def opened(record: rl.Record, tolerances=TOLERANCES):
     """Windows to fit, windows held out, candidates by key, and what may be an answer."""
     model = port_model(AXIS)
     ready = prepare(AXIS, model, record, 100)
@@ -92,36 +93,68 @@ def test_one_effect_is_found():
 def test_a_set_of_two_is_found():
     found = searched(machine(friction=20.0, load=8.0))
     assert found.best.key == {FRICTION, LOAD}
-    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.02)
-    assert abs(next(iter(values(found, LOAD).values()))) == pytest.approx(8.0, rel=0.05)
+    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
+    assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
     assert found.settled
 
 
-def test_two_names_for_one_are_merged():
+@pytest.fixture
+def short_sighted(monkeypatch):
+    """Let the first look on the nominal model see one effect alone."""
+
+    def see(first: str) -> None:
+        plain = module.promising
+
+        def looked(problem, base, best, pool, *rest):
+            seen = pool if base.hypothesis.candidates else [c for c in pool if c.key == first]
+            return plain(problem, base, best, seen, *rest)
+
+        monkeypatch.setattr(module, "promising", looked)
+
+    return see
+
+
+def hidden_until_two(monkeypatch, last: str) -> list[set[str]]:
+    """Keep one effect from the looks until a set of two was expanded; the sets that were."""
+    plain, expanded = module.promising, []
+
+    def looked(problem, base, best, pool, *rest):
+        expanded.append({c.key for c in base.hypothesis.candidates})
+        open_ones = [c for c in pool if c.key != last or max(map(len, expanded)) == 2]
+        return plain(problem, base, best, open_ones, *rest)
+
+    monkeypatch.setattr(module, "promising", looked)
+    return expanded
+
+
+def test_two_names_for_one_are_merged(monkeypatch):
     """A sensor that shows 8 % too much: a smaller inertia and a smaller friction together do just the same."""
     run = rl.simulate(AXIS, T, U)
     record = rl.Record(T, {"u": U}, noisy({"q": 1.08 * run["q"]}, 0), name="gain")
     fit, held, pool, allowed = opened(record, (("M", 0.01), ("Fv", 0.01)))
     keys = ["inertia @ M", "viscous-friction @ Fv", GAIN_OF_Q]
+    seen = hidden_until_two(monkeypatch, GAIN_OF_Q)
     found = search_sets(fit, held, [pool[k] for k in keys], allowed, quiet)
+    assert {"inertia @ M", "viscous-friction @ Fv"} in seen
     assert found.best.key == {GAIN_OF_Q}
-    both = next(v for v in found.sets if v.key == {"inertia @ M", "viscous-friction @ Fv"})
-    assert both.fit.evidence + both.held_out == pytest.approx(found.best.fit.evidence + found.best.held_out, abs=6.0)
-    assert both.prior < found.best.prior
 
 
-def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(monkeypatch):
-    """Nothing but a friction of viscous kind, other forward than backward, is seen in the first look."""
-    first, plain = "asymmetric-viscous-friction @ v", module.promising
-
-    def short_sighted(problem, base, best, pool, *rest):
-        seen = [c for c in pool if c.key == first] if not base.hypothesis.candidates else pool
-        return plain(problem, base, best, seen, *rest)
-
-    monkeypatch.setattr(module, "promising", short_sighted)
+def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(short_sighted):
+    first = "asymmetric-viscous-friction @ v"
+    short_sighted(first)
     found = searched(machine(friction=20.0, load=8.0), (first, FRICTION, LOAD))
     assert any(v.key == {first} for v in found.sets)
     assert found.best.key == {FRICTION, LOAD}
+    assert found.settled
+
+
+def test_a_fit_is_not_held_in_a_wrong_minimum_by_the_noise_that_was_taken_from_it():
+    """Dry friction alone leaves errors like a random walk; under that noise a wrong pair would have the lower V."""
+    found = searched(machine(friction=20.0, load=8.0), (FRICTION, LOAD))
+    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
+    assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
+    assert noise_ratio(found.problem, found.best.fit) < 1.2
+    assert np.abs(found.noise.ar.sum(axis=0)).max() < 0.2  # the noise that was added is white
 
 
 # --- how sets are judged ---------------------------------------------------------------------------------------------
@@ -200,7 +233,7 @@ def test_a_search_whose_budget_ends_is_not_settled(budget):
     assert FRICTION in found.best.key
 
 
-@pytest.mark.parametrize("after", [1, 5, 8, 12])
+@pytest.mark.parametrize("after", [1, 8, 20])
 def test_an_interrupted_search_gives_what_was_known(after):
     calls = []
 
@@ -213,7 +246,7 @@ def test_an_interrupted_search_gives_what_was_known(after):
     assert found.interrupted
     assert not found.settled
     assert found.empty in found.sets
-    assert (found.best.key == {FRICTION}) == (after > 5)
+    assert (found.best.key == {FRICTION}) == (after == 20)
 
 
 @pytest.mark.parametrize("step", ["whitening", "held_inputs", "short_steps", "noise_ratio"])
@@ -255,8 +288,3 @@ def test_the_answer_does_not_depend_on_the_order_of_the_pool():
     other = searched(machine(friction=20.0, load=8.0), POOL[::-1])
     assert one.best.key == other.best.key
     assert one.best.evidence - one.empty.evidence == pytest.approx(other.best.evidence - other.empty.evidence, abs=1.0)
-
-
-def test_candidates_of_these_tests_exist():
-    _, _, pool, _ = opened(machine(friction=20.0))
-    assert isinstance(pool[FRICTION], Candidate)
