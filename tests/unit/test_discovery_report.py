@@ -211,7 +211,7 @@ def test_details_have_all_it_rests_on():
     assert "next experiment" not in text
     assert "findings" not in text
     fixed = made(clocks=(InputClock("u", "linear", 0.0, 0.0),)).summary(details=True)
-    assert "linear from sample to sample; clock not fitted" in fixed
+    assert "linear between samples; clock not fitted" in fixed
 
 
 @pytest.mark.parametrize(("probability", "said"), [(0.9799, False), (0.9801, True)])

@@ -14,6 +14,7 @@ __all__ = [
     "careful",
     "first_noise",
     "held_out_fit",
+    "least_squares",
     "noise_ratio",
     "rms_percent",
     "settled",
@@ -66,13 +67,11 @@ def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
 
 def noise_ratio(problem: Problem, fit: Fit) -> float:
     """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
-    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-    size = np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
     single = np.max(
         [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
         axis=0,
     )
-    return float(np.max(size / single))
+    return float(np.max(_sizes(problem, fit) / single))
 
 
 def _past(errors: Array, order: int) -> Array:
@@ -106,6 +105,18 @@ def spans(records: Sequence[PreparedRecord]) -> Array:
     return np.max([[np.ptp(y) if y.size else 0.0 for y in row] for row in known], axis=0)
 
 
+def least_squares(problem: Problem, fit: Fit, noise: NoiseModel, plan: FitPlan) -> Fit:
+    """The hypothesis from where it stands, under white noise of the size of its errors, ``noise`` at least."""
+    size = np.maximum(_sizes(problem, fit), noise.std)
+    return problem.fit(fit.hypothesis, NoiseModel(size, noise.ar[:0]), fit.z, fit.starts, plan)
+
+
+def _sizes(problem: Problem, fit: Fit) -> Array:
+    """Root mean square of a fit's errors, (n_measured,)."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    return np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
+
+
 def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
     """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows.
 
@@ -115,11 +126,7 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     """
     found, settling = fit, problem.tuning.settling
     if order == 1:
-        errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-        flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
-        size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
-        plain = NoiseModel(size, noise.ar[:0])
-        found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, FitPlan(settling, 1e-3))
+        found = least_squares(problem, fit, noise, FitPlan(settling, 1e-3))
     for _ in range(2):
         own = whitening(problem, found, order)
         found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(settling, 1e-3, robust=True))

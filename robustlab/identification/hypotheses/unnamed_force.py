@@ -106,12 +106,16 @@ class Unnamed:
         force make of it; the random force is what no unnamed force explains.
     random_force, bandwidth
         Its RMS in the unit of the port, and its bandwidth in Hz.
+    log_likelihood
+        Log marginal likelihood of the hypothesis alone under a random force at the place, parameters integrated out, up
+        to a constant common to all hypotheses.
     """
 
     forces: tuple[UnnamedEvidence, ...]
     noise_ratio: float
     random_force: float
     bandwidth: float
+    log_likelihood: float
 
 
 def unnamed_forces(problem: Problem, fit: Fit, places: Sequence[Site] | None = None) -> tuple[UnnamedEvidence, ...]:
@@ -131,7 +135,8 @@ def unnamed_force(problem: Problem, fit: Fit, place: Site) -> Unnamed:
     level, rest = (first.level, first.q) if told[order[0]].wins else (windows.alone, windows.alone.alone_q)
     # What is called the sensors' noise was told by the nominal model, and is too large where that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth)
+    marginal = windows.alone.alone + 0.5 * len(fit.z) * float(np.log(windows.weight)) + 0.5 * windows.start_volume
+    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth, marginal)
 
 
 class _Best(NamedTuple):

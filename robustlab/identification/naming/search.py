@@ -27,7 +27,14 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
-from robustlab.identification.hypotheses.noise import careful, first_noise, held_out_fit, noise_ratio, whitening
+from robustlab.identification.hypotheses.noise import (
+    careful,
+    first_noise,
+    held_out_fit,
+    least_squares,
+    noise_ratio,
+    whitening,
+)
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -271,10 +278,12 @@ class _Search:
         """Judge a fit, and keep it where it is the better one of its set."""
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
-        if there is not None and there.fit.evidence >= fit.evidence:
-            return
+        if there is None or there.fit.evidence < fit.evidence:
+            self.visited[key] = self._judged(fit)
+
+    def _judged(self, fit: Fit) -> Visited:
         judged = held_out_fit(self.held, fit, self.noise)
-        self.visited[key] = Visited(
+        return Visited(
             fit,
             log_prior(fit.hypothesis, self.tuning),
             -0.5 * (judged.cost - float(fit.z @ fit.z)),
@@ -288,8 +297,8 @@ class _Search:
 
     def _sharpen(self) -> None:
         """Take the noise from the best set, fit again all that may still matter under it, and forget the rest."""
-        leader = self.best.fit
-        if self.sharpened and self._white(leader):
+        leader = self._freed(self.best.fit)
+        if self.sharpened and leader is self.best.fit and self._white(leader):
             return
         self.sharpened = True
         self.noise = self._noise_of(leader)
@@ -297,10 +306,20 @@ class _Search:
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.rough_fits]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
-        self.visited, self.expanded = {}, set()
+        kept[key_of(leader.hypothesis)] = leader
+        again = self.workers.map(self._again, kept.values())
+        # At once, for the user may end the search at any time.
+        self.visited, self.expanded = {key_of(fit.hypothesis): self._judged(fit) for fit in again}, set()
 
-        for fit in self.workers.map(self._again, kept.values()):
-            self._visit(fit)
+    def _freed(self, fit: Fit) -> Fit:
+        """The fit, or that of least squares from where it stands, if its errors are beyond noise and that leaves less.
+
+        Coloured noise that was taken from a wrong minimum holds a fit there.
+        """
+        if noise_ratio(self.problem, fit) < self.tuning.most_noise:
+            return fit
+        plain = least_squares(self.problem, fit, self.noise, FitPlan(self.tuning.full, 0.05))
+        return min((fit, plain), key=lambda f: float(np.log(self._noise_of(f).std).sum()))
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""

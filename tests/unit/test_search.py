@@ -1,0 +1,290 @@
+"""The search over sets of effects, on records of an event-driven integrator: what it finds, drops and merges."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import Hypothesis, Problem
+from robustlab.identification.hypotheses.noise import noise_ratio
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming import search as module
+from robustlab.identification.naming.admissible import admissible
+from robustlab.identification.naming.search import Found, Key, log_prior, search_sets
+from robustlab.identification.tuning import TUNING
+
+AXIS = rl.plant("servo-axis")
+GAIN = AXIS.values["gain"]
+DT = 2e-3
+T = np.arange(1000) * DT
+U = 1.5 * np.sin(2 * np.pi * 1.3 * T) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 20), 50)
+TOLERANCES = (("M", 0.05), ("Fv", 1.0))
+FRICTION, LOAD, GAIN_OF_Q = "coulomb-friction @ v", "constant-load @ v", "sensor-gain @ q"
+POOL = (FRICTION, LOAD, "viscous-friction @ Fv", "input-delay @ u", GAIN_OF_Q)
+
+
+def noisy(outputs, seed, size=1e-3):
+    rng = np.random.default_rng(seed)
+    return {k: y + size * np.ptp(y) * rng.normal(size=len(y)) for k, y in outputs.items()}
+
+
+@cache
+def machine(friction=0.0, load=0.0, seed=0, seen=("q", "v")) -> rl.Record:
+    """The axis with dry friction, and a load in N, which is an offset of its input."""
+    u = U - load / GAIN
+    run = simulate_with_friction(AXIS, DryFriction("v", friction), T, u).record if friction else rl.simulate(AXIS, T, u)
+    return rl.Record(T, {"u": U}, noisy({k: run[k] for k in seen}, seed), name="run")
+
+
+@cache
+def opened(record: rl.Record, tolerances=TOLERANCES):
+    """Windows to fit, windows held out, candidates by key, and what may be an answer."""
+    model = port_model(AXIS)
+    ready = prepare(AXIS, model, record, 100)
+    stated = stated_tolerances(AXIS, dict(tolerances))
+    problem = Problem(AXIS, [ready], nuisance_parameters(AXIS, stated))
+    windows = np.arange(ready.count)
+    fit = problem.on([ready], [windows[windows % 5 != 2]])
+    held = problem.on([ready], [windows[windows % 5 == 2]])
+    return fit, held, {c.key: c for c in candidates(AXIS, model, [ready])}, admissible(AXIS, stated, fit, held)
+
+
+def quiet(*_: object) -> None:
+    """No word of progress."""
+
+
+def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> Found:
+    fit, held, pool, allowed = opened(record)
+    fit.tuning = held.tuning = replace(TUNING, **changed)
+    return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
+
+
+def values(found: Found, key: str) -> dict[str, float]:
+    fit = found.best.fit
+    _, each = found.problem.split(fit.hypothesis, fit.z)
+    return next(v for c, v in zip(fit.hypothesis.candidates, each, strict=True) if c.key == key)
+
+
+# --- what is found ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_nothing_is_found_where_nothing_is_missing(seed):
+    found = searched(machine(seed=seed))
+    assert found.best.key == Key()
+    assert found.best is found.empty
+    assert found.settled
+
+
+def test_one_effect_is_found():
+    found = searched(machine(friction=20.0))
+    assert found.best.key == {FRICTION}
+    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.02)
+    assert found.settled
+    assert found.best.evidence - found.empty.evidence > 100.0
+
+
+def test_a_set_of_two_is_found():
+    found = searched(machine(friction=20.0, load=8.0))
+    assert found.best.key == {FRICTION, LOAD}
+    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
+    assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
+    assert found.settled
+
+
+@pytest.fixture
+def short_sighted(monkeypatch):
+    """Let the first look on the nominal model see one effect alone."""
+
+    def see(first: str) -> None:
+        plain = module.promising
+
+        def looked(problem, base, best, pool, *rest):
+            seen = pool if base.hypothesis.candidates else [c for c in pool if c.key == first]
+            return plain(problem, base, best, seen, *rest)
+
+        monkeypatch.setattr(module, "promising", looked)
+
+    return see
+
+
+def hidden_until_two(monkeypatch, last: str) -> list[set[str]]:
+    """Keep one effect from the looks until a set of two was expanded; the sets that were."""
+    plain, expanded = module.promising, []
+
+    def looked(problem, base, best, pool, *rest):
+        expanded.append({c.key for c in base.hypothesis.candidates})
+        open_ones = [c for c in pool if c.key != last or max(map(len, expanded)) == 2]
+        return plain(problem, base, best, open_ones, *rest)
+
+    monkeypatch.setattr(module, "promising", looked)
+    return expanded
+
+
+def test_two_names_for_one_are_merged(monkeypatch):
+    """A sensor that shows 8 % too much: a smaller inertia and a smaller friction together do just the same."""
+    run = rl.simulate(AXIS, T, U)
+    record = rl.Record(T, {"u": U}, noisy({"q": 1.08 * run["q"]}, 0), name="gain")
+    fit, held, pool, allowed = opened(record, (("M", 0.01), ("Fv", 0.01)))
+    keys = ["inertia @ M", "viscous-friction @ Fv", GAIN_OF_Q]
+    seen = hidden_until_two(monkeypatch, GAIN_OF_Q)
+    found = search_sets(fit, held, [pool[k] for k in keys], allowed, quiet)
+    assert {"inertia @ M", "viscous-friction @ Fv"} in seen
+    assert found.best.key == {GAIN_OF_Q}
+
+
+def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(short_sighted):
+    first = "asymmetric-viscous-friction @ v"
+    short_sighted(first)
+    found = searched(machine(friction=20.0, load=8.0), (first, FRICTION, LOAD))
+    assert any(v.key == {first} for v in found.sets)
+    assert found.best.key == {FRICTION, LOAD}
+    assert found.settled
+
+
+def test_a_fit_is_not_held_in_a_wrong_minimum_by_the_noise_that_was_taken_from_it():
+    """Dry friction alone leaves errors like a random walk; under that noise a wrong pair would have the lower V."""
+    found = searched(machine(friction=20.0, load=8.0), (FRICTION, LOAD))
+    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
+    assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
+    assert noise_ratio(found.problem, found.best.fit) < 1.2
+    assert np.abs(found.noise.ar.sum(axis=0)).max() < 0.2  # the noise that was added is white
+
+
+# --- how sets are judged ---------------------------------------------------------------------------------------------
+
+
+def test_all_sets_are_judged_under_one_noise_and_in_the_order_of_their_evidence():
+    found = searched(machine(friction=20.0))
+    assert all(v.fit.noise is found.noise for v in found.sets)
+    allowed = [v.evidence for v in found.sets if v.allowed]
+    assert allowed == sorted(allowed, reverse=True)
+    assert [v.allowed for v in found.sets] == sorted((v.allowed for v in found.sets), reverse=True)
+    assert len({v.key for v in found.sets}) == len(found.sets)
+    assert found.empty.key == Key()
+
+
+def test_the_held_out_likelihood_is_that_of_the_dense_gaussian():
+    found = searched(machine(seed=3))
+    fit, noise, held = found.empty.fit, found.noise, found.held
+    zero = np.zeros((len(held.chosen[0]), 2))
+
+    def residual(xi):
+        return held.whitened(held.errors(fit.hypothesis, fit.z, [xi]), noise)[0]
+
+    r = residual(zero)
+    x = np.stack([residual(zero + e) - r for e in np.eye(2)], axis=2)
+    spread = np.eye(r.shape[1]) + x @ np.swapaxes(x, 1, 2)  # of a window's points, its start integrated out
+    expected = -0.5 * sum(a @ np.linalg.solve(s, a) for a, s in zip(r, spread, strict=True))
+    assert found.empty.held_out == pytest.approx(expected, abs=0.05)
+
+
+def test_the_prior_pays_for_each_effect_more_for_a_refinement_and_for_the_choice_of_a_period():
+    _, _, pool, _ = opened(machine(friction=20.0))
+
+    def prior(*keys: str) -> float:
+        return log_prior(Hypothesis(tuple(pool[k] for k in keys)), TUNING)
+
+    each = math.log(TUNING.prior_effect)
+    assert prior() == 0.0
+    assert prior(FRICTION) == pytest.approx(each)
+    assert prior(FRICTION, LOAD) == pytest.approx(2 * each)
+    assert prior("stribeck-friction @ v") == pytest.approx(each + math.log(TUNING.prior_refinement))
+    assert prior("cogging @ v") == pytest.approx(each - math.log(TUNING.looked_elsewhere))
+
+
+def test_what_equals_two_effects_together_is_as_probable_as_they_are():
+    _, _, pool, _ = opened(machine(friction=20.0))
+    one = pool["asymmetric-coulomb-friction @ v"]
+    assert set(one.effect.equals) == {"coulomb-friction", "constant-load"}
+    refined = math.log(TUNING.prior_refinement) if one.effect.refines else 0.0
+    both = log_prior(Hypothesis((pool[FRICTION], pool[LOAD])), TUNING)
+    assert log_prior(Hypothesis((one,)), TUNING) == pytest.approx(both + refined)
+
+
+def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():
+    fit, held, pool, _ = opened(machine(friction=20.0))
+
+    def no_friction(_: Problem, fit) -> bool:
+        return FRICTION not in {c.key for c in fit.hypothesis.candidates}
+
+    found = search_sets(fit, held, [pool[k] for k in (FRICTION, LOAD)], no_friction, quiet)
+    assert FRICTION not in found.best.key
+    judged = next(v for v in found.sets if v.key == {FRICTION})
+    assert not judged.allowed
+    assert judged.evidence > found.best.evidence
+
+
+# --- where it ends ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("budget", [{"most_expansions": 1}, {"most_work": 1}])
+def test_a_search_whose_budget_ends_is_not_settled(budget):
+    found = searched(machine(friction=20.0), **budget)
+    assert not found.settled
+    assert not found.interrupted
+    assert found.expanded == 1
+    assert FRICTION in found.best.key
+
+
+@pytest.mark.parametrize("after", [1, 8, 20])
+def test_an_interrupted_search_gives_what_was_known(after):
+    calls = []
+
+    def stop(*_: object) -> None:
+        calls.append(1)
+        if len(calls) == after:
+            raise KeyboardInterrupt
+
+    found = searched(machine(friction=20.0), progress=stop)
+    assert found.interrupted
+    assert not found.settled
+    assert found.empty in found.sets
+    assert (found.best.key == {FRICTION}) == (after == 20)
+
+
+@pytest.mark.parametrize("step", ["whitening", "held_inputs", "short_steps", "noise_ratio"])
+def test_a_search_interrupted_while_it_takes_its_noise_loses_nothing(monkeypatch, step):
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, step, stop)
+    found = searched(machine(friction=20.0))
+    assert found.interrupted
+    assert found.best.key == {FRICTION}
+    assert found.empty in found.sets
+
+
+def test_a_search_interrupted_while_it_fits_again_loses_nothing(monkeypatch):
+    plain, calls = module._Search._again, []
+
+    def again(self, fit):
+        calls.append(fit)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return plain(self, fit)
+
+    monkeypatch.setattr(module._Search, "_again", again)
+    found = searched(machine(friction=20.0))
+    assert found.interrupted
+    assert found.best.key == {FRICTION}
+    assert found.empty in found.sets
+
+
+def test_an_empty_pool_leaves_the_empty_set():
+    found = searched(machine(friction=20.0), ())
+    assert [v.key for v in found.sets] == [Key()]
+    assert found.settled
+
+
+def test_the_answer_does_not_depend_on_the_order_of_the_pool():
+    one = searched(machine(friction=20.0, load=8.0))
+    other = searched(machine(friction=20.0, load=8.0), POOL[::-1])
+    assert one.best.key == other.best.key
+    assert one.best.evidence - one.empty.evidence == pytest.approx(other.best.evidence - other.empty.evidence, abs=1.0)
