@@ -94,8 +94,8 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     windows = dense.windows()
     columns = np.random.default_rng(5).normal(size=(4, 6, 3))
-    family = SimpleNamespace(price=1.5)
-    best = unnamed._judged(windows, [family], [columns], np.array([0, 3]))[0]
+    family = SimpleNamespace(price=1.5, columns=[columns])
+    best = unnamed._judged(windows, family, 1)
     e = dense.e.ravel()
 
     def of(level, strength):

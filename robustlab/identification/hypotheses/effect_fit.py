@@ -117,10 +117,15 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output."""
+    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output.
+
+    ``excess`` is the factor of the variance by which ``std`` is above what the errors themselves have: errors of a
+    model come in one piece, and tell less than as many independent ones (`independent`).
+    """
 
     std: Array
     ar: Array
+    excess: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

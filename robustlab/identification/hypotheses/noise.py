@@ -11,6 +11,7 @@ from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseMo
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
 __all__ = [
+    "careful",
     "first_noise",
     "held_out_fit",
     "least_squares",
@@ -47,6 +48,21 @@ def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseMode
         rest = now - past @ ar[:, j]
         std[j] = max(float(np.sqrt(np.mean(rest**2))), 1e-12 * float(np.abs(now).max(initial=1e-300)))
     return NoiseModel(std, ar)
+
+
+def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
+    r"""The noise model with so large a variance that windows scatter no more than it says.
+
+    With H the Hessian of half the cost, and J the covariance of the windows' gradients, independent errors would have
+    :math:`J = H - 1` (the prior has no scatter). What a model lacks makes errors that hang together: then J is larger.
+    Evidence counted sample by sample is too sure by the factor tr :math:`H^{-1}J` / tr :math:`H^{-1}(H - 1)`, and the
+    variance is raised by it (composite likelihood: Varin, Reid, Firth 2011, section 2.3).
+    """
+    there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(problem.tuning.last, 0.05, robust=True))
+    assert there.covariance is not None
+    told = len(there.z) - float(np.trace(np.linalg.pinv(there.hessian)))
+    excess = max(1.0, float(np.trace(there.covariance @ there.hessian)) / max(told, 1e-9))
+    return NoiseModel(noise.std * np.sqrt(excess), noise.ar, excess)
 
 
 def noise_ratio(problem: Problem, fit: Fit) -> float:

@@ -28,6 +28,7 @@ SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the
 # Precision of a start's prior, of that in the fit: the smoother that told the start knew of no force beyond its own
 # bandwidth, and a ripple moves the start by much more than it thought possible.
 START = 1e-4
+LEAST_NOISE = 1e-8  # variance of the noise over that which the smoother told
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
 
 
@@ -62,7 +63,7 @@ class FittedWindows:
         nothing = [np.zeros((len(r.gram), r.segments, 0)) for r in records]
         for _ in range(2):
             self.alone = max(self.levels(nothing), key=lambda level: level.alone)
-            self.weight = max(1.0, self.alone.alone_q / self.points)
+            self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
     def _roots(self, record: ForceResponse, bandwidth: float) -> tuple[Array, Array]:
         """U^T L^T (n_windows, n_segments, n_segments) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
@@ -77,6 +78,20 @@ class FittedWindows:
     def smaller(self) -> Array:
         """The sizes up to that of the hypothesis alone: what an unnamed force explains the random one need not."""
         return np.append(0.0, SIZES[1:][SIZES[1:] * self.force <= 1.8 * self.alone.size])
+
+    @property
+    def start_volume(self) -> float:
+        """Log det of the equations of all starts without a random force.
+
+        It grows with whatever scales the outputs. Starts have hardly any prior here, so that only what a random force
+        changes of it tells anything; hypotheses are compared without it.
+        """
+        total = 0.0
+        for record in self.records:
+            n_x = record.xi.shape[1]
+            own = record.gram[:, -1 - n_x : -1, -1 - n_x : -1] + START * np.eye(n_x)
+            total += float(np.linalg.slogdet(own)[1].sum())
+        return total
 
     def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
         """All random forces, with these columns (n_windows, n_segments, k) a record."""

@@ -106,12 +106,16 @@ class Unnamed:
         force make of it; the random force is what no unnamed force explains.
     random_force, bandwidth
         Its RMS in the unit of the port, and its bandwidth in Hz.
+    log_likelihood
+        Log marginal likelihood of the hypothesis alone under a random force at the place, parameters integrated out, up
+        to a constant common to all hypotheses.
     """
 
     forces: tuple[UnnamedEvidence, ...]
     noise_ratio: float
     random_force: float
     bandwidth: float
+    log_likelihood: float
 
 
 def unnamed_forces(problem: Problem, fit: Fit, places: Sequence[Site] | None = None) -> tuple[UnnamedEvidence, ...]:
@@ -124,16 +128,15 @@ def unnamed_force(problem: Problem, fit: Fit, place: Site) -> Unnamed:
     """What a hypothesis leaves, told as a force at one place."""
     windows = FittedWindows(force_response(problem, fit, place), fit.z, problem)
     kinds = families(windows)
-    columns = [np.concatenate([f.columns[k] for f in kinds], axis=2) for k in range(len(windows.records))]
-    ends = np.cumsum([0, *(f.columns[0].shape[2] for f in kinds)])
-    best = _judged(windows, kinds, columns, ends)
+    best = [_judged(windows, family, len(kinds)) for family in kinds]
     told = [_told(windows, place, f, b) for f, b in zip(kinds, best, strict=True)]
     order = sorted(range(len(told)), key=lambda k: (not told[k].wins, -told[k].evidence))
     first = best[order[0]]
     level, rest = (first.level, first.q) if told[order[0]].wins else (windows.alone, windows.alone.alone_q)
     # What is called the sensors' noise was told by the nominal model, and is too large where that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth)
+    marginal = windows.alone.alone + 0.5 * len(fit.z) * float(np.log(windows.weight)) + 0.5 * windows.start_volume
+    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth, marginal)
 
 
 class _Best(NamedTuple):
@@ -148,40 +151,32 @@ class _Best(NamedTuple):
     covariance: Array
 
 
-def _judged(windows: FittedWindows, kinds: Sequence[Family], columns: Sequence[Array], ends: Array) -> list[_Best]:
-    """Each family at its own best noise and strength."""
-    n_z, n = len(windows.z), windows.points
-    levels = windows.levels(columns, windows.smaller)
+def _judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
+    """One of so many kinds at its own best noise and strength."""
+    n_z, n, count = len(windows.z), windows.points, family.columns[0].shape[2]
+    levels = windows.levels(family.columns, windows.smaller)
     alone = max(level.alone for level in [*levels, windows.alone])
     strengths = (STRENGTHS * windows.force) ** 2
-    best: list[_Best] = []
-    for k, family in enumerate(kinds):
-        own = [*range(ends[k], ends[k + 1]), *range(ends[-1], ends[-1] + n_z + 1)]
-        count = int(ends[k + 1] - ends[k])
-        found = None
-        for level in levels:
-            gram = windows.with_prior(level.gram.sum(axis=0)[np.ix_(own, own)])
-            h, b, det = _projected(gram, count, n_z)
-            w, u = np.linalg.eigh(h)
-            w = np.maximum(w, 0.0)
-            seen = (u.T @ b) ** 2
-            q = level.alone_q - (seen * (strengths[:, None] / (1.0 + strengths[:, None] * w))).sum(axis=1)
-            q = np.maximum(q, 1e-12 * level.alone_q)
-            logdet = np.log1p(strengths[:, None] * w).sum(axis=1) + level.logdet.sum() + det
-            p = -0.5 * n * np.log(q / n) - 0.5 * logdet
-            at = int(p.argmax())
-            if found is None or p[at] > found[0]:
-                found = (float(p[at]), level, strengths[at], float(q[at]))
-        assert found is not None
-        p, level, strength, q = found
-        gram = level.gram[:, own][:, :, own]
-        cv = _cross_validated(windows, gram, count, strength, windows.alone, level, q)
-        gram = windows.with_prior(gram.sum(axis=0))
-        h, b, _ = _projected(gram, count, n_z)
-        inner = np.linalg.inv(h + np.eye(count) / strength)
-        evidence = p - alone - np.log(len(STRENGTHS) * len(kinds)) - family.price
-        best.append(_Best(level, strength, float(evidence), cv, q, inner @ b, inner * q / n))
-    return best
+    found = None
+    for level in levels:
+        h, b, det = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
+        w, u = np.linalg.eigh(h)
+        w = np.maximum(w, 0.0)
+        seen = (u.T @ b) ** 2
+        q = level.alone_q - (seen * (strengths[:, None] / (1.0 + strengths[:, None] * w))).sum(axis=1)
+        q = np.maximum(q, 1e-12 * level.alone_q)
+        logdet = np.log1p(strengths[:, None] * w).sum(axis=1) + level.logdet.sum() + det
+        p = -0.5 * n * np.log(q / n) - 0.5 * logdet
+        at = int(p.argmax())
+        if found is None or p[at] > found[0]:
+            found = (float(p[at]), level, strengths[at], float(q[at]))
+    assert found is not None
+    p, level, strength, q = found
+    cv = _cross_validated(windows, level.gram, count, strength, windows.alone, level, q)
+    h, b, _ = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
+    inner = np.linalg.inv(h + np.eye(count) / strength)
+    evidence = p - alone - np.log(len(STRENGTHS) * kinds) - family.price
+    return _Best(level, strength, float(evidence), cv, q, inner @ b, inner * q / n)
 
 
 def _projected(gram: Array, count: int, n_z: int) -> tuple[Array, Array, float]:
@@ -227,7 +222,9 @@ def _told(windows: FittedWindows, place: Site, family: Family, best: _Best) -> U
     period = amplitude = amplitude_std = float("nan")
     if family.wave:
         # Of a line over the position the part that is the same both ways, or the one that turns round with the motion.
-        dry = family.over == "line over position" and np.hypot(*mean[2:4]) > np.hypot(*mean[:2])
+        dry = family.over == "line over position" and np.hypot(*mean[2:4]) > 1.01 * np.hypot(
+            *mean[:2]
+        )  # not by rounding
         if dry:
             mean, covariance = np.roll(mean, -2), np.roll(covariance, -2, axis=(0, 1))
         period, amplitude = 1.0 / family.wave, float(np.hypot(*mean[:2]))

@@ -160,8 +160,7 @@ def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _S
     left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
     lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
-    structure = left is not None and left.structure.found
-    remains = structure or bool(lines) or any(f > tuning.repeatable for f in excess.values())
+    remains = bool(lines) or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
     remains = remains or not posterior.generalises
     verdict = _verdict(found, posterior, remains)

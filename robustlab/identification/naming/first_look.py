@@ -80,16 +80,18 @@ def promising(
     few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
     some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     borrowed = few.derivatives(few_base)
-    few_ceiling = min(few_ceiling, few_base.cost - 2.0 * tuning.promising)
-    some_ceiling = min(some_ceiling, some_base.cost - 2.0 * tuning.promising)
+    # A few windows show a small part of what all of them may bring.
+    rough_fall, least = tuning.rough / noise.excess, tuning.promising / noise.excess
+    few_ceiling = min(few_ceiling, few_base.cost - 2.0 * least)
+    some_ceiling = min(some_ceiling, some_base.cost - 2.0 * least)
 
     def first(job: Start) -> tuple[Start, Fit]:
-        plan = FitPlan(tuning.first, tuning.rough, draft=True, ceiling=few_ceiling)
+        plan = FitPlan(tuning.first, rough_fall, draft=True, ceiling=few_ceiling)
         return job, few.fit(job.hypothesis, noise, job.z, few_base.starts, plan, borrowed)
 
     def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
         job, fit = entry
-        plan = FitPlan(tuning.second, tuning.rough, draft=True, ceiling=some_ceiling)
+        plan = FitPlan(tuning.second, rough_fall, draft=True, ceiling=some_ceiling)
         return job, some.fit(fit.hypothesis, noise, fit.z, some_base.starts, plan)
 
     looked = []
@@ -98,7 +100,7 @@ def promising(
         said(done, len(jobs) + tuning.kept_second)
     nearest = _best_of_each(looked)
     known.update({job.candidate.key: fit.z for job, fit in nearest})
-    kept = _kept(nearest, few_base.cost, tuning.promising, tuning.kept_second, tuning.kept_gains)
+    kept = _kept(nearest, few_base.cost, least, tuning.kept_second, tuning.kept_gains)
     nearer = _best_of_each(workers.map(second, kept))
     known.update({job.candidate.key: fit.z for job, fit in nearer})
     kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)

@@ -2,10 +2,14 @@ r"""How probable each set of effects is, and what that allows to be said.
 
 .. math:: P(S) = e^{E(S) / T} \Big/ \sum_{S'} e^{E(S') / T}
 
-over the sets that the search judged and that may be the answer, with E the log evidence and T the temperature. Of two
-sets that differ in one effect and whose refit distance d for these very records is below 3, no test on the records can
-tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an accident of the
-fits, and is not counted.
+over the sets that the search judged and that may be the answer, with E the log evidence and T the temperature. The
+search whitened errors by an autoregression, which is quick, and takes a slow random force for something to be
+explained; the most probable sets are weighed again here under the noise of the sensors and a random force
+(`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held out.
+
+Of two sets that differ in one effect and whose refit distance d for these very records is below 3, no test on the
+records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
+accident of the fits, and is not counted.
 
 An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set
 leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
@@ -17,23 +21,25 @@ A set whose error on held-out data is larger than that of the nominal model refi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.errors import RobustlabError
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, rms_percent, white
 from robustlab.identification.hypotheses.unnamed_force import Unnamed, UnnamedEvidence, unnamed_force
 from robustlab.identification.naming.search import Found, Key, Visited
+from robustlab.identification.tuning import NamingTuning
 
 __all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
 
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
-LIFTED_BEYOND = 5.0  # log evidence by which a force may lift another set higher than the best one
+MOST_PLACES = 2  # at which a random and an unnamed force are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +118,29 @@ class Posterior:
         return list(found.values())
 
 
+class _Weight(NamedTuple):
+    """Log marginal likelihood of a set over all windows, and what it leaves, place by place."""
+
+    log_likelihood: float
+    left: tuple[Unnamed, ...]
+
+
 def weigh(found: Found) -> Posterior:
     """The posterior of what the search found."""
     problem, tuning = found.problem, found.problem.tuning
     ordered, generalises = _generalising(found)
-    left, forces = _unnamed(problem, ordered)
-    evidence = {v.key: v.evidence + _gain(forces.get(v.key)) for v in ordered}
+    weights = {v.key: weight for v in _contenders(ordered, tuning) if (weight := _weight(found, v)) is not None}
+    evidence = {v.key: v.evidence for v in ordered}
+    if ordered[0].key in weights:
+        level = max(v.evidence for v in ordered if v.key in weights)
+        again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
+        # What was too far behind to be weighed again stays as far behind.
+        evidence = {key: value - level + again for key, value in evidence.items()}
+        for v in ordered:
+            if v.key in weights:
+                evidence[v.key] = weights[v.key].log_likelihood + v.prior
+    forces = _forces(ordered, evidence, weights)
+    evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
     best = ordered[0]
     distance = {best.key: 0.0}
@@ -133,15 +156,14 @@ def weigh(found: Found) -> Posterior:
         Weighed(v, float(p), distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    weighed = _folded(weighed)
-    # The best fit stays first: a twin whose prior is larger is told beside it.
-    sets = [weighed[0], *sorted(weighed[1:], key=lambda w: -w.probability)]
+    sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
     collection = tuple(_collected(sets, tuning.sure, twins))
-    return Posterior(tuple(sets), collection, generalises, left.get(best.key, ()))
+    left = weights[sets[0].key].left if sets[0].key in weights else ()
+    return Posterior(tuple(sets), collection, generalises, left)
 
 
-def _folded(weighed: Sequence[Weighed]) -> list[Weighed]:
+def _folded(weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
     """Sets without those that have an effect more of which the records say nothing, neither for it nor against it.
 
     What a larger set is the more probable for, its prior put aside, is the evidence of the records for what it has
@@ -149,10 +171,10 @@ def _folded(weighed: Sequence[Weighed]) -> list[Weighed]:
     """
     kept: list[Weighed] = []
     for entry in sorted(weighed, key=lambda w: len(w.key)):
-        plain = entry.visited.evidence - entry.visited.prior
+        plain = evidence[entry.key] - entry.visited.prior
         within = [k for k, w in enumerate(kept) if w.key < entry.key]
-        silent = [k for k in within if plain - (kept[k].visited.evidence - kept[k].visited.prior) < NO_EVIDENCE]
-        if silent and entry.unnamed is None:
+        silent = [k for k in within if plain - (evidence[kept[k].key] - kept[k].visited.prior) < NO_EVIDENCE]
+        if silent:
             k = max(silent, key=lambda k: kept[k].probability)
             kept[k] = replace(kept[k], probability=kept[k].probability + entry.probability)
         else:
@@ -161,28 +183,34 @@ def _folded(weighed: Sequence[Weighed]) -> list[Weighed]:
     return sorted(kept, key=lambda w: order[w.key])
 
 
-def _unnamed(
-    problem: Problem, ordered: Sequence[Visited]
-) -> tuple[dict[Key, tuple[Unnamed, ...]], dict[Key, UnnamedEvidence]]:
-    """What sets leave, and the unnamed force beside each: of the best, the empty one, and all that it could lift."""
-    left = {v.key: _left(problem, v.fit) for v in (ordered[0], *(v for v in ordered[1:] if not v.key))}
-    forces = {key: force for key, u in left.items() if (force := _winning(u)) is not None}
-    reach = ordered[0].evidence - _gain(forces.get(ordered[0].key)) - LIFTED_BEYOND
-    for visited in ordered[1 : problem.tuning.most_rivals] if ordered[0].key in forces else []:
-        if visited.key not in left and visited.evidence > reach:
-            left[visited.key] = _left(problem, visited.fit)
-            if (force := _winning(left[visited.key])) is not None:
-                forces[visited.key] = force
-    return left, forces
+def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visited]:
+    """The sets that are weighed again: the best ones, and the empty one."""
+    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.far_behind][: tuning.most_weighed]
+    return near + [v for v in ordered if not v.key and v not in near]
 
 
-def _left(problem: Problem, fit: Fit) -> tuple[Unnamed, ...]:
-    """What a set leaves at each place; nothing where it cannot be told (hardly any motion)."""
+def _weight(found: Found, visited: Visited) -> _Weight | None:
+    """A set over all windows under a random force, at whichever place makes it most probable; None where none can."""
+    problem, held = found.problem, found.held
+    both = problem.on((*problem.records, *held.records), (*problem.chosen, *held.chosen))
+    placed = held_out_fit(held, visited.fit, found.noise)
+    fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
     try:
         with np.errstate(all="ignore"):
-            return tuple(unnamed_force(problem, fit, place) for place in plain_places(problem, fit))
-    except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):
-        return ()
+            left = tuple(unnamed_force(both, fit, place) for place in plain_places(both, fit)[:MOST_PLACES])
+    except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
+        return None
+    likely = max((u.log_likelihood for u in left), default=np.nan)
+    return _Weight(likely, left) if np.isfinite(likely) else None
+
+
+def _forces(
+    ordered: Sequence[Visited], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
+) -> dict[Key, UnnamedEvidence]:
+    """The unnamed force beside each set: where the best has none, only that beside the empty one."""
+    best = max((v.key for v in ordered), key=evidence.__getitem__)
+    found = {key: force for key, w in weights.items() if (force := _winning(w.left)) is not None}
+    return found if best in found else {key: force for key, force in found.items() if not key}
 
 
 def _winning(left: Sequence[Unnamed]) -> UnnamedEvidence | None:
@@ -217,15 +245,14 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
 
 
 def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:
-    """Sets with one effect in the place of another, where not both are gains, which tolerances alone tell apart."""
+    """Sets with one effect in the place of another, but for refinements in the place of what they refine."""
     found = []
     for other in others:
         gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
         come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
         if len(gone) != 1 or len(come) != 1 or best.evidence - other.evidence > far:
             continue
-        refined = come[0].effect.refines == gone[0].effect.id and come[0].site == gone[0].site
-        if not refined and not (gone[0].effect.gain_like and come[0].effect.gain_like):
+        if not (come[0].effect.refines == gone[0].effect.id and come[0].site == gone[0].site):
             found.append(other)
     return found
 

@@ -27,7 +27,14 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
-from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, least_squares, noise_ratio, whitening
+from robustlab.identification.hypotheses.noise import (
+    careful,
+    first_noise,
+    held_out_fit,
+    least_squares,
+    noise_ratio,
+    whitening,
+)
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -286,7 +293,7 @@ class _Search:
     def _white(self, fit: Fit) -> bool:
         """Whether a fit's errors are as large as its noise model says."""
         points = sum(e[np.isfinite(e)].size for e in self.problem.errors(fit.hypothesis, fit.z, fit.starts))
-        return 0.8 < fit.cost / points < 1.25
+        return 0.8 < fit.cost * fit.noise.excess / points < 1.25
 
     def _sharpen(self) -> None:
         """Take the noise from the best set, fit again all that may still matter under it, and forget the rest."""
@@ -312,12 +319,12 @@ class _Search:
         if noise_ratio(self.problem, fit) < self.tuning.most_noise:
             return fit
         plain = least_squares(self.problem, fit, self.noise, FitPlan(self.tuning.full, 0.05))
-        return min((fit, plain), key=lambda f: float(np.log(self._noise_of(f).std).sum()))
+        return min((fit, plain), key=lambda f: float(np.log(whitening(self.problem, f).std).sum()))
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
         near = noise_ratio(self.problem, fit) < self.tuning.beyond_noise
-        return whitening(self.problem, fit, self.tuning.ar_order if near else 1)
+        return careful(self.problem, fit, whitening(self.problem, fit, self.tuning.ar_order if near else 1))
 
     def _again(self, fit: Fit) -> Fit:
         """The set fitted under the present noise and clock, from where it stands."""

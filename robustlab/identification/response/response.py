@@ -156,6 +156,7 @@ def longest_period(model: StateSpaceModel) -> float:
     """
     poles = _rates(model)
     swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
+    swings = swings[swings > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]  # rounding of a double one
     return float(2 * np.pi / swings.min()) if len(swings) else 0.0
 
 
