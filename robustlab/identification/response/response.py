@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -156,7 +157,8 @@ def longest_period(model: StateSpaceModel) -> float:
     """
     poles = _rates(model)
     swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
-    swings = swings[swings > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]  # rounding of a double one
+    # Rounding moves a double integrator's poles by the root of its size.
+    swings = swings[swings > math.sqrt(INTEGRATOR) * max(np.abs(poles).max(initial=0.0), 1e-300)]
     return float(2 * np.pi / swings.min()) if len(swings) else 0.0
 
 
