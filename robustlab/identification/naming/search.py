@@ -337,7 +337,7 @@ class _Search:
         if noise_ratio(self.problem, fit) < self.tuning.most_noise:
             return fit
         plain = least_squares(self.problem, fit, self.noise, FitPlan(self.tuning.full, 0.05))
-        return min((fit, plain), key=lambda f: float(np.log(self._noise_of(f).std).sum()))
+        return min((fit, plain), key=lambda f: float(np.log(whitening(self.problem, f).std).sum()))
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
