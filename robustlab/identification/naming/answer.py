@@ -99,7 +99,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     fit = settled(problem, best, found.noise)
     judged = _judged(case, found, posterior, fit, stages)
     if not judged.complete and best.hypothesis.candidates:
-        fit = settled(problem, best, found.noise, 1)
+        fit = settled(problem, fit, found.noise, 1)
     bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
     rivals = posterior.alternatives()
     if judged.verdict == "unknown" and not best.hypothesis.candidates:
