@@ -99,7 +99,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     fit = settled(problem, best, found.noise)
     judged = _judged(case, found, posterior, fit, stages)
     if not judged.complete and best.hypothesis.candidates:
-        fit = settled(problem, best, found.noise, 1)
+        fit = settled(problem, fit, found.noise, 1)
     bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
     rivals = posterior.alternatives()
     if judged.verdict == "unknown" and not best.hypothesis.candidates:
@@ -158,7 +158,9 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
     tuning = found.problem.tuning
     left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
+    # The residual force is told by a smoother that knows held inputs: of a smooth one a part would look like lines.
+    sampled = any(hold != "zoh" for hold in found.problem.clock.hold or ())
+    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left and not sampled else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     remains = bool(lines) or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
