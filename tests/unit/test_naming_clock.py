@@ -82,7 +82,7 @@ def test_what_an_input_does_between_its_samples_is_inferred(kind, hold, begun):
     assert there.clock.hold in (None, (hold,))
     assert fit.cost <= before.cost
     assert (fit.cost < 0.5 * before.cost) == (begun != hold)
-    shift = there.shift(fit.hypothesis, fit.z)
+    shift = there.shift(fit.z)
     assert shift is not None
     assert abs(shift[0]) < 0.02 * DT
 
@@ -90,7 +90,7 @@ def test_what_an_input_does_between_its_samples_is_inferred(kind, hold, begun):
 def test_a_clock_that_is_late_is_found():
     problem = problem_of(record("late"), Clock(1, ("smooth",)))
     fit = fitted(problem)
-    (shift,) = problem.shift(fit.hypothesis, fit.z) or (np.nan,)
+    (shift,) = problem.shift(fit.z) or (np.nan,)
     std = problem.nuisances[-1].spread * fit.std[-1]
     assert shift == pytest.approx(0.3 * DT, abs=max(4 * std, 0.01 * DT))
     assert 0.0 < std < 0.1 * DT
@@ -104,17 +104,24 @@ def test_the_clock_of_an_input_is_a_nuisance_of_its_own():
     assert not first.additive
 
 
-def test_a_shift_moves_the_input_and_an_input_delay_takes_its_place():
+def test_a_shift_moves_the_input_beside_a_delay_of_it():
     problem = problem_of(record("held"))
     (delay,) = (
         c for c in candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records) if c.key == "input-delay @ f"
     )
     z = np.array([0.0] * (len(problem.nuisances) - 1) + [1.0])
-    assert problem.shift(NONE, z) == pytest.approx((TUNING.clock_share * DT,))
-    late = Hypothesis((delay,))
-    assert problem.shift(late, np.append(z, delay.standardised(delay.starts[0]))) == (0.0,)
-    plain, moved = (problem.errors(NONE, v, [np.zeros((problem.records[0].count, 2))])[0] for v in (0 * z, z))
+    shift = TUNING.clock_share * DT
+    assert problem.shift(z) == pytest.approx((shift,))
+    starts = [np.zeros((problem.records[0].count, 2))]
+    plain, moved = (problem.errors(NONE, v, starts)[0] for v in (0 * z, z))
     assert np.nanmax(np.abs(plain - moved)) > 1e-3 * np.ptp(problem.records[0].y)
+    # A clock that is late and a shorter delay, or the other way round.
+    late = Hypothesis((delay,))
+    one, other = (
+        problem.errors(late, np.array([*(part * z), *delay.standardised({"d": d})]), starts)[0]
+        for part, d in ((1.0, DT), (0.0, DT + shift))
+    )
+    np.testing.assert_allclose(one, other, atol=1e-9 * np.ptp(problem.records[0].y))
 
 
 def test_steps_are_halved_until_no_residual_changes():

@@ -323,7 +323,7 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
 
 def _clocks(problem: Problem, fit: Fit) -> tuple[InputClock, ...]:
     hold = problem.clock.hold or ("zoh",) * len(problem.plant.inputs)
-    shift = problem.shift(fit.hypothesis, fit.z) or (0.0,) * len(hold)
+    shift = problem.shift(fit.z) or (0.0,) * len(hold)
     std = {n.input: n.spread * s for n, s in zip(problem.nuisances, fit.std, strict=False) if n.input}
     return tuple(
         InputClock(s.name, "held" if h == "zoh" else h, t, std.get(s.name, 0.0))
