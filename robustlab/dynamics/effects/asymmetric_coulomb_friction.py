@@ -49,6 +49,9 @@ class AsymmetricCoulombFriction(Effect):
             EffectParameter("F_neg", scales.force_unit, "friction level backwards", prior),
         )
 
+    def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        return {"Fc": 0.5 * (values["F_pos"] + values["F_neg"])}
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # At a sine of the speed amplitude a the first harmonic is that of the mean level, 4 F / (pi a).
         gain = 2.0 * (values["F_pos"] + values["F_neg"]) / (math.pi * amplitude)

@@ -274,6 +274,10 @@ class Effect(ABC):
             return tuple(replace(scales, lines=(f,)) for f in scales.lines)
         return (scales,)
 
+    def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Parameters of the effect that this one refines, as far as its own tell; those of one name by default."""
+        return values
+
     def factors(self, plant: LinearPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         """Plant parameter -> factor."""
         return {}

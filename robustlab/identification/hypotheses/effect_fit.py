@@ -262,17 +262,14 @@ class Problem:
             at += len(candidate.parameters)
         return factors, values
 
-    def shift(self, hypothesis: Hypothesis, z: Array) -> tuple[float, ...] | None:
-        """Shift of each input's clock in s; None where none has one. An input that an effect delays has no other."""
-        late = {c.site.name for c in hypothesis.candidates if c.site.kind == "input" and c.effect.delay}
+    def shift(self, z: Array) -> tuple[float, ...] | None:
+        """Shift of each input's clock in s, beside any delay that an effect gives it; None where none has one."""
         told = {n.input: n.spread * v for n, v in zip(self.nuisances, z, strict=False) if n.input}
-        if not told:
-            return None
-        return tuple(0.0 if s.name in late else float(told.get(s.name, 0.0)) for s in self.plant.inputs)
+        return tuple(float(told.get(s.name, 0.0)) for s in self.plant.inputs) if told else None
 
     def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
         """What a simulation is run with at the standardised parameters."""
-        return Setting(*self.split(hypothesis, z), self.shift(hypothesis, z))
+        return Setting(*self.split(hypothesis, z), self.shift(z))
 
     def size(self, hypothesis: Hypothesis) -> int:
         """Number of standardised parameters."""

@@ -11,6 +11,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.sampled_input import SampledInput
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.response import longest_period, slowest_time_constant
@@ -164,9 +165,9 @@ def prepare(
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.column_stack([p.force for p in joints]) if joints else model.B
     bare = plant.state_space().select(None, [names[columns[j]] for j in own])
-    smoothed = smooth_disturbance(bare, push, record.t, u, y[:, own], jumps=False)
+    seen, smoothed = _smoothed(bare, push, record.t, u, y[:, own])
     told, noise_std = np.zeros((len(columns), *smoothed.x.shape)), np.zeros(len(columns))
-    told[own], noise_std[own] = _told(bare, push, record.t, u, y[:, own], smoothed), smoothed.noise_std
+    told[own], noise_std[own] = _told(bare, push, record.t, seen, y[:, own], smoothed), smoothed.noise_std
     smoothed = replace(smoothed, noise_std=noise_std)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
@@ -234,6 +235,16 @@ def _fastest_seen(plant: LinearPlant, y: Array, dt: float, noise_std: Array) -> 
             last = int(np.searchsorted(np.cumsum(power), CONTENT * power.sum()))
             periods.append(len(column) / max(last, 1))
     return min(periods, default=float(len(y)))
+
+
+def _smoothed(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array) -> tuple[Array, SmoothedRecord]:
+    """The record smoothed with inputs that are held or, where that is more probable, smooth between their samples.
+
+    The smoother knows held inputs alone: a smooth one is given by its means over the samples.
+    """
+    means = np.column_stack([SampledInput(column, "smooth").samples(0.0) for column in u.T])
+    kinds = [(seen, smooth_disturbance(bare, push, t, seen, y, jumps=False)) for seen in (u, means)]
+    return max(kinds, key=lambda kind: kind[1].log_likelihood)
 
 
 def _told(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord) -> Array:

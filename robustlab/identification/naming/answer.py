@@ -29,12 +29,13 @@ from robustlab.identification.naming.discovery_parts import (
     SetProbability,
 )
 from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
-from robustlab.identification.naming.gaps import held_out_gaps
+from robustlab.identification.naming.gaps import Gaps, held_out_gaps
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.tuning import NamingTuning
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
@@ -101,11 +102,13 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     if not judged.complete and best.hypothesis.candidates:
         fit = settled(problem, fit, found.noise, 1)
     bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
+    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit})
+    if _worse(gaps, fit, problem.tuning):
+        judged = judged._replace(verdict="unknown", complete=False)
     rivals = posterior.alternatives()
     if judged.verdict == "unknown" and not best.hypothesis.candidates:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
-    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
-    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit})
     names = tuple(r.name for r in case.records)
     left = judged.left
     unsettled = left if left and not judged.complete else None
@@ -158,7 +161,9 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
     tuning = found.problem.tuning
     left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
+    # The residual force is told by a smoother that knows held inputs: of a smooth one a part would look like lines.
+    sampled = any(hold != "zoh" for hold in found.problem.clock.hold or ())
+    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left and not sampled else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     remains = bool(lines) or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
@@ -176,6 +181,13 @@ def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
         return "unknown"
     alone = best.probability >= tuning.sure and len(posterior.collection) == 1
     return "named" if alone and found.settled else "ambiguous"
+
+
+def _worse(gaps: Gaps, fit: Fit, tuning: NamingTuning) -> bool:
+    """Whether the updated model is further from held-out data than the refitted one; names do not stand then."""
+    effects = [c.effect for c in fit.hypothesis.candidates]
+    slack = tuning.held_out_slack if all(e.gain_like for e in effects) else 0.0
+    return bool(effects) and overall(gaps.windows, "updated") > (1.0 + slack) * overall(gaps.windows, "refitted")
 
 
 def _explained(found: Found, fit: Fit) -> float:
@@ -311,7 +323,7 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
 
 def _clocks(problem: Problem, fit: Fit) -> tuple[InputClock, ...]:
     hold = problem.clock.hold or ("zoh",) * len(problem.plant.inputs)
-    shift = problem.shift(fit.hypothesis, fit.z) or (0.0,) * len(hold)
+    shift = problem.shift(fit.z) or (0.0,) * len(hold)
     std = {n.input: n.spread * s for n, s in zip(problem.nuisances, fit.std, strict=False) if n.input}
     return tuple(
         InputClock(s.name, "held" if h == "zoh" else h, t, std.get(s.name, 0.0))

@@ -224,24 +224,27 @@ def _gain(force: UnnamedEvidence | None) -> float:
 
 
 def _generalising(found: Found) -> tuple[list[Visited], bool]:
-    """The sets that may be the answer; those at its head that fail on held-out data are left out."""
-    plain = white(found.noise)
+    """The sets that may be the answer, and whether the most probable of them does not fail on held-out data.
+
+    Those that fail are left out, as far down as sets are weighed.
+    """
+    plain, tuning = white(found.noise), found.problem.tuning
 
     def error(visited: Visited) -> float:
         return rms_percent(found.held, held_out_fit(found.held, visited.fit, plain))
 
-    most = error(found.empty)
-    left = [v for v in found.sets if v.allowed]
-    failed = False
-
     def fails(visited: Visited) -> bool:
         # A wrong gain and the tolerances that are stretched for it leave the same errors.
         gains = all(c.effect.gain_like for c in visited.fit.hypothesis.candidates)
-        return error(visited) > most * (1.0 + found.problem.tuning.held_out_slack * gains)
+        return error(visited) > most * (1.0 + tuning.held_out_slack * gains)
 
-    while left[0].key and fails(left[0]):
-        left, failed = left[1:], True
-    return left, not (failed and not left[0].key)
+    most = error(found.empty)
+    left: list[Visited] = []
+    failed: list[Visited] = []
+    for visited in (v for v in found.sets if v.allowed):
+        judged = visited.key and len(left) < tuning.most_weighed
+        (failed if judged and fails(visited) else left).append(visited)
+    return left, not failed or bool(left[0].key)
 
 
 def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:

@@ -136,7 +136,7 @@ def _of_record(
     windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
-    shift = problem.shift(fit.hypothesis, fit.z)
+    shift = problem.shift(fit.z)
     known, columns, added = _known_inputs(simulator, factors, values, record, x0, shift)
     y = record.y[used] - added
     seen = np.isfinite(y).any(axis=0)

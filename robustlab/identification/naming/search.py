@@ -222,6 +222,7 @@ class _Search:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
         smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
+        self._unrefined(whole.fit)
         for key in smaller:
             if key not in self.visited:
                 self._without(whole.fit, key)
@@ -229,6 +230,23 @@ class _Search:
             return self._next()
         left = [k for k in smaller if k not in self.expanded]
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
+
+    def _unrefined(self, fit: Fit) -> None:
+        """Fit a set with what a refinement refines in its stead: a simpler name must have been asked."""
+        for k, refined in enumerate(fit.hypothesis.candidates):
+            plain = next(
+                (c for c in self.pool if c.effect.id == refined.effect.refines and c.site == refined.site), None
+            )
+            if plain is None or key_of(fit.hypothesis) - {refined.key} | {plain.key} in self.visited:
+                continue
+            rest, z = without(self.problem, fit, k)
+            _, values = self.problem.split(fit.hypothesis, fit.z)
+            start = refined.effect.unrefined(values[k])
+            own = plain.standardised({**plain.starts[0], **{n: v for n, v in start.items() if n in plain.starts[0]}})
+            hypothesis = Hypothesis((*rest.candidates, plain))
+            self._visit(
+                self.problem.fit(hypothesis, self.noise, np.append(z, own), fit.starts, FitPlan(self.tuning.full))
+            )
 
     def _without(self, fit: Fit, key: Key) -> None:
         """Fit a set again with only the effects of ``key``."""
@@ -328,7 +346,7 @@ class _Search:
         if noise_ratio(self.problem, fit) < self.tuning.most_noise:
             return fit
         plain = least_squares(self.problem, fit, self.noise, FitPlan(self.tuning.full, 0.05))
-        return min((fit, plain), key=lambda f: float(np.log(self._noise_of(f).std).sum()))
+        return min((fit, plain), key=lambda f: float(np.log(whitening(self.problem, f).std).sum()))
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""

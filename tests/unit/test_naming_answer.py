@@ -1,0 +1,95 @@
+"""What is said after a search: a stage that fails, an interruption and what remains never lose or inflate the names."""
+
+import numpy as np
+import pytest
+from naming_cases import AXIS, T, U, machine, noisy
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.naming import answer as module
+from robustlab.identification.naming.progress import Progress
+from robustlab.result import Status
+
+FEW = tuple(set(catalogue()) - {"coulomb-friction", "constant-load", "sensor-delay", "input-delay"})
+
+
+def discovered(record, **options):
+    return rl.discover(AXIS, record, exclude=FEW, **options)
+
+
+@pytest.mark.parametrize("stage", ["left_over", "remaining_lines", "_floor_excess", "_missing_force"])
+@pytest.mark.parametrize(
+    "fault", [NoTrustworthyNumber("the model", "u[552,1] is infinite", "a number"), ValueError("0")]
+)
+def test_a_stage_that_fails_after_the_naming_does_not_lose_it(monkeypatch, stage, fault):
+    def fails(*_):
+        raise fault
+
+    monkeypatch.setattr(module, stage, fails)
+    found = discovered(machine(friction=20.0, seed=3))
+    assert found.names == ("coulomb-friction",)
+    (value,) = found.effects[0].parameters
+    assert value.lower < 20.0 < value.upper
+    told = [f for f in found.findings if f.kind == "stage"]
+    assert told
+    assert all("not computed" in f.found for f in told)
+    assert str(fault) in told[0].found
+
+
+def test_a_next_experiment_that_fails_does_not_lose_the_twins(monkeypatch):
+    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(2), U[:-2]]))
+    record = rl.Record(T, {"u": U}, noisy({"q": run["q"]}, 0), name="late")
+
+    def fails(*_):
+        raise NoTrustworthyNumber("the experiment", "no answer", "one")
+
+    monkeypatch.setattr(module, "_next_experiment", fails)
+    found = discovered(record)
+    assert found.verdict == "ambiguous"
+    assert found.status is Status.INCONCLUSIVE
+    assert {*found.names, *(r.name for r in found.rivals)} == {"input-delay", "sensor-delay"}
+    assert found.next_experiment is None
+    assert "next experiment" in [f.where for f in found.findings if f.kind == "stage"]
+
+
+@pytest.mark.parametrize("after", [1, 25])
+def test_an_interrupted_search_says_so_and_is_not_sure(monkeypatch, after):
+    calls = []
+
+    def step(self, *_):
+        calls.append(1)
+        if len(calls) == after:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "step", step)
+    found = discovered(machine(friction=20.0, seed=3))
+    assert "interrupted" in [f.kind for f in found.findings]
+    assert found.verdict != "named"
+    assert found.status is Status.INCONCLUSIVE
+
+
+def test_probabilities_of_a_result_sum_to_one():
+    found = discovered(machine(friction=20.0, seed=3))
+    assert sum(s.probability for s in found.posterior) == pytest.approx(1.0)
+    assert found.posterior[0].names == ("coulomb-friction",)
+    assert found.effects[0].confidence == pytest.approx(
+        sum(s.probability for s in found.posterior if "coulomb-friction" in s.names)
+    )
+    assert found.search
+    assert [c.hold for c in found.clocks] == ["held"]
+
+
+def test_a_ripple_over_time_forbids_that_all_is_well():
+    """50 Hz in the force, one per cent of what the motor gives, and no effect that could have it."""
+    t = np.arange(4000) * 1e-3
+    u = 1.5 * np.sin(2 * np.pi * 1.3 * t) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 100)
+    hum = 0.05 * np.sin(2 * np.pi * 50.0 * (t + 5e-4))
+    run = rl.simulate(AXIS, t, u + hum)
+    record = rl.Record(t, {"u": u}, noisy({"v": run["v"]}, 0, 1e-4), name="hum")
+    found = discovered(record)
+    assert found.verdict == "unknown"
+    assert not found.complete
+    line = found.remaining_lines[0]
+    assert line["over"] == "time"
+    assert line["period"] == pytest.approx(0.02, rel=0.01)

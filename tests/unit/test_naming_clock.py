@@ -1,0 +1,157 @@
+"""The clock of a naming: what inputs do between their samples, their shift, and steps that are short enough."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming.clock import clock_nuisances, held_inputs, short_steps, step_error
+from robustlab.identification.tuning import TUNING
+
+MASS, DAMPING, SPRING = 1.0, 0.4, 400.0  # 20 rad/s, lightly damped
+OSCILLATOR = rl.plant("mass-spring-damper", m=MASS, c=DAMPING, k=SPRING)
+SAMPLES = 9  # a period of the oscillator
+DT = 2 * np.pi / 20.0 / SAMPLES
+COUNT = 1200
+NOISE = 2e-4  # of the range
+NONE = Hypothesis(())
+ONE_STEP = Clock(1)
+
+
+def drive(t):
+    """A band-limited force in N: sines below a quarter of the sample rate."""
+    rng = np.random.default_rng(4)
+    omega, phase = rng.uniform(1.0, 40.0, 12), rng.uniform(0.0, 2 * np.pi, 12)
+    return 20.0 * np.sin(np.multiply.outer(t, omega) + phase).sum(axis=-1) / 12
+
+
+def simulated(force, cubic=0.0, splits=1):
+    """Position at the samples by scipy's DOP853; ``force`` takes the time and the number of the sample before it."""
+    q, x = np.zeros(COUNT), np.zeros(2)
+    for k in range(COUNT - 1):
+        q[k] = x[0]
+
+        def rate(t, x, k=k):
+            return [x[1], (force(t, k) - DAMPING * x[1] - SPRING * x[0] - cubic * x[0] ** 3) / MASS]
+
+        for part in range(splits):
+            span = (k + part / splits) * DT, (k + (part + 1) / splits) * DT
+            x = solve_ivp(rate, span, x, method="DOP853", rtol=1e-10, atol=1e-13).y[:, -1]
+    q[-1] = x[0]
+    return q
+
+
+@cache
+def record(kind: str, cubic=0.0) -> rl.Record:
+    """The force is held over each sample, or goes on between them; or comes 0.3 of a sample late."""
+    t = DT * np.arange(COUNT)
+    sampled = drive(t)
+    late = 0.3 * DT if kind == "late" else 0.0
+    q = simulated((lambda _, k: sampled[k]) if kind == "held" else (lambda now, _: drive(now - late)), cubic)
+    q = q + NOISE * np.ptp(q) * np.random.default_rng(7).normal(size=COUNT)
+    return rl.Record(t, {"f": sampled}, {"q": q}, {"f": "N", "q": "m"}, kind)
+
+
+def problem_of(record: rl.Record, clock=ONE_STEP) -> Problem:
+    model = port_model(OSCILLATOR)
+    ready = prepare(OSCILLATOR, model, record, 100)
+    stated = nuisance_parameters(OSCILLATOR, stated_tolerances(OSCILLATOR, {"m": 0.05, "c": 0.5, "k": 0.05}))
+    return Problem(OSCILLATOR, [ready], (*stated, *clock_nuisances(("f",), DT, TUNING)), clock=clock)
+
+
+def fitted(problem: Problem) -> Fit:
+    """Under the noise that was added."""
+    noise = NoiseModel(np.array([NOISE * np.ptp(problem.records[0].y)]), np.zeros((0, 1)))
+    return problem.fit(NONE, noise, np.zeros(len(problem.nuisances)), plan=FitPlan(20))
+
+
+@pytest.mark.parametrize(("kind", "hold"), [("held", "zoh"), ("continuous", "smooth")])
+@pytest.mark.parametrize("begun", ["zoh", "smooth"])
+def test_what_an_input_does_between_its_samples_is_inferred(kind, hold, begun):
+    problem = problem_of(record(kind), Clock(1, (begun,)))
+    before = fitted(problem)
+    fit, there = held_inputs(problem, before)
+    assert there.clock.hold in (None, (hold,))
+    assert fit.cost <= before.cost
+    assert (fit.cost < 0.5 * before.cost) == (begun != hold)
+    shift = there.shift(fit.z)
+    assert shift is not None
+    assert abs(shift[0]) < 0.02 * DT
+
+
+def test_a_clock_that_is_late_is_found():
+    problem = problem_of(record("late"), Clock(1, ("smooth",)))
+    fit = fitted(problem)
+    (shift,) = problem.shift(fit.z) or (np.nan,)
+    std = problem.nuisances[-1].spread * fit.std[-1]
+    assert shift == pytest.approx(0.3 * DT, abs=max(4 * std, 0.01 * DT))
+    assert 0.0 < std < 0.1 * DT
+
+
+def test_the_clock_of_an_input_is_a_nuisance_of_its_own():
+    first, second = clock_nuisances(("u", "f"), 1e-3, TUNING)
+    assert (first.input, second.input) == ("u", "f")
+    assert first.names == ()
+    assert first.spread == pytest.approx(TUNING.clock_share * 1e-3)
+    assert not first.additive
+
+
+def test_a_shift_moves_the_input_beside_a_delay_of_it():
+    problem = problem_of(record("held"))
+    (delay,) = (
+        c for c in candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records) if c.key == "input-delay @ f"
+    )
+    z = np.array([0.0] * (len(problem.nuisances) - 1) + [1.0])
+    shift = TUNING.clock_share * DT
+    assert problem.shift(z) == pytest.approx((shift,))
+    starts = [np.zeros((problem.records[0].count, 2))]
+    plain, moved = (problem.errors(NONE, v, starts)[0] for v in (0 * z, z))
+    assert np.nanmax(np.abs(plain - moved)) > 1e-3 * np.ptp(problem.records[0].y)
+    # A clock that is late and a shorter delay, or the other way round.
+    late = Hypothesis((delay,))
+    one, other = (
+        problem.errors(late, np.array([*(part * z), *delay.standardised({"d": d})]), starts)[0]
+        for part, d in ((1.0, DT), (0.0, DT + shift))
+    )
+    np.testing.assert_allclose(one, other, atol=1e-9 * np.ptp(problem.records[0].y))
+
+
+def test_steps_are_halved_until_no_residual_changes():
+    """A stiff cubic spring on a resonance of nine samples a period."""
+    ready = problem_of(record("held", 4000.0))
+    (cubic,) = (
+        c for c in candidates(OSCILLATOR, port_model(OSCILLATOR), ready.records) if c.key == "cubic-stiffness @ v"
+    )
+    hypothesis = Hypothesis((cubic,))
+    z = np.append(np.zeros(len(ready.nuisances)), cubic.standardised({"k3": 4000.0}))
+    fit = ready.fit(hypothesis, fitted(ready).noise, z, plan=FitPlan(15))
+    there = short_steps(ready, fit)
+    assert there.clock.sub is not None
+    assert step_error(there, fit) <= TUNING.step_error or there.clock.sub == TUNING.most_steps
+    noisier = replace(fit, noise=replace(fit.noise, std=1e4 * fit.noise.std))
+    assert short_steps(ready, noisier).clock.sub == 1
+    finer = replace(fit, noise=replace(fit.noise, std=1e-6 * fit.noise.std))
+    assert short_steps(ready, finer).clock.sub == TUNING.most_steps
+
+
+def test_halving_the_steps_of_a_linear_model_changes_nothing():
+    problem = problem_of(record("held"))
+    assert step_error(problem, fitted(problem)) < 0.01
+
+
+def test_discover_reports_the_clock():
+    few = [name for name in catalogue() if name not in ("coulomb-friction", "constant-load")]
+    found = rl.discover(OSCILLATOR, record("continuous"), exclude=few, tolerances={"m": 0.05, "c": 0.5, "k": 0.05})
+    assert found.names == ()
+    (clock,) = found.clocks
+    assert (clock.input, clock.hold) == ("f", "smooth")
+    assert 0.0 < clock.std < 0.1 * DT
+    assert abs(clock.shift) < 5 * clock.std

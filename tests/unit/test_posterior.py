@@ -1,0 +1,123 @@
+"""Probabilities of sets: they sum to one, twins share them, what says nothing or fails on held-out data has none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, quiet, searched
+
+import robustlab as rl
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming.posterior import Posterior, weigh
+from robustlab.identification.naming.search import Key, search_sets
+from robustlab.identification.tuning import TUNING
+
+
+@pytest.fixture(scope="module", params=["nothing", "friction", "both"])
+def weighed(request) -> tuple[Posterior, set[str]]:
+    """The posterior of a machine that lacks nothing, friction, or friction and a load."""
+    lacking = {"nothing": {}, "friction": {"friction": 20.0}, "both": {"friction": 20.0, "load": 8.0}}[request.param]
+    found = searched(machine(**lacking, seed=3))
+    return weigh(found), {"friction": {FRICTION}, "both": {FRICTION, LOAD}}.get(request.param, set())
+
+
+def test_probabilities_sum_to_one_and_the_best_comes_first(weighed):
+    posterior, truth = weighed
+    shares = [w.probability for w in posterior.sets]
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares == sorted(shares, reverse=True)
+    assert posterior.best.key == truth
+    assert posterior.best.probability > TUNING.sure
+
+
+def test_the_collection_is_the_smallest_with_the_probability_of_an_answer(weighed):
+    posterior, _ = weighed
+    inside = sum(w.probability for w in posterior.collection)
+    twins = [w for w in posterior.collection if w.distance < TUNING.cannot_tell]
+    assert inside >= TUNING.sure
+    assert posterior.collection[0] is posterior.best
+    assert all(w in posterior.sets for w in posterior.collection)
+    assert len(posterior.collection) == 1 or posterior.best in twins
+
+
+def test_an_effect_is_as_probable_as_all_sets_that_have_it(weighed):
+    posterior, truth = weighed
+    for key in POOL:
+        assert posterior.of_effect(key) == pytest.approx(sum(w.probability for w in posterior.sets if key in w.key))
+    assert all(posterior.of_effect(key) > TUNING.sure for key in truth)
+    assert sum(posterior.of_effect(key) for key in set(POOL) - truth) < 1.0 - TUNING.sure
+
+
+def test_silent_additions_are_folded_into_the_smaller_set(weighed):
+    posterior, truth = weighed
+    larger = [w for w in posterior.sets if truth < w.key]
+    # Of an effect more there is nothing to be seen: no set stands beside the true one for it.
+    assert all(w.visited.evidence - w.visited.prior > posterior.best.visited.evidence for w in larger)
+    assert len({w.key for w in posterior.sets}) == len(posterior.sets)
+
+
+def test_the_errors_of_the_right_set_are_noise(weighed):
+    posterior, _ = weighed
+    assert posterior.noise_ratio < 1.2
+    assert posterior.generalises
+
+
+def test_a_higher_temperature_is_less_sure():
+    found = searched(machine(friction=20.0, seed=3))
+    cold, warm = weigh(found), None
+    found.problem.tuning = replace(TUNING, temperature=1000.0)
+    try:
+        warm = weigh(found)
+    finally:
+        found.problem.tuning = TUNING
+    assert warm.best.probability < cold.best.probability
+    assert sum(w.probability for w in warm.sets) == pytest.approx(1.0)
+
+
+def test_twins_are_told_together():
+    """An input that comes 4 ms late, seen by one sensor: as well the sensor may be late."""
+    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(2), U[:-2]]))
+    record = rl.Record(T, {"u": U}, noisy({"q": run["q"]}, 0), name="late")
+    before, behind = "input-delay @ u", "sensor-delay @ q"
+    posterior = weigh(searched(record, (before, behind, FRICTION, LOAD)))
+    told = {key for w in posterior.collection for key in w.key}
+    assert {before, behind} <= told
+    assert posterior.best.probability < TUNING.sure
+    (rival,) = (a for a in posterior.alternatives() if a.candidate.key in (before, behind))
+    assert rival.instead_of is not None
+    assert {rival.candidate.key, rival.instead_of.key} == {before, behind}
+    assert rival.weighed.distance < TUNING.cannot_tell
+    # One that cannot be told from the best has no less a probability than its distance and its prior say.
+    ratio = rival.weighed.probability / posterior.best.probability
+    assert ratio >= 0.99 * np.exp(-0.5 * rival.weighed.distance**2)
+
+
+def test_effects_that_can_be_told_are_no_twins():
+    record = machine(friction=20.0, seed=3)
+    posterior = weigh(searched(record))
+    assert posterior.alternatives() == []
+    assert all(w.distance > TUNING.cannot_tell for w in posterior.sets[1:] if np.isfinite(w.distance))
+
+
+def test_a_set_that_fails_on_held_out_data_is_never_the_answer():
+    """Fitted to a machine that rubs, judged on one that does not."""
+    fit, _, pool, allowed = opened(machine(friction=20.0))
+    other = prepare(AXIS, port_model(AXIS), machine(seed=3), 100)
+    found = search_sets(fit, fit.on([other]), [pool[k] for k in (FRICTION, LOAD)], allowed, quiet)
+    posterior = weigh(found)
+    assert FRICTION not in posterior.best.key
+    assert all(FRICTION not in w.key for w in posterior.collection)
+
+
+def test_what_may_be_no_answer_has_no_probability():
+    fit, held, pool, _ = opened(machine(friction=20.0))
+    fit.work.clear()
+
+    def no_friction(_, fit) -> bool:
+        return FRICTION not in {c.key for c in fit.hypothesis.candidates}
+
+    posterior = weigh(search_sets(fit, held, [pool[k] for k in (FRICTION, GAIN_OF_Q)], no_friction, quiet))
+    assert all(FRICTION not in w.key for w in posterior.sets)
+    assert posterior.of_effect(FRICTION) == 0.0
+    assert Key() in {w.key for w in posterior.sets}
