@@ -39,7 +39,6 @@ __all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
 
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
-MOST_PLACES = 2  # at which a random and an unnamed force are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +200,9 @@ def _weight(found: Found, visited: Visited) -> _Weight | None:
     fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
     try:
         with np.errstate(all="ignore"):
-            left = tuple(unnamed_force(both, fit, place) for place in plain_places(both, fit)[:MOST_PLACES])
+            left = tuple(
+                unnamed_force(both, fit, place) for place in plain_places(both, fit)[: problem.tuning.most_places]
+            )
     except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
         return None
     likely = max((u.log_likelihood for u in left), default=np.nan)
@@ -252,14 +253,15 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
 
 
 def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:
-    """Sets with one effect in the place of another, but for refinements in the place of what they refine."""
+    """Sets with one effect in the place of another, but for refinements of it, or of what it refines, too."""
     found = []
     for other in others:
         gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
         come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
         if len(gone) != 1 or len(come) != 1 or best.evidence - other.evidence > far:
             continue
-        if not (come[0].effect.refines == gone[0].effect.id and come[0].site == gone[0].site):
+        of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")
+        if not (of_these and come[0].site == gone[0].site):
             found.append(other)
     return found
 

@@ -21,12 +21,13 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import (
     careful,
     first_noise,
@@ -35,6 +36,7 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
+from robustlab.identification.hypotheses.unnamed_force import unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -161,6 +163,7 @@ class _Search:
     visited: dict[Key, Visited] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
     looked: dict[Key, dict[str, Array]] = field(default_factory=dict)
+    asked: set[Key] = field(default_factory=set)
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     sharpened: bool = False
@@ -180,6 +183,8 @@ class _Search:
             self._sharpen()
             while self.expansions < self.tuning.most_expansions and sum(self.problem.work) < self.tuning.most_work:
                 key = self._next()
+                if key is None and self._lines():
+                    key = self._next()
                 if key is None:
                     settled = True
                     break
@@ -230,6 +235,33 @@ class _Search:
             return self._next()
         left = [k for k in smaller if k not in self.expanded]
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
+
+    def _lines(self) -> bool:
+        """Whether the best set leaves lines over position or time; effects that make such lines are then tried there.
+
+        Beside what is far stronger a line does not show in the force that the nominal model lacks.
+        """
+        best = self.best
+        if best.key in self.asked:
+            return False
+        self.asked.add(best.key)
+        with np.errstate(all="ignore"):
+            places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
+            left = [unnamed_force(self.problem, best.fit, place) for place in places]
+        told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
+        found = {}
+        for port, over, period in told:
+            for c in self.pool:
+                if c.site.name != port or not (c.effect.spatial if over == "line over position" else c.effect.timed):
+                    continue
+                line = {"orders": (2.0 * np.pi / period,)} if c.effect.spatial else {"lines": (1.0 / period,)}
+                scales = replace(c.scales, **line)
+                at = c.effect.parameters(scales), c.effect.starts(scales), scales
+                found[c.key, period] = Candidate(c.effect, c.site, *at)
+        if found:
+            self.pool = [*self.pool, *found.values()]
+            self.looked, self.expanded = {}, self.expanded - {best.key}
+        return bool(found)
 
     def _unrefined(self, fit: Fit) -> None:
         """Fit a set with what a refinement refines in its stead: a simpler name must have been asked."""
