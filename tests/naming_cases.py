@@ -66,6 +66,12 @@ def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> Found:
     return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
 
 
+@cache
+def usual(friction: float = 0.0, load: float = 0.0, seed: int = 3) -> Found:
+    """The search over the usual pool for what a machine lacks; not to be changed."""
+    return searched(machine(friction, load, seed))
+
+
 def values(found: Found, key: str) -> dict[str, float]:
     """Parameters of an effect of the best set."""
     fit = found.best.fit

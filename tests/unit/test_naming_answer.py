@@ -50,7 +50,7 @@ def test_a_next_experiment_that_fails_does_not_lose_the_twins(monkeypatch):
     assert found.status is Status.INCONCLUSIVE
     assert {*found.names, *(r.name for r in found.rivals)} == {"input-delay", "sensor-delay"}
     assert found.next_experiment is None
-    assert "next experiment" in [f.where for f in found.findings if f.kind == "stage"]
+    assert "next experiment" in [f.channel for f in found.findings if f.kind == "stage"]
 
 
 @pytest.mark.parametrize("after", [1, 25])

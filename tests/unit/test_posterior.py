@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, quiet, searched
+from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, quiet, searched, usual
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
@@ -18,8 +18,7 @@ from robustlab.identification.tuning import TUNING
 def weighed(request) -> tuple[Posterior, set[str]]:
     """The posterior of a machine that lacks nothing, friction, or friction and a load."""
     lacking = {"nothing": {}, "friction": {"friction": 20.0}, "both": {"friction": 20.0, "load": 8.0}}[request.param]
-    found = searched(machine(**lacking, seed=3))
-    return weigh(found), {"friction": {FRICTION}, "both": {FRICTION, LOAD}}.get(request.param, set())
+    return weigh(usual(**lacking)), {"friction": {FRICTION}, "both": {FRICTION, LOAD}}.get(request.param, set())
 
 
 def test_probabilities_sum_to_one_and_the_best_comes_first(weighed):
@@ -64,13 +63,10 @@ def test_the_errors_of_the_right_set_are_noise(weighed):
 
 
 def test_a_higher_temperature_is_less_sure():
-    found = searched(machine(friction=20.0, seed=3))
-    cold, warm = weigh(found), None
-    found.problem.tuning = replace(TUNING, temperature=1000.0)
-    try:
-        warm = weigh(found)
-    finally:
-        found.problem.tuning = TUNING
+    found = usual(friction=20.0)
+    problem = found.problem.on(found.problem.records, found.problem.chosen)
+    problem.tuning = replace(TUNING, temperature=1000.0)
+    cold, warm = weigh(found), weigh(replace(found, problem=problem))
     assert warm.best.probability < cold.best.probability
     assert sum(w.probability for w in warm.sets) == pytest.approx(1.0)
 
@@ -94,8 +90,7 @@ def test_twins_are_told_together():
 
 
 def test_effects_that_can_be_told_are_no_twins():
-    record = machine(friction=20.0, seed=3)
-    posterior = weigh(searched(record))
+    posterior = weigh(usual(friction=20.0))
     assert posterior.alternatives() == []
     assert all(w.distance > TUNING.cannot_tell for w in posterior.sets[1:] if np.isfinite(w.distance))
 
