@@ -128,12 +128,12 @@ def weigh(found: Found) -> Posterior:
     """The posterior of what the search found."""
     problem, tuning = found.problem, found.problem.tuning
     ordered, generalises = _generalising(found)
-    weights = {v.key: weight for v in _contenders(ordered, tuning) if (weight := _weight(found, v)) is not None}
-    evidence = {v.key: v.evidence for v in ordered}
     # Of a machine far beyond its sensors' noise a random force follows the next sample better than any law does: there
-    # the simulated windows have the say, and forces count as carefully as they do.
+    # the simulated windows have the say, and a force only tells whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.beyond_noise
-    careful = 1.0 if near else found.noise.excess
+    looked = _contenders(ordered, tuning) if near else [ordered[0]]
+    weights = {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}
+    evidence = {v.key: v.evidence for v in ordered}
     if near and ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
         again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
@@ -143,7 +143,8 @@ def weigh(found: Found) -> Posterior:
             if v.key in weights:
                 evidence[v.key] = weights[v.key].log_likelihood + v.prior
     forces = _forces(ordered, evidence, weights)
-    evidence = {key: value + _gain(forces.get(key)) / careful for key, value in evidence.items()}
+    if near:
+        evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
     best = ordered[0]
     distance = {best.key: 0.0}
