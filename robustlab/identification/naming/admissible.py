@@ -15,6 +15,9 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Probl
 __all__ = ["admissible", "beyond_tolerance"]
 
 
+LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simulation shows
+
+
 def admissible(
     plant: LinearPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
 ) -> Callable[[Problem, Fit], bool]:
@@ -34,6 +37,9 @@ def admissible(
         _, values = problem.split(fit.hypothesis, fit.z)
         for candidate, own in zip(fit.hypothesis.candidates, values, strict=True):
             if not beyond_tolerance(problem, fit, candidate, limits):
+                return False
+            window = problem.records[0].windows.length * problem.records[0].record.dt
+            if candidate.effect.lag(own) > LONGEST_LAG * window:
                 return False
             if candidate.effect.spatial and "k" in own:
                 position = positions[candidate.site.name]

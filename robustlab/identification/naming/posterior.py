@@ -30,7 +30,7 @@ import numpy as np
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
-from robustlab.identification.hypotheses.noise import held_out_fit, rms_percent, white
+from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
 from robustlab.identification.hypotheses.unnamed_force import Unnamed, UnnamedEvidence, unnamed_force
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
@@ -131,7 +131,11 @@ def weigh(found: Found) -> Posterior:
     ordered, generalises = _generalising(found)
     weights = {v.key: weight for v in _contenders(ordered, tuning) if (weight := _weight(found, v)) is not None}
     evidence = {v.key: v.evidence for v in ordered}
-    if ordered[0].key in weights:
+    # Of a machine far beyond its sensors' noise a random force follows the next sample better than any law does: there
+    # the simulated windows have the say, and forces count as carefully as they do.
+    near = noise_ratio(problem, ordered[0].fit) < tuning.beyond_noise
+    careful = 1.0 if near else found.noise.excess
+    if near and ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
         again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
         # What was too far behind to be weighed again stays as far behind.
@@ -140,7 +144,7 @@ def weigh(found: Found) -> Posterior:
             if v.key in weights:
                 evidence[v.key] = weights[v.key].log_likelihood + v.prior
     forces = _forces(ordered, evidence, weights)
-    evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
+    evidence = {key: value + _gain(forces.get(key)) / careful for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
     best = ordered[0]
     distance = {best.key: 0.0}

@@ -206,9 +206,18 @@ class _Search:
         return max((v for v in self.visited.values() if v.allowed), key=lambda v: v.evidence)
 
     def _next(self) -> Key | None:
-        """The set to expand next: the best one, else what remains of it when one or two of its effects are away."""
+        """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
+
+        Where the errors hang together something is missing, and which effect came first says little: then the next
+        single effects are expanded, too.
+        """
         whole = self.best
         best = whole.key
+        begun = [k for k in self.expanded if len(k) == 1]
+        if begun and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece:
+            others = [v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed]
+            if others:
+                return max(others, key=lambda v: v.evidence).key
         if len(best) < self.tuning.most_effects and best not in self.expanded:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
