@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.dynamics.ports.sampled_input import SampledInput
 from robustlab.errors import InputError
 
@@ -216,7 +216,7 @@ def test_means_and_rises_held_over_each_sample_move_an_oscillator_as_the_input_d
     states = run.run({}, [], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0]
     mean, rise = run.seen_input([], (0.4 * DT,))
     model = run.model({}, [])
-    columns = np.hstack([model.B, run.rising(model)])
+    columns = np.hstack([model.B, rising(model.A, model.B, DT)])
     phi = expm(DT * np.block([[model.A, columns], [np.zeros((2, 4))]]))
     x = np.zeros(2)
     for k in range(39):

@@ -18,7 +18,7 @@ from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
 
-__all__ = ["Motion", "Simulator", "Windows", "stepping"]
+__all__ = ["Motion", "Simulator", "Windows", "rising", "stepping"]
 
 PLACES = (1, 2, 4, 8)  # numbers of laws that the kernel is compiled for
 KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
@@ -175,11 +175,6 @@ class Simulator:
         first, second = seen[::2], seen[1::2]
         return 0.5 * (first + second), second - first
 
-    def rising(self, model: PortModel) -> Array:
-        """Columns (n_x, n_u) that act, held over a sample, as the inputs do when they rise by the line 2 tau/dt - 1."""
-        _, psi, ramp = exponential(model.A, self.dt)
-        return np.linalg.solve(psi, ramp @ model.B)
-
     def _late(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None) -> tuple[float, ...]:
         """Time in s by which the plant sees each input late, delays included: those commute with the other maps."""
         names = [s.name for s in self.plant.inputs]
@@ -281,3 +276,9 @@ def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:
     both: Array = np.asarray(expm(chain), dtype=float)
     psi = h * both[:n, n : 2 * n]
     return both[:n, :n].copy(), psi, 2.0 * h * both[:n, 2 * n :] - psi
+
+
+def rising(a: Array, b: Array, dt: float) -> Array:
+    """Columns (n_x, n_u) that act, held over a sample, as inputs do that rise by the line 2 tau/dt - 1."""
+    _, psi, ramp = exponential(a, dt)
+    return np.linalg.solve(psi, ramp @ b)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
@@ -143,7 +143,7 @@ def _of_record(
     rows, y = np.array(record.columns)[seen], y[:, seen]
     d = model.D[rows]  # at the samples themselves, where the line begins
     linear = StateSpaceModel(
-        model.A, np.hstack([model.B, simulator.rising(model), columns]), model.C[rows],
+        model.A, np.hstack([model.B, rising(model.A, model.B, record.record.dt), columns]), model.C[rows],
         np.hstack([d, -d, np.zeros((len(rows), columns.shape[1]))]),
     )  # fmt: skip
     t = record.record.dt * np.arange(len(used))
