@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.dynamics.ports.sampled_input import SampledInput
 from robustlab.errors import InputError
 
@@ -203,7 +204,24 @@ def test_the_input_that_the_plant_sees_is_told_as_its_mean_over_each_sample(hold
     u = np.random.default_rng(6).normal(size=(40, 1))
     run = Simulator(plant, [(effect("input-gain"), Site("input", "f"))], u, DT, sub=3, hold=(hold,))
     speed = run.run({}, [{"s": 1.5}], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0, :, 1]
-    assert run.seen_input([{"s": 1.5}], (0.4 * DT,))[:-1, 0] * DT == pytest.approx(np.diff(speed), abs=1e-15)
+    mean, _ = run.seen_input([{"s": 1.5}], (0.4 * DT,))
+    assert mean[:-1, 0] * DT == pytest.approx(np.diff(speed), abs=1e-15)
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_means_and_rises_held_over_each_sample_move_an_oscillator_as_the_input_does(hold):
+    plant, _ = oscillator(20)
+    u = np.random.default_rng(6).normal(size=(40, 1))
+    run = Simulator(plant, [], u, DT, sub=1, hold=(hold,))
+    states = run.run({}, [], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0]
+    mean, rise = run.seen_input([], (0.4 * DT,))
+    model = run.model({}, [])
+    columns = np.hstack([model.B, rising(model.A, model.B, DT)])
+    phi = expm(DT * np.block([[model.A, columns], [np.zeros((2, 4))]]))
+    x = np.zeros(2)
+    for k in range(39):
+        x = phi[:2, :2] @ x + phi[:2, 2:] @ np.array([mean[k, 0], rise[k, 0]])
+        assert x == pytest.approx(states[k + 1], abs=1e-12 * np.abs(states).max())
 
 
 def test_what_cannot_be_is_named():

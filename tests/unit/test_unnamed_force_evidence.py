@@ -37,13 +37,15 @@ class Dense:
     xi: np.ndarray
     z: np.ndarray
 
-    def covariance(self, size: float, bandwidth: float, columns: np.ndarray | None = None, strength: float = 0.0):
-        """Of all errors in a row, less the noise's scale; and their mean."""
+    def covariance(
+        self, size: float, bandwidth: float, weight: float, columns: np.ndarray | None = None, strength: float = 0.0
+    ):
+        """Of all errors in a row, less the noise's scale, of which ``weight`` is the variance; and their mean."""
         count, points, s = self.o.shape
         middle = DT * (np.arange(s) * 5 + 2.5)
         kernel = size**2 * np.exp(-2 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
         j = self.j.reshape(count * points, self.j.shape[2])
-        total = np.eye(count * points) + j @ j.T
+        total = np.eye(count * points) + j @ j.T / weight
         mean = -j @ self.z
         for w in range(count):
             own = slice(w * points, (w + 1) * points)
@@ -86,8 +88,9 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
     levels = windows.levels([np.zeros((4, 6, 0))], np.array([0.0, 0.03, 0.3]))
     assert len(levels) == 1 + 3 * 2
     for level in levels:
-        covariance, mean = dense.covariance(level.size, level.bandwidth)
-        free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all
+        covariance, mean = dense.covariance(level.size, level.bandwidth, windows.weight)
+        free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all; that of the parameters as well
+        free -= 0.5 * len(dense.z) * np.log(windows.weight)
         assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8)
 
 
@@ -99,7 +102,7 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     e = dense.e.ravel()
 
     def of(level, strength):
-        return dense.covariance(level.size, level.bandwidth, columns, strength)
+        return dense.covariance(level.size, level.bandwidth, windows.weight, columns, strength)
 
     alone = max(profiled(e, *of(level, 0.0)) for level in windows.levels([columns]))
     with_it = profiled(e, *of(best.level, best.strength))

@@ -18,7 +18,7 @@ from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
 
-__all__ = ["Motion", "Simulator", "Windows", "stepping"]
+__all__ = ["Motion", "Simulator", "Windows", "rising", "stepping"]
 
 PLACES = (1, 2, 4, 8)  # numbers of laws that the kernel is compiled for
 KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
@@ -165,11 +165,15 @@ class Simulator:
             model = effect.extend(model, site, v)
         return model
 
-    def seen_input(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None) -> Array:
-        """Inputs as the plant sees them, their means from each sample to the next, (n, n_u)."""
-        n_u = len(self._inputs)
-        seen = self._seen(values, self._late(values, shift))
-        return seen.reshape(-1, self.sub * seen.shape[1] // n_u, n_u).mean(axis=1)
+    def seen_input(
+        self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
+    ) -> tuple[Array, Array]:
+        """Inputs as the plant sees them from each sample to the next, m + r (2 tau/dt - 1): m and r, (n, n_u) each."""
+        late = self._late(values, shift)
+        halves = [s.steps(1, d / self.dt).ravel() for s, d in zip(self._inputs, late, strict=True)]
+        seen = np.column_stack(self._mapped(halves, values, 0.5 * self.dt))
+        first, second = seen[::2], seen[1::2]
+        return 0.5 * (first + second), second - first
 
     def _late(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None) -> tuple[float, ...]:
         """Time in s by which the plant sees each input late, delays included: those commute with the other maps."""
@@ -253,17 +257,28 @@ class Simulator:
         return states, forces
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
-        r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1)\, ds`."""
-        from scipy.linalg import expm
-
+        """`exponential` of the present model, kept."""
         key = a.tobytes()
         if key not in self._exponentials:
             if len(self._exponentials) > TUNING.kept:
                 self._exponentials.clear()
-            n = len(a)
-            chain = np.zeros((3 * n, 3 * n))
-            chain[:n, :n], chain[:n, n : 2 * n], chain[n : 2 * n, 2 * n :] = a * h, np.eye(n), np.eye(n)
-            both: Array = np.asarray(expm(chain), dtype=float)
-            psi = h * both[:n, n : 2 * n]
-            self._exponentials[key] = both[:n, :n].copy(), psi, 2.0 * h * both[:n, 2 * n :] - psi
+            self._exponentials[key] = exponential(a, h)
         return self._exponentials[key]
+
+
+def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:
+    r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1)\, ds`."""
+    from scipy.linalg import expm
+
+    n = len(a)
+    chain = np.zeros((3 * n, 3 * n))
+    chain[:n, :n], chain[:n, n : 2 * n], chain[n : 2 * n, 2 * n :] = a * h, np.eye(n), np.eye(n)
+    both: Array = np.asarray(expm(chain), dtype=float)
+    psi = h * both[:n, n : 2 * n]
+    return both[:n, :n].copy(), psi, 2.0 * h * both[:n, 2 * n :] - psi
+
+
+def rising(a: Array, b: Array, dt: float) -> Array:
+    """Columns (n_x, n_u) that act, held over a sample, as inputs do that rise by the line 2 tau/dt - 1."""
+    _, psi, ramp = exponential(a, dt)
+    return np.linalg.solve(psi, ramp @ b)

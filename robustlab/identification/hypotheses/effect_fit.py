@@ -404,7 +404,11 @@ class Problem:
         if fixed:
             return fall
         gradient = z + sum(r.gradient for r in reduced)
-        return fall + float(gradient @ np.linalg.solve(np.eye(len(z)) + sum(r.hessian for r in reduced), gradient))
+        hessian = np.eye(len(z)) + sum(r.hessian for r in reduced)
+        try:
+            return fall + float(gradient @ np.linalg.solve(hessian, gradient))
+        except np.linalg.LinAlgError:  # so little noise that the prior is lost in rounding
+            return fall + float(gradient @ np.linalg.pinv(hessian, hermitian=True) @ gradient)
 
     def _within(self, z: Array) -> Array:
         return np.clip(z, -self.tuning.farthest, self.tuning.farthest)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.extended.simulator import Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.dynamics.ports.sampled_input import SampledInput
@@ -165,9 +165,9 @@ def prepare(
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.column_stack([p.force for p in joints]) if joints else model.B
     bare = plant.state_space().select(None, [names[columns[j]] for j in own])
-    seen, smoothed = _smoothed(bare, push, record.t, u, y[:, own])
+    smoothed, driven, inputs = _smoothed(bare, push, record.t, u, y[:, own])
     told, noise_std = np.zeros((len(columns), *smoothed.x.shape)), np.zeros(len(columns))
-    told[own], noise_std[own] = _told(bare, push, record.t, seen, y[:, own], smoothed), smoothed.noise_std
+    told[own], noise_std[own] = _told(driven, push, record.t, inputs, y[:, own], smoothed), smoothed.noise_std
     smoothed = replace(smoothed, noise_std=noise_std)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
@@ -237,14 +237,21 @@ def _fastest_seen(plant: LinearPlant, y: Array, dt: float, noise_std: Array) -> 
     return min(periods, default=float(len(y)))
 
 
-def _smoothed(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array) -> tuple[Array, SmoothedRecord]:
-    """The record smoothed with inputs that are held or, where that is more probable, smooth between their samples.
+def _smoothed(
+    bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array
+) -> tuple[SmoothedRecord, StateSpaceModel, Array]:
+    """Smoothed with inputs that are held or, where that is more probable, smooth between their samples.
 
-    The smoother knows held inputs alone: a smooth one is given by its means over the samples.
+    The smoother knows held inputs alone: a smooth one is given by its means over the samples, and by its rises with
+    columns of their own. With the model and the inputs that were taken.
     """
-    means = np.column_stack([SampledInput(column, "smooth").samples(0.0) for column in u.T])
-    kinds = [(seen, smooth_disturbance(bare, push, t, seen, y, jumps=False)) for seen in (u, means)]
-    return max(kinds, key=lambda kind: kind[1].log_likelihood)
+    dt = float(t[1] - t[0])
+    halves = np.stack([SampledInput(column, "smooth").steps(1) for column in u.T])  # (n_u, n, 2)
+    inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
+    b, d = np.hstack([bare.B, rising(bare.A, bare.B, dt)]), np.hstack([bare.D, -bare.D])
+    kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
+    found = [(smooth_disturbance(model, push, t, seen, y, jumps=False), model, seen) for model, seen in kinds]
+    return max(found, key=lambda f: f[0].log_likelihood)
 
 
 def _told(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord) -> Array:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
@@ -141,9 +141,10 @@ def _of_record(
     y = record.y[used] - added
     seen = np.isfinite(y).any(axis=0)
     rows, y = np.array(record.columns)[seen], y[:, seen]
+    d = model.D[rows]  # at the samples themselves, where the line begins
     linear = StateSpaceModel(
-        model.A, np.hstack([model.B, columns]), model.C[rows],
-        np.hstack([model.D[rows], np.zeros((len(rows), columns.shape[1]))]),
+        model.A, np.hstack([model.B, rising(model.A, model.B, record.record.dt), columns]), model.C[rows],
+        np.hstack([d, -d, np.zeros((len(rows), columns.shape[1]))]),
     )  # fmt: skip
     t = record.record.dt * np.arange(len(used))
     contiguous = np.all(np.diff(used) == 1)
@@ -185,7 +186,7 @@ def _known_inputs(
     x0: Array,
     shift: Sequence[float] | None,
 ) -> tuple[Array, Array, Array]:
-    """Inputs of the linear model (n, n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
+    """Inputs of the linear model (n, 2 n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
     windows = Windows(record.windows.starts, record.windows.length)
     motion = simulator.run(factors, values, x0, windows, shift)
     model = simulator.model(factors, values)
@@ -197,12 +198,12 @@ def _known_inputs(
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     forces = motion.forces.reshape(len(used), len(laws))
     forces = np.vstack([forces[1:], forces[-1:]])
-    seen = simulator.seen_input(values, shift)[used]
+    mean, rise = (part[used] for part in simulator.seen_input(values, shift))
     plain = motion.states @ model.C.T
     if model.D.any():
-        plain = plain + seen.reshape(len(windows.starts), windows.length, -1) @ model.D.T
+        plain = plain + (mean - rise).reshape(len(windows.starts), windows.length, -1) @ model.D.T
     added = (motion.outputs - plain)[:, :, list(record.columns)].reshape(len(used), -1)
-    return np.hstack([seen, forces]), columns, added
+    return np.hstack([mean, rise, forces]), columns, added
 
 
 Turns = NDArray[np.complex128]
