@@ -161,9 +161,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
     tuning = found.problem.tuning
     left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
-    # The residual force is told by a smoother that knows held inputs: of a smooth one a part would look like lines.
-    sampled = any(hold != "zoh" for hold in found.problem.clock.hold or ())
-    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left and not sampled else (), ())
+    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     remains = bool(lines) or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
