@@ -63,14 +63,14 @@ class NamingTuning:
     # Iterations of the base and of each round. The base must be at its optimum, or whatever is added would seem to gain
     # what it still had to gain itself.
     base: int = 25
-    first: int = 2
-    second: int = 4
+    first: int = 4
+    second: int = 6
     last: int = 8
     rough: float = 0.5  # fall of V at which the first two rounds stop
-    first_windows: int = 6  # that the first round looks at, and the second: more judge better and take more time
+    first_windows: int = 12  # that the first round looks at, and the second: more judge better and take more time
     second_windows: int = 18
     kept_second: int = 10  # hypotheses that enter the second round, and the last
-    kept_last: int = 6
+    kept_last: int = 8
     kept_gains: int = 2  # wrong gains beside them: at the same cost the prior may prefer one
     full: int = 15  # iterations of a full fit
     rough_fits: int = 4  # full fits before the noise is known, of fewer iterations: they only have to find a leader
@@ -89,7 +89,7 @@ class NamingTuning:
     beginnings: int = 3  # single effects from which sets are built where something is missing
     in_one_piece: float = 1.5  # scatter of the windows, over that of independent errors, from which something is
     most_expansions: int = 12  # sets to which effects are added before the search is called unfinished
-    most_work: int = 120_000_000  # steps of simulation, after which no further set is expanded
+    most_work: int = 240_000_000  # steps of simulation, after which no further set is expanded
     prior_effect: float = 0.02  # of an effect at a place
     prior_refinement: float = 0.1  # of a refinement, over that of the effect it refines
     looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found
