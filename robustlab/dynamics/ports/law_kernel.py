@@ -117,7 +117,7 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
     """Simulate windows one after the other.
 
     parameters (n_laws, n_p), memory (n_laws, n_z; changed in place) of the laws, at most ``len(laws)``; states
-    (n_windows, length, n) and forces (n_windows, length, n_laws; those of the last step before the sample) are written.
+    (n_windows, length, n) and forces (n_windows, length, n_laws; their means over the sample before) are written.
     """
     phi, gamma_u, gamma_f, velocity, position = steps
     u, h, t0, sub, starts, length, x0, own, halves = run
@@ -126,6 +126,7 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
     x[0] = x0[0]
     f = np.zeros((3, n_laws))
+    mean = np.zeros(n_laws)  # of the forces over the sample so far
     seen = np.zeros(N_SEEN)
     z_next = memory.copy()
     q0, v0, q_free, v_free = np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws)
@@ -143,11 +144,13 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
         for i in range(own):
             x[0, i] = x0[w, i]
         f[:] = 0.0
+        mean[:] = 0.0
         for k in range(length):
             for i in range(n):
                 states[w, k, i] = x[0, i]
             for j in range(n_laws):
-                forces[w, k, j] = f[0, j]
+                forces[w, k, j] = mean[j]
+                mean[j] = 0.0
             for s in range(sub):
                 row = (starts[w] + k) * sub + s
                 for part in range(parts):
@@ -212,13 +215,16 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                 if parts == 1:
                     for i in range(n):
                         x[0, i] = x[1, i]
+                    for j in range(n_laws):
+                        mean[j] += f[0, j] / sub
                     continue
                 weight = _resolved(f) / 3.0
                 for i in range(n):
                     x[0, i] = x[3, i] + weight * (x[3, i] - x[1, i])
                 for j in range(n_laws):
-                    mean = 0.5 * (f[1, j] + f[2, j])
-                    f[0, j] = mean + weight * (mean - f[0, j])
+                    half = 0.5 * (f[1, j] + f[2, j])
+                    f[0, j] = half + weight * (half - f[0, j])
+                    mean[j] += f[0, j] / sub
 
 
 @nb.njit(cache=True, nogil=True)

@@ -250,7 +250,8 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     for visited in (v for v in found.sets if v.allowed):
         judged = visited.key and len(left) < tuning.most_weighed
         (failed if judged and fails(visited) else left).append(visited)
-    return left, not failed or bool(left[0].key)
+    ahead = any(v.evidence > found.empty.evidence for v in failed)
+    return left, not ahead or bool(left[0].key)
 
 
 def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:

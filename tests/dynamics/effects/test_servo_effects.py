@@ -292,7 +292,8 @@ def test_a_slow_loop_has_the_area_and_the_corners_of_its_branches():
     plant = disc(guide, 2 * math.sqrt(guide))
     u = guide * a * np.sin(slow * t) + 2 * math.sqrt(guide) * a * slow * np.cos(slow * t)
     pairs = [(effect("bouc-wen"), ROUND)]
-    run = Simulator(plant, pairs, u[:, None], 1e-3)
+    # A held input would move the guide at the beginning of each sample; the mean force of a sample is one over time.
+    run = Simulator(plant, pairs, u[:, None], 1e-3, hold=("linear",))
     motion = run.run(
         {}, [{"Fy": level, "qy": width, "rho": rho}], np.array([[0.0, a * slow]]), Windows(np.r_[0], 6 * n)
     )
@@ -377,7 +378,9 @@ def test_a_ripple_is_a_bounded_load_and_moves_no_point_of_rest():
     record = rl.simulate(real, t, {"u": np.sin(t)})
     along = effect_loads(real).along(record)[load.name]
     expected = 0.6 * np.cos(100 * math.pi * (t + 5e-4)) + 0.8 * np.sin(100 * math.pi * (t + 5e-4))
-    np.testing.assert_allclose(along[:-1], expected[:-1], atol=0.01)
+    # Held over a sample the load goes through the same states: the motor's winding (0.3 ms) weighs the beginning and the
+    # end of a sample differently, which is less than a tenth of a millisecond.
+    np.testing.assert_allclose(along[:-1], expected[:-1], atol=100 * math.pi * 1e-4)
 
 
 @pytest.mark.parametrize(
