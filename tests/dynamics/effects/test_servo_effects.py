@@ -378,8 +378,8 @@ def test_a_ripple_is_a_bounded_load_and_moves_no_point_of_rest():
     record = rl.simulate(real, t, {"u": np.sin(t)})
     along = effect_loads(real).along(record)[load.name]
     expected = 0.6 * np.cos(100 * math.pi * (t + 5e-4)) + 0.8 * np.sin(100 * math.pi * (t + 5e-4))
-    # Held over a sample the load goes through the same states: the motor's winding (0.3 ms) weighs the beginning and the
-    # end of a sample differently, which is less than a tenth of a millisecond.
+    # Held over a sample the load goes through the same states: the motor's winding (0.3 ms) weighs the beginning and
+    # the end of a sample differently, which is less than a tenth of a millisecond.
     np.testing.assert_allclose(along[:-1], expected[:-1], atol=100 * math.pi * 1e-4)
 
 
