@@ -22,7 +22,7 @@ Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), ch
 Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation).
 """
 
-# pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false
+# pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false, reportCallIssue=false
 from __future__ import annotations
 
 import warnings
@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from numba import types
+from numba.extending import intrinsic
 
 __all__ = [
     "GQ",
@@ -55,8 +56,8 @@ __all__ = [
 Q0, V0, Q, V, GQ, GV, STEP, TIME = range(8)
 N_SEEN = 8
 
-VECTOR = types.float64[::1]
-LAW_SIGNATURE = types.float64(VECTOR, VECTOR, VECTOR, VECTOR)
+NUMBERS = types.CPointer(types.float64)  # handing over arrays would count their references at every call
+LAW_SIGNATURE = types.float64(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
 MAX_LAWS = 8
 SWEEPS = 12
 AGREED = 1e-9  # relative to the largest force of the step
@@ -112,6 +113,16 @@ class Run(NamedTuple):
     halves: Any
 
 
+@intrinsic
+def _at(_typing, address):  # type: ignore[no-untyped-def]
+    """The numbers at an address."""
+
+    def pointer(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.inttoptr(arguments[0], context.get_value_type(NUMBERS))
+
+    return NUMBERS(types.uintp), pointer
+
+
 @nb.njit(cache=True, nogil=True)
 def step_windows(laws, steps, parameters, memory, run, states, forces):  # type: ignore[no-untyped-def]
     """Simulate windows one after the other.
@@ -129,6 +140,8 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
     mean = np.zeros(n_laws)  # of the forces over the sample so far
     seen = np.zeros(N_SEEN)
     z_next = memory.copy()
+    own_p, own_z, own_next, own_seen = parameters.ctypes.data, memory.ctypes.data, z_next.ctypes.data, seen.ctypes.data
+    row_p, row_z = np.uintp(8 * parameters.shape[1]), np.uintp(8 * n_z)
     q0, v0, q_free, v_free = np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws)
     q_asked, v_asked = np.zeros(n_laws), np.zeros(n_laws)
     gq, gv = np.zeros((3, n_laws, n_laws)), np.zeros((3, n_laws, n_laws))  # what force k does to the motion at port j
@@ -199,7 +212,9 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                             seen[V] = b
                             seen[GQ] = gq[part, j, j]
                             seen[GV] = compliance
-                            force = laws[j](parameters[j], memory[j], z_next[j], seen)
+                            force = laws[j](
+                                _at(own_p + j * row_p), _at(own_z + j * row_z), _at(own_next + j * row_z), _at(own_seen)
+                            )
                             change = max(change, abs(force - f[part, j]) * compliance)
                             largest = max(largest, abs(force) * compliance)
                             f[part, j] = force

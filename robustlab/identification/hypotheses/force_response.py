@@ -36,8 +36,8 @@ WILD = 1e6
 
 @law
 def recorded_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (sample time, then the force at each sample of the record)."""
-    return p[1 + min(len(p) - 2, int(seen[TIME] / p[0] + 1e-6))]
+    """Parameters p = (sample time, number of samples, then the force at each sample of the record)."""
+    return p[2 + min(int(p[1]) - 1, int(seen[TIME] / p[0] + 1e-6))]
 
 
 class _RecordedForce(Effect):
@@ -58,7 +58,8 @@ class _RecordedForce(Effect):
     def laws(self, site: Site, values: Mapping[str, Array]) -> tuple[Law, ...]:  # type: ignore[override]
         if site.kind == "input":
             return ()
-        return (Law(recorded_force, site.name, np.append(self.dt, values["samples"])),)  # type: ignore[arg-type]
+        samples = values["samples"]
+        return (Law(recorded_force, site.name, np.append([self.dt, len(samples)], samples)),)  # type: ignore[arg-type]
 
     def input(self, signal: Array, values: Mapping[str, Array], h: float) -> Array:  # type: ignore[override]
         return signal + np.repeat(values["samples"], len(signal) // len(values["samples"]))
