@@ -34,17 +34,24 @@ def first_noise(problem: Problem) -> NoiseModel:
 
 
 def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
-    """Autoregression (of the usual order where left out) and innovation size of a fit's errors, output by output."""
+    """Autoregression (of the usual order where left out) and innovation size of a fit's errors, output by output.
+
+    A window tells of no correlation longer than itself, and errors that grow along it look unstable: the roots of the
+    autoregression are held within that of a decay over one window.
+    """
     order = problem.tuning.ar_order if order is None else order
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     n_y = errors[0].shape[2]
+    slowest = np.exp(-1.0 / max(e.shape[1] for e in errors))
     ar, std = np.zeros((order, n_y)), np.ones(n_y)
     for j in range(n_y):
         past = np.concatenate([_past(e[:, :, j], order) for e in errors])
         now = np.concatenate([e[:, order:, j].ravel() for e in errors])
         known = np.isfinite(past).all(axis=1) & np.isfinite(now)
         past, now = past[known], now[known]
-        ar[:, j] = np.linalg.lstsq(past, now, rcond=None)[0]
+        own = np.linalg.lstsq(past, now, rcond=None)[0]
+        radius = float(np.abs(np.roots([1.0, *-own])).max(initial=0.0))
+        ar[:, j] = own * min(1.0, slowest / max(radius, 1e-300)) ** np.arange(1, order + 1)
         rest = now - past @ ar[:, j]
         std[j] = max(float(np.sqrt(np.mean(rest**2))), 1e-12 * float(np.abs(now).max(initial=1e-300)))
     return NoiseModel(std, ar)
