@@ -16,7 +16,8 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
+from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.discovery_parts import Gap
 
@@ -72,9 +73,8 @@ def spans(records: Sequence[PreparedRecord]) -> Array:
 
 
 def _placed(problem: Problem, fit: Fit) -> Fit:
-    """The fit with its starts found anew by least squares (white noise)."""
-    white = NoiseModel(fit.noise.std, fit.noise.ar[:0])
-    return problem.fit(fit.hypothesis, white, fit.z, plan=FitPlan(8, 0.5, fixed=True))
+    """The fit with its starts found anew by least squares: what sensors tell of a start, every model is granted."""
+    return problem.fit(fit.hypothesis, first_noise(problem), fit.z, plan=FitPlan(8, 0.5, fixed=True))
 
 
 def _unbroken(record: PreparedRecord) -> PreparedRecord:
