@@ -7,9 +7,9 @@ search whitened errors by an autoregression, which is quick, and takes a slow ra
 explained; the most probable sets are weighed again here under the noise of the sensors and a random force
 (`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held out.
 
-Of two sets that differ in one effect and whose refit distance d for these very records is below 3, no test on the
-records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
-accident of the fits, and is not counted.
+Of two sets that differ in one effect, or by one, and whose refit distance d for these very records is below 3, no test
+on the records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
+accident of the fits, and is not counted. So an effect without which the rest explains the records as well is not named.
 
 An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set
 leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
@@ -148,7 +148,8 @@ def weigh(found: Found) -> Posterior:
     ordered.sort(key=lambda v: -evidence[v.key])
     best = ordered[0]
     distance = {best.key: 0.0}
-    for other in _exchanged(best, ordered[1:], tuning.far_behind)[: tuning.most_rivals]:
+    near_ones = [v for v in ordered[1:] if best.evidence - v.evidence <= tuning.far_behind]
+    for other in [*_lessened(best, near_ones), *_exchanged(best, near_ones)[: tuning.most_rivals]]:
         d = distance[other.key] = refit_distance(problem, best.fit, other.fit)
         if d < tuning.cannot_tell:
             least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
@@ -254,16 +255,28 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     return left, not ahead or bool(left[0].key)
 
 
-def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:
-    """Sets with one effect in the place of another, but for refinements of it, or of what it refines, too."""
+def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
+    """Sets with one effect less, or with what one of them refines in its place."""
     found = []
     for other in others:
         gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
         come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
-        if len(gone) != 1 or len(come) != 1 or best.evidence - other.evidence > far:
+        if len(gone) == 1 and all(c.site == gone[0].site and c.effect.id == gone[0].effect.refines for c in come):
+            found.append(other)
+    return found
+
+
+def _exchanged(best: Visited, others: Iterable[Visited]) -> list[Visited]:
+    """Sets with one effect in the place of another that neither refines, nor refines what the other does."""
+    found = []
+    for other in others:
+        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
+        come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+        if len(gone) != 1 or len(come) != 1:
             continue
         of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")
-        if not (of_these and come[0].site == gone[0].site):
+        plain = come[0].effect.id == gone[0].effect.refines
+        if not ((of_these or plain) and come[0].site == gone[0].site):
             found.append(other)
     return found
 
