@@ -211,6 +211,18 @@ def test_whitening_finds_the_autoregression_of_the_errors():
     assert found.std == pytest.approx([0.03], rel=0.02)
 
 
+def test_errors_that_grow_along_a_window_are_whitened_by_a_stable_filter():
+    """A drift of a model looks unstable; a filter that amplifies would hide it."""
+    rng = np.random.default_rng(9)
+    drift = 1e-2 * 1.05 ** np.arange(80)
+    e = (rng.normal(size=(20, 1)) * drift + 1e-4 * rng.normal(size=(20, 80)))[:, :, None]
+    problem = SimpleNamespace(errors=lambda *_: [e], tuning=TUNING)
+    for order in (1, 3):
+        found = whitening(problem, SimpleNamespace(hypothesis=NONE, z=None, starts=None), order)  # type: ignore[arg-type]
+        roots = np.abs(np.roots([1.0, *-found.ar[:, 0]]))
+        assert roots.max() == pytest.approx(np.exp(-1.0 / 80))
+
+
 def apart(problem: Problem) -> tuple[Problem, Problem]:
     """Problem and held-out problem: every fifth window is held out."""
     windows = np.arange(problem.records[0].count)

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.errors import RobustlabError
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, refit_distance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
 from robustlab.identification.hypotheses.unnamed_force import Unnamed, UnnamedEvidence, unnamed_force
@@ -131,10 +131,10 @@ def weigh(found: Found) -> Posterior:
     # Of a machine far beyond its sensors' noise a random force follows the next sample better than any law does: there
     # the simulated windows have the say, and a force only tells whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.beyond_noise
-    looked = _contenders(ordered, tuning) if near else [ordered[0]]
+    looked = _contenders(ordered, tuning) if near else []
     weights = {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}
     evidence = {v.key: v.evidence for v in ordered}
-    if near and ordered[0].key in weights:
+    if ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
         again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
         # What was too far behind to be weighed again stays as far behind.
@@ -146,14 +146,7 @@ def weigh(found: Found) -> Posterior:
     if near:
         evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
-    best = ordered[0]
-    distance = {best.key: 0.0}
-    near_ones = [v for v in ordered[1:] if best.evidence - v.evidence <= tuning.far_behind]
-    for other in [*_lessened(best, near_ones), *_exchanged(best, near_ones)[: tuning.most_rivals]]:
-        d = distance[other.key] = refit_distance(problem, best.fit, other.fit)
-        if d < tuning.cannot_tell:
-            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
-            evidence[other.key] = max(evidence[other.key], least)
+    distance = _lift(problem, ordered, evidence)
     log = np.array([evidence[v.key] for v in ordered]) / tuning.temperature
     share = np.exp(log - log.max())
     share /= share.sum()
@@ -162,10 +155,40 @@ def weigh(found: Found) -> Posterior:
         for v, p in zip(ordered, share, strict=True)
     ]
     sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
+    if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
+        weights[sets[0].key] = weight
+        sets[0] = replace(sets[0], unnamed=_winning(weight.left))
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
     collection = tuple(_collected(sets, tuning.sure, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
     return Posterior(tuple(sets), collection, generalises, left)
+
+
+def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
+    """Raise the evidence of sets that the records do not tell from the best one; refit distances from the best.
+
+    A set with less that becomes the more probable one by it takes the place of the best.
+    """
+    tuning, best = problem.tuning, ordered[0]
+    while True:
+        near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.far_behind]
+        less = _lessened(best, near)
+        distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
+        ahead = max([best, *less], key=lambda v: evidence[v.key])
+        if ahead is best:
+            return distance | _raise(problem, best, _exchanged(best, near)[: tuning.most_rivals], evidence)
+        best = ahead
+
+
+def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
+    """Distances of sets from the best one; where that is not told, their evidence becomes what it allows, at least."""
+    distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
+    for other in others:
+        d = distance[other.key]
+        if d < problem.tuning.cannot_tell:
+            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
+            evidence[other.key] = max(evidence[other.key], least)
+    return distance
 
 
 def _folded(weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
