@@ -128,6 +128,12 @@ def key_of(hypothesis: Hypothesis) -> Key:
     return frozenset(c.key for c in hypothesis.candidates)
 
 
+def _kind(fit: Fit) -> tuple[str, str]:
+    """Of a set's first effect: what it is or refines, and where."""
+    first = fit.hypothesis.candidates[0]
+    return first.effect.refines or first.effect.id, first.site.name
+
+
 def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
     """Log prior of a set."""
     total = 0.0
@@ -244,13 +250,17 @@ class _Search:
         """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
 
         Where the errors hang together something is missing, and which effect came first says little: then the next
-        single effects are expanded, too.
+        single effects are expanded, too, one of each kind (refinements of one effect are of its kind), until two of
+        them lead to the best set.
         """
         whole = self._told()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
-        if begun and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece:
-            others = [v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed]
+        wanted = bool(begun) and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece
+        if wanted and sum(k <= best for k in begun) < 2:
+            kinds = {_kind(self.visited[k].fit) for k in begun}
+            singles = [v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed]
+            others = [v for v in singles if _kind(v.fit) not in kinds]
             if others:
                 return max(others, key=lambda v: v.evidence).key
         if len(best) < self.tuning.most_effects and best not in self.expanded:
