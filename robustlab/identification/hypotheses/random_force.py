@@ -93,6 +93,14 @@ class FittedWindows:
             total += float(np.linalg.slogdet(own)[1].sum())
         return total
 
+    @property
+    def log_likelihood(self) -> float:
+        """Log marginal likelihood of the hypothesis alone under a random force, parameters integrated out.
+
+        Up to a constant common to all hypotheses.
+        """
+        return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * self.start_volume
+
     def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
         """All random forces, with these columns (n_windows, n_segments, k) a record."""
         mixed = [self._mixed(r, c) for r, c in zip(self.records, columns, strict=True)]

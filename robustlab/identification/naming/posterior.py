@@ -23,15 +23,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
+from robustlab.dynamics.effects.contract import Site
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
-from robustlab.identification.hypotheses.unnamed_force import Unnamed, UnnamedEvidence, unnamed_force
+from robustlab.identification.hypotheses.random_force import FittedWindows
+from robustlab.identification.hypotheses.unnamed_force import (
+    Unnamed,
+    UnnamedEvidence,
+    fitted_windows,
+    unnamed_force,
+)
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
@@ -117,11 +124,30 @@ class Posterior:
         return list(found.values())
 
 
-class _Weight(NamedTuple):
-    """Log marginal likelihood of a set over all windows, and what it leaves, place by place."""
+@dataclass(frozen=True, eq=False)
+class _Weight:
+    """A set over all windows under a random force, at each place where one may act."""
 
-    log_likelihood: float
-    left: tuple[Unnamed, ...]
+    places: tuple[tuple[FittedWindows, Site], ...]
+
+    @property
+    def log_likelihood(self) -> float:
+        """At the place that makes the set most probable."""
+        return max(windows.log_likelihood for windows, _ in self.places)
+
+    @cached_property
+    def left(self) -> tuple[Unnamed, ...]:
+        """What it leaves, place by place; nothing where its equations are singular."""
+        try:
+            with np.errstate(all="ignore"):
+                return tuple(unnamed_force(windows, place) for windows, place in self.places)
+        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+            return ()
+
+    @property
+    def force(self) -> UnnamedEvidence | None:
+        """The most probable unnamed force of those that beat nothing."""
+        return max((f for u in self.left for f in u.forces if f.wins), key=_gain, default=None)
 
 
 def weigh(found: Found) -> Posterior:
@@ -194,20 +220,18 @@ def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visite
 
 
 def _weight(found: Found, visited: Visited) -> _Weight | None:
-    """A set over all windows under a random force, at whichever place makes it most probable; None where none can."""
+    """A set weighed; None where there is hardly any motion."""
     problem, held = found.problem, found.held
     both = problem.on((*problem.records, *held.records), (*problem.chosen, *held.chosen))
     placed = held_out_fit(held, visited.fit, found.noise)
     fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
+    places = plain_places(both, fit)[: problem.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
-            left = tuple(
-                unnamed_force(both, fit, place) for place in plain_places(both, fit)[: problem.tuning.most_places]
-            )
+            weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
     except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
         return None
-    likely = max((u.log_likelihood for u in left), default=np.nan)
-    return _Weight(likely, left) if np.isfinite(likely) else None
+    return weight if np.isfinite(weight.log_likelihood) else None
 
 
 def _forces(
@@ -215,13 +239,8 @@ def _forces(
 ) -> dict[Key, UnnamedEvidence]:
     """The unnamed force beside each set: where the best has none, only that beside the empty one."""
     best = max((v.key for v in ordered), key=evidence.__getitem__)
-    found = {key: force for key, w in weights.items() if (force := _winning(w.left)) is not None}
-    return found if best in found else {key: force for key, force in found.items() if not key}
-
-
-def _winning(left: Sequence[Unnamed]) -> UnnamedEvidence | None:
-    """The most probable force of those that beat nothing."""
-    return max((f for u in left for f in u.forces if f.wins), key=_gain, default=None)
+    asked = weights if best in weights and weights[best].force is not None else {Key(), best} & weights.keys()
+    return {key: force for key in asked if (force := weights[key].force) is not None}
 
 
 def _gain(force: UnnamedEvidence | None) -> float:

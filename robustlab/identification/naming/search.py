@@ -36,9 +36,9 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
-from robustlab.identification.hypotheses.unnamed_force import unnamed_force
+from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
-from robustlab.identification.naming.first_look import Start, may_follow, promising, without
+from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
 
 __all__ = ["Found", "Key", "Visited", "key_of", "search_sets"]
@@ -220,7 +220,11 @@ class _Search:
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
         if begun and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece:
-            others = [v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed]
+            done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
+            others = [
+                v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed
+                and not any(akin(v.fit.hypothesis.candidates[0], c) for c in done)
+            ]  # fmt: skip
             if others:
                 return max(others, key=lambda v: v.evidence).key
         if len(best) < self.tuning.most_effects and best not in self.expanded:
@@ -247,7 +251,7 @@ class _Search:
         self.asked.add(best.key)
         with np.errstate(all="ignore"):
             places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
-            left = [unnamed_force(self.problem, best.fit, place) for place in places]
+            left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
         told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
         for port, over, period in told:
