@@ -58,10 +58,13 @@ class FittedWindows:
         self.dt = problem.records[0].record.dt
         length = self.dt * records[0].samples.shape[1]
         self.bandwidths = [b / length for b in BANDWIDTHS]
-        self.weight = 1.0  # of the parameters' prior, in units of the noise's variance
+        # Of the parameters' prior: the noise's variance, from the fit's errors on. From far above it the prior would
+        # hold the parameters that a fit has moved far, and charge it for them.
+        left = sum(float(r.gram[:, -1, -1].sum()) for r in records)
+        self.weight = max(LEAST_NOISE, left / self.points)
         self.roots = {f: [self._roots(r, f) for r in records] for f in self.bandwidths}
         nothing = [np.zeros((len(r.gram), r.segments, 0)) for r in records]
-        for _ in range(2):
+        for _ in range(3):
             self.alone = max(self.levels(nothing), key=lambda level: level.alone)
             self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
