@@ -42,8 +42,7 @@ from robustlab.identification.hypotheses.unnamed_force import (
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
-
+__all__ = ["Alternative", "Posterior", "Weighed", "weigh", "worth_telling"]
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 
@@ -259,9 +258,7 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
         return rms_percent(found.held, held_out_fit(found.held, visited.fit, plain))
 
     def fails(visited: Visited) -> bool:
-        # A wrong gain and the tolerances that are stretched for it leave the same errors.
-        gains = all(c.effect.gain_like for c in visited.fit.hypothesis.candidates)
-        return error(visited) > most * (1.0 + tuning.held_out_slack * gains)
+        return error(visited) > most * (1.0 + worth_telling(found, visited.fit))
 
     most = error(found.empty)
     left: list[Visited] = []
@@ -271,6 +268,17 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
         (failed if judged and fails(visited) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)
+
+
+def worth_telling(found: Found, fit: Fit) -> float:
+    """Share by which held-out errors must rise to speak against a set: by which their likelihood has an evidence.
+
+    A wrong gain and the tolerances that are stretched for it leave the same errors, and may cost more.
+    """
+    held = found.held
+    points = sum(len(c) * r.windows.length // r.thin for r, c in zip(held.records, held.chosen, strict=True))
+    gains = all(c.effect.gain_like for c in fit.hypothesis.candidates)
+    return float(np.expm1(NO_EVIDENCE * found.noise.excess / points)) + found.problem.tuning.held_out_slack * gains
 
 
 def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:
