@@ -193,6 +193,7 @@ def _explained(found: Found, fit: Fit) -> float:
     """Share of the fall in V from the bare model to noise that the named effects brought about."""
     bare, now = found.empty.fit.cost, fit.cost
     points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
+    points /= fit.noise.excess  # V of noise alone: the model of it says a larger variance than the errors have
     return 1.0 if bare <= points else (bare - now) / (bare - points)
 
 
