@@ -166,8 +166,9 @@ def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _S
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
     remains = remains or not posterior.generalises
     verdict = _verdict(found, posterior, remains)
-    complete = not remains and verdict != "unknown"
-    return _Judgement(verdict, complete, left, lines, posterior.noise_ratio, floor, excess)
+    # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
+    complete = not remains and verdict != "unknown" and left is not None and np.isfinite(posterior.noise_ratio)
+    return _Judgement(verdict, bool(complete), left, lines, posterior.noise_ratio, floor, excess)
 
 
 def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
@@ -190,6 +191,7 @@ def _explained(found: Found, fit: Fit) -> float:
     """Share of the fall in V from the bare model to noise that the named effects brought about."""
     bare, now = found.empty.fit.cost, fit.cost
     points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
+    points /= fit.noise.excess  # V of noise alone: the model of it says a larger variance than the errors have
     return 1.0 if bare <= points else (bare - now) / (bare - points)
 
 
