@@ -86,7 +86,7 @@ def profiled(e: np.ndarray, covariance: np.ndarray, mean: np.ndarray) -> float:
 def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
     windows = dense.windows()
     levels = windows.levels([np.zeros((4, 6, 0))], np.array([0.0, 0.03, 0.3]))
-    assert len(levels) == 1 + 3 * 2
+    assert len(levels) == 1 + len(windows.bandwidths) * 2
     for level in levels:
         covariance, mean = dense.covariance(level.size, level.bandwidth, windows.weight)
         free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all; that of the parameters as well

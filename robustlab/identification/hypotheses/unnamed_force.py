@@ -36,7 +36,7 @@ from robustlab.identification.hypotheses.force_families import Family, Over, fam
 from robustlab.identification.hypotheses.force_response import force_response
 from robustlab.identification.hypotheses.random_force import FittedWindows, NoiseLevel, eliminated
 
-__all__ = ["Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
+__all__ = ["PRIOR", "Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
 
 PRIOR = 0.05  # probability that something acts that is not in the catalogue, before any data
 STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port

@@ -34,6 +34,7 @@ from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
+    PRIOR,
     Unnamed,
     UnnamedEvidence,
     fitted_windows,
@@ -243,8 +244,11 @@ def _forces(
 
 
 def _gain(force: UnnamedEvidence | None) -> float:
-    """Log evidence that it brings: the more careful one of its two judges."""
-    return 0.0 if force is None else min(force.evidence, force.cross_validated)
+    """Log evidence that it brings, its prior paid: by the more careful one of its two judges."""
+    if force is None:
+        return 0.0
+    told = min(force.evidence, force.cross_validated)
+    return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + told))
 
 
 def _generalising(found: Found) -> tuple[list[Visited], bool]:
