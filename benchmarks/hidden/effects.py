@@ -123,8 +123,8 @@ def _bristle(m: Machine, force: float, bend: float, damping: float) -> Machine:
 
 
 def _dry(m: Machine, force: float, s: Setting, **more: float) -> Machine:
-    """Stiff dry friction of the given largest level."""
-    return _bristle(m, force, STIFF * s.length, 0.1)._replace(**more)
+    """Stiff dry friction of the given largest level, critically damped: a bristle that rings is no Coulomb friction."""
+    return _bristle(m, force, STIFF * s.length, 1.0)._replace(**more)
 
 
 def _scaled(name: str, low: tuple[float, float], high: tuple[float, float] | None, *fields: str) -> Hidden:

@@ -87,7 +87,7 @@ class NamingTuning:
     # --- the sets of effects
     most_effects: int = 4
     beginnings: int = 3  # single effects from which sets are built where something is missing
-    in_one_piece: float = 1.5  # scatter of the windows, over that of independent errors, from which something is
+    in_one_piece: float = 3.0  # scatter of the windows, over that of independent errors, from which something is
     most_expansions: int = 12  # sets to which effects are added before the search is called unfinished
     most_work: int = 240_000_000  # steps of simulation, after which no further set is expanded
     prior_effect: float = 0.02  # of an effect at a place

@@ -260,6 +260,22 @@ def test_wild_errors_count_as_large_and_not_as_nothing():
     assert _whiten(e, NoiseModel(np.array([1e-9]), np.zeros((0, 1))))[0].tolist() == [1e6, -1e6, 1e6, 0.0]
 
 
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_a_simulation_that_diverges_is_no_missing_sample(monkeypatch, value):
+    problem = exact()[0]
+    starts = [np.zeros((problem.records[0].count, 2))]
+    right = problem.cost(Hypothesis(()), WHITE, np.zeros(0), starts)
+    simulated = Problem.outputs
+
+    def diverging(self, k, *given):
+        outputs = simulated(self, k, *given)
+        outputs[:, outputs.shape[1] // 2 :] = value
+        return outputs
+
+    monkeypatch.setattr(Problem, "outputs", diverging)
+    assert problem.cost(Hypothesis(()), WHITE, np.zeros(0), starts) > 1e12 > right
+
+
 def test_missing_samples_carry_no_weight():
     problem = exact()[0]
     ready = problem.records[0]

@@ -1,13 +1,20 @@
 """What is said after a search: a stage that fails, an interruption and what remains never lose or inflate the names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from naming_cases import AXIS, T, U, machine, noisy
+from naming_cases import AXIS, T, U, machine, noisy, usual
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis
+from robustlab.identification.hypotheses.force_response import plain_places
+from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.hypotheses.unnamed_force import unnamed_force
 from robustlab.identification.naming import answer as module
+from robustlab.identification.naming.discovery import _spread
 from robustlab.identification.naming.progress import Progress
 from robustlab.result import Status
 
@@ -34,6 +41,7 @@ def test_a_stage_that_fails_after_the_naming_does_not_lose_it(monkeypatch, stage
     told = [f for f in found.findings if f.kind == "stage"]
     assert told
     assert all("not computed" in f.found for f in told)
+    assert found.complete == (stage != "left_over")  # what was not looked at is not known to be nothing
     assert str(fault) in told[0].found
 
 
@@ -93,3 +101,26 @@ def test_a_ripple_over_time_forbids_that_all_is_well():
     line = found.remaining_lines[0]
     assert line["over"] == "time"
     assert line["period"] == pytest.approx(0.02, rel=0.01)
+
+
+def test_a_record_of_which_no_window_is_searched_is_no_part_of_the_search():
+    problem = usual(friction=20.0).problem
+    many = problem.on([problem.records[0]] * 30, [np.arange(2)] * 30)
+    few = _spread(many, 12)
+    assert [len(c) for c in few.chosen] == [1] * 12
+    assert few.records[0] is many.records[0]
+    fit = few.fit(Hypothesis(()), first_noise(few), np.zeros(len(few.nuisances)), plan=FitPlan(1))
+    place = plain_places(few, fit)[0]
+    assert np.isfinite(unnamed_force(few, fit, place).log_likelihood)
+
+
+def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_judged_by():
+    found = usual(friction=20.0)
+    fit = found.best.fit
+    # Twice the noise, told as an excess: V falls to a quarter, and so does what noise alone makes of it.
+    noise = replace(fit.noise, std=2.0 * fit.noise.std, excess=4.0)
+    points = fit.cost / 4.0
+    wider = replace(fit, noise=noise, cost=2.0 * points)
+    bare = replace(found.empty, fit=replace(found.empty.fit, noise=noise, cost=3.0 * points))
+    share = module._explained(replace(found, empty=bare), wider)
+    assert share == pytest.approx(0.5, abs=0.05)

@@ -16,7 +16,7 @@ from robustlab.identification.hypotheses.force_response import ForceResponse, fo
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.hypotheses.random_force import START, FittedWindows
-from robustlab.identification.hypotheses.unnamed_force import unnamed_force, unnamed_forces
+from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
 
 DT = 2e-3
 AXIS = rl.plant("servo-axis")
@@ -86,7 +86,7 @@ def profiled(e: np.ndarray, covariance: np.ndarray, mean: np.ndarray) -> float:
 def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
     windows = dense.windows()
     levels = windows.levels([np.zeros((4, 6, 0))], np.array([0.0, 0.03, 0.3]))
-    assert len(levels) == 1 + 3 * 2
+    assert len(levels) == 1 + len(windows.bandwidths) * 2
     for level in levels:
         covariance, mean = dense.covariance(level.size, level.bandwidth, windows.weight)
         free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all; that of the parameters as well
@@ -104,7 +104,7 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     def of(level, strength):
         return dense.covariance(level.size, level.bandwidth, windows.weight, columns, strength)
 
-    alone = max(profiled(e, *of(level, 0.0)) for level in windows.levels([columns]))
+    alone = max(profiled(e, *of(level, 0.0)) for level in [*windows.levels([columns]), windows.alone])
     with_it = profiled(e, *of(best.level, best.strength))
     tried = len(unnamed.STRENGTHS)
     assert best.evidence == pytest.approx(with_it - alone - np.log(tried) - 1.5, abs=1e-7)
@@ -180,16 +180,21 @@ def test_a_pulse_moves_a_mass_as_the_closed_form_says():
     assert response.gram[3, 7, 7] == pytest.approx(np.sum((points / single) ** 2), rel=1e-6)
 
 
+def left_by(problem, fit):
+    place = plain_places(problem, fit)[0]
+    return unnamed_force(fitted_windows(problem, fit, place), place)
+
+
 def test_nothing_wins_where_nothing_is_missing():
     problem, fit = fitted(measured(lambda t, q, v: 0.0))
-    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    left = left_by(problem, fit)
     assert not any(force.wins for force in left.forces)
     assert left.noise_ratio < 1.1
 
 
 def test_a_ripple_over_time_is_found_with_its_period_and_amplitude():
     problem, fit = fitted(measured(lambda t, q, v: 1.2 * np.cos(2 * np.pi * 7.0 * t + 1.0)))
-    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    left = left_by(problem, fit)
     best = left.forces[0]
     assert best.wins
     assert best.over == "line over time"
@@ -200,14 +205,14 @@ def test_a_ripple_over_time_is_found_with_its_period_and_amplitude():
 
 def test_the_noise_ratio_of_a_strong_ripple_is_well_above_one():
     problem, fit = fitted(measured(lambda t, q, v: 12.0 * np.cos(2 * np.pi * 7.0 * t + 1.0)))
-    left = unnamed_force(problem, fit, plain_places(problem, fit)[0])
+    left = left_by(problem, fit)
     assert left.forces[0].over == "line over time"
     assert left.noise_ratio > 1.5
 
 
 def test_a_friction_over_speed_is_found_and_drawn():
     problem, fit = fitted(measured(lambda t, q, v: -3.0 * np.tanh(v / 2e-3)))
-    best = unnamed_forces(problem, fit)[0]
+    best = left_by(problem, fit).forces[0]
     assert best.wins
     assert best.over == "speed"
     ends = best.force[-1] - best.force[0]

@@ -20,7 +20,6 @@ from robustlab.errors import InputError
 
 __all__ = ["Motion", "Simulator", "Windows", "rising", "stepping"]
 
-PLACES = (1, 2, 4, 8)  # numbers of laws that the kernel is compiled for
 KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
 STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
 LEAST_STEPS, MOST_STEPS = 2, 16  # a sample; electric time constants are shorter than one
@@ -223,8 +222,6 @@ class Simulator:
     ) -> tuple[Array, Array]:
         from robustlab.dynamics.ports import law_kernel as kernel
 
-        if len(laws) > kernel.MAX_LAWS:
-            raise InputError("effects", f"{len(laws)} force laws at once", f"at most {kernel.MAX_LAWS}")
         n, h, n_laws = len(model.A), self.dt / self.sub, len(laws)
         phi, psi, ramp = self._exponential(model.A, 0.5 * h)
         push, velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
@@ -244,16 +241,14 @@ class Simulator:
             np.array([phi @ phi, phi, phi]), np.array([phi @ first + second, first, second]),
             np.array([push @ phi.T + push, push, push]), velocity, position,
         )  # fmt: skip
-        functions = tuple(law.function for law in laws)
-        functions += (kernel.no_force,) * (next(k for k in PLACES if k >= n_laws) - n_laws)
+        addresses = np.array([law.function.address for law in laws], dtype=np.uintp)
         count = len(windows.starts)
         states = np.empty((count, windows.length, n))
         forces = np.zeros((count, windows.length, n_laws))
         start = np.zeros((count, n))
         start[:, : model.own] = x0
-        kernel.quiet_first_class_functions()
         run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own, not self.rough)
-        kernel.step_windows(functions, steps, parameters, memory, run, states, forces)
+        kernel.step_windows(addresses, parameters, memory, *steps, *run, states, forces)
         return states, forces
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:

@@ -25,11 +25,11 @@ Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), sec
 # pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false, reportCallIssue=false
 from __future__ import annotations
 
-import warnings
 from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
@@ -37,7 +37,6 @@ __all__ = [
     "GQ",
     "GV",
     "LAW_SIGNATURE",
-    "MAX_LAWS",
     "Q0",
     "STEP",
     "TIME",
@@ -47,7 +46,6 @@ __all__ = [
     "Run",
     "V",
     "law",
-    "no_force",
     "step_windows",
 ]
 
@@ -58,7 +56,6 @@ N_SEEN = 8
 
 NUMBERS = types.CPointer(types.float64)  # handing over arrays would count their references at every call
 LAW_SIGNATURE = types.float64(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-MAX_LAWS = 8
 SWEEPS = 12
 AGREED = 1e-9  # relative to the largest force of the step
 UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ where the step is too long for the law
@@ -71,12 +68,6 @@ def law(function):  # type: ignore[no-untyped-def]
     end, seen the vector described above.
     """
     return nb.cfunc(LAW_SIGNATURE, cache=True)(function)
-
-
-@law
-def no_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Fills unused places."""
-    return 0.0
 
 
 class HeldSteps(NamedTuple):
@@ -123,15 +114,35 @@ def _at(_typing, address):  # type: ignore[no-untyped-def]
     return NUMBERS(types.uintp), pointer
 
 
+@intrinsic
+def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """What the law at an address answers with.
+
+    By its address any law can be called by the one compiled kernel; as values, functions would need one for each number
+    of laws, and a look through their types at every call.
+    """
+
+    def call(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        number = context.get_value_type(types.float64)
+        function = ir.FunctionType(number, [context.get_value_type(NUMBERS)] * 4).as_pointer()
+        return builder.call(builder.inttoptr(arguments[0], function), arguments[1:])
+
+    return types.float64(types.uintp, NUMBERS, NUMBERS, NUMBERS, NUMBERS), call
+
+
 @nb.njit(cache=True, nogil=True)
-def step_windows(laws, steps, parameters, memory, run, states, forces):  # type: ignore[no-untyped-def]
+def step_windows(  # type: ignore[no-untyped-def]
+    laws, parameters, memory,
+    phi, gamma_u, gamma_f, velocity, position,
+    u, h, t0, sub, starts, length, x0, own, halves,
+    states, forces,
+):  # fmt: skip
     """Simulate windows one after the other.
 
-    parameters (n_laws, n_p), memory (n_laws, n_z; changed in place) of the laws, at most ``len(laws)``; states
-    (n_windows, length, n) and forces (n_windows, length, n_laws; their means over the sample before) are written.
+    laws (n_laws,), their addresses; parameters (n_laws, n_p), memory (n_laws, n_z; changed in place) of the laws; the
+    entries of `HeldSteps`; those of `Run`; states (n_windows, length, n) and forces (n_windows, length, n_laws; their
+    means over the sample before) are written.
     """
-    phi, gamma_u, gamma_f, velocity, position = steps
-    u, h, t0, sub, starts, length, x0, own, halves = run
     n, n_u, n_z = phi.shape[1], gamma_u.shape[2], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
@@ -212,8 +223,12 @@ def step_windows(laws, steps, parameters, memory, run, states, forces):  # type:
                             seen[V] = b
                             seen[GQ] = gq[part, j, j]
                             seen[GV] = compliance
-                            force = laws[j](
-                                _at(own_p + j * row_p), _at(own_z + j * row_z), _at(own_next + j * row_z), _at(own_seen)
+                            force = _answer(
+                                laws[j],
+                                _at(own_p + j * row_p),
+                                _at(own_z + j * row_z),
+                                _at(own_next + j * row_z),
+                                _at(own_seen),
                             )
                             change = max(change, abs(force - f[part, j]) * compliance)
                             largest = max(largest, abs(force) * compliance)
@@ -252,14 +267,3 @@ def _resolved(f):  # type: ignore[no-untyped-def]
             ratio = (f[0, j] - 0.5 * (f[1, j] + f[2, j])) / size
             unlike += ratio * ratio * ratio * ratio
     return 1.0 / (1.0 + unlike)
-
-
-def quiet_first_class_functions() -> None:
-    """Numba calls functions handed over as values experimental, once per compilation; stop it, for good.
-
-    ``warnings.catch_warnings`` would put the filters back while another thread still needs them.
-    """
-    from numba.core.errors import NumbaExperimentalFeatureWarning
-
-    if ("ignore", None, NumbaExperimentalFeatureWarning, None, 0) not in warnings.filters:
-        warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)

@@ -60,6 +60,7 @@ __all__ = [
 
 
 WILD = 1e6  # errors beyond this many standard deviations count as this
+DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
 
 
 @dataclass(frozen=True)
@@ -296,6 +297,7 @@ class Problem:
         record, chosen = self.records[k], self.chosen[k]
         with np.errstate(all="ignore"):
             outputs = self.outputs(k, simulator, self.setting(hypothesis, z), xi)
+        outputs = np.nan_to_num(outputs, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
         return averaged(record.measured[chosen] - outputs, record.thin)
 
     def outputs(self, k: int, simulator: Simulator, setting: Setting, xi: Array) -> Array:

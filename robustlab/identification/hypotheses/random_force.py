@@ -30,6 +30,7 @@ SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the
 START = 1e-4
 LEAST_NOISE = 1e-8  # variance of the noise over that which the smoother told
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
+FINER = (0.5, 1.0, 2.0)  # of the best of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +59,39 @@ class FittedWindows:
         self.dt = problem.records[0].record.dt
         length = self.dt * records[0].samples.shape[1]
         self.bandwidths = [b / length for b in BANDWIDTHS]
-        self.weight = 1.0  # of the parameters' prior, in units of the noise's variance
+        # Of the parameters' prior: the noise's variance, from the fit's errors on. From far above it the prior would
+        # hold the parameters that a fit has moved far, and charge it for them.
+        left = sum(float(r.gram[:, -1, -1].sum()) for r in records)
+        self.weight = max(LEAST_NOISE, left / self.points)
         self.roots = {f: [self._roots(r, f) for r in records] for f in self.bandwidths}
         nothing = [np.zeros((len(r.gram), r.segments, 0)) for r in records]
         for _ in range(2):
             self.alone = max(self.levels(nothing), key=lambda level: level.alone)
             self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
+        if self.alone.size > 0.0:
+            self._refine(nothing)
+
+    def _refine(self, nothing: Sequence[Array]) -> None:
+        """The random force between the nodes of the grid: what a node misses differs from hypothesis to hypothesis."""
+        from scipy.optimize import minimize_scalar
+
+        start = np.log(self.alone.size / self.force)
+        for factor in FINER:
+            f = factor * self.alone.bandwidth
+            self.roots.setdefault(f, [self._roots(r, f) for r in self.records])
+
+        def best(f: float) -> NoiseLevel:
+            def level(log_size: float) -> NoiseLevel:
+                return self._levels_of(f, nothing, [float(np.exp(log_size))])[0]
+
+            ends = start + np.log(10.0) * np.array([-0.375, 0.375])
+            found = minimize_scalar(lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03})
+            return level(float(found.x))
+
+        around = [best(factor * self.alone.bandwidth) for factor in FINER]
+        self.alone = max([self.alone, *around], key=lambda level: level.alone)
+        self.bandwidths = sorted({*self.bandwidths, self.alone.bandwidth})
+        self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
     def _roots(self, record: ForceResponse, bandwidth: float) -> tuple[Array, Array]:
         """U^T L^T (n_windows, n_segments, n_segments) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
@@ -77,7 +105,8 @@ class FittedWindows:
     @property
     def smaller(self) -> Array:
         """The sizes up to that of the hypothesis alone: what an unnamed force explains the random one need not."""
-        return np.append(0.0, SIZES[1:][SIZES[1:] * self.force <= 1.8 * self.alone.size])
+        known = np.append(SIZES[1:], self.alone.size / self.force)
+        return np.append(0.0, np.unique(known[known * self.force <= 1.8 * self.alone.size]))
 
     @property
     def start_volume(self) -> float:
@@ -93,21 +122,35 @@ class FittedWindows:
             total += float(np.linalg.slogdet(own)[1].sum())
         return total
 
+    @property
+    def log_likelihood(self) -> float:
+        """Log marginal likelihood of the hypothesis alone under a random force, parameters integrated out.
+
+        Up to a constant common to all hypotheses.
+        """
+        return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * self.start_volume
+
     def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
         """All random forces, with these columns (n_windows, n_segments, k) a record."""
-        mixed = [self._mixed(r, c) for r, c in zip(self.records, columns, strict=True)]
         found = []
-        for f in self.bandwidths:
-            turned = [root @ rows for (root, _), (_, rows) in zip(self.roots[f], mixed, strict=True)]
-            for size in sizes if f == self.bandwidths[0] else sizes[1:]:  # none has no bandwidth
-                grams, logdets = [], []
-                for record, (_, w), (gram, _), t in zip(self.records, self.roots[f], mixed, turned, strict=True):
-                    a = (size * self.force) ** 2
-                    scaled = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
-                    g, logdet = _without_start(gram - np.swapaxes(scaled, 1, 2) @ scaled, record)
-                    grams.append(g)
-                    logdets.append(logdet + np.log1p(a * w).sum(axis=1))
-                found.append(self._level(size * self.force, f, np.concatenate(grams), np.concatenate(logdets)))
+        for f in self.bandwidths:  # none has no bandwidth
+            found += self._levels_of(f, columns, sizes if f == self.bandwidths[0] else sizes[1:])
+        return found
+
+    def _levels_of(self, f: float, columns: Sequence[Array], sizes: Sequence[float] | Array) -> list[NoiseLevel]:
+        """Random forces of one bandwidth, with these columns."""
+        mixed = [self._mixed(r, c) for r, c in zip(self.records, columns, strict=True)]
+        turned = [root @ rows for (root, _), (_, rows) in zip(self.roots[f], mixed, strict=True)]
+        found = []
+        for size in sizes:
+            grams, logdets = [], []
+            for record, (_, w), (gram, _), t in zip(self.records, self.roots[f], mixed, turned, strict=True):
+                a = (size * self.force) ** 2
+                scaled = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
+                g, logdet = _without_start(gram - np.swapaxes(scaled, 1, 2) @ scaled, record)
+                grams.append(g)
+                logdets.append(logdet + np.log1p(a * w).sum(axis=1))
+            found.append(self._level(size * self.force, f, np.concatenate(grams), np.concatenate(logdets)))
         return found
 
     def _mixed(self, record: ForceResponse, columns: Array) -> tuple[Array, Array]:

@@ -24,7 +24,6 @@ interpolation", Neural Computation 4 (1992).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,10 +33,10 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.force_families import Family, Over, families
-from robustlab.identification.hypotheses.force_response import force_response, plain_places
+from robustlab.identification.hypotheses.force_response import force_response
 from robustlab.identification.hypotheses.random_force import FittedWindows, NoiseLevel, eliminated
 
-__all__ = ["Unnamed", "UnnamedEvidence", "unnamed_force", "unnamed_forces"]
+__all__ = ["PRIOR", "Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
 
 PRIOR = 0.05  # probability that something acts that is not in the catalogue, before any data
 STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
@@ -106,27 +105,21 @@ class Unnamed:
         force make of it; the random force is what no unnamed force explains.
     random_force, bandwidth
         Its RMS in the unit of the port, and its bandwidth in Hz.
-    log_likelihood
-        Log marginal likelihood of the hypothesis alone under a random force at the place, parameters integrated out, up
-        to a constant common to all hypotheses.
     """
 
     forces: tuple[UnnamedEvidence, ...]
     noise_ratio: float
     random_force: float
     bandwidth: float
-    log_likelihood: float
 
 
-def unnamed_forces(problem: Problem, fit: Fit, places: Sequence[Site] | None = None) -> tuple[UnnamedEvidence, ...]:
-    """Evidence of every kind of unnamed force at the places (the plant's joints where left out), best first."""
-    found = [f for place in places or plain_places(problem, fit) for f in unnamed_force(problem, fit, place).forces]
-    return tuple(sorted(found, key=lambda f: (not f.wins, -f.evidence)))
+def fitted_windows(problem: Problem, fit: Fit, place: Site) -> FittedWindows:
+    """What a hypothesis leaves in the windows under a random force at one place."""
+    return FittedWindows(force_response(problem, fit, place), fit.z, problem)
 
 
-def unnamed_force(problem: Problem, fit: Fit, place: Site) -> Unnamed:
+def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     """What a hypothesis leaves, told as a force at one place."""
-    windows = FittedWindows(force_response(problem, fit, place), fit.z, problem)
     kinds = families(windows)
     best = [_judged(windows, family, len(kinds)) for family in kinds]
     told = [_told(windows, place, f, b) for f, b in zip(kinds, best, strict=True)]
@@ -135,8 +128,7 @@ def unnamed_force(problem: Problem, fit: Fit, place: Site) -> Unnamed:
     level, rest = (first.level, first.q) if told[order[0]].wins else (windows.alone, windows.alone.alone_q)
     # What is called the sensors' noise was told by the nominal model, and is too large where that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    marginal = windows.alone.alone + 0.5 * len(fit.z) * float(np.log(windows.weight)) + 0.5 * windows.start_volume
-    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth, marginal)
+    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth)
 
 
 class _Best(NamedTuple):

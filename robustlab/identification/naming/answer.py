@@ -30,12 +30,11 @@ from robustlab.identification.naming.discovery_parts import (
 )
 from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
 from robustlab.identification.naming.gaps import Gaps, held_out_gaps
-from robustlab.identification.naming.posterior import Alternative, Posterior
+from robustlab.identification.naming.posterior import Alternative, Posterior, worth_telling
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.tuning import NamingTuning
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
@@ -104,7 +103,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit})
-    if _worse(gaps, fit, problem.tuning):
+    if _worse(gaps, found, fit):
         judged = judged._replace(verdict="unknown", complete=False)
     rivals = posterior.alternatives()
     if judged.verdict == "unknown" and not best.hypothesis.candidates:
@@ -167,8 +166,9 @@ def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _S
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
     remains = remains or not posterior.generalises
     verdict = _verdict(found, posterior, remains)
-    complete = not remains and verdict != "unknown"
-    return _Judgement(verdict, complete, left, lines, posterior.noise_ratio, floor, excess)
+    # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
+    complete = not remains and verdict != "unknown" and left is not None and np.isfinite(posterior.noise_ratio)
+    return _Judgement(verdict, bool(complete), left, lines, posterior.noise_ratio, floor, excess)
 
 
 def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
@@ -181,17 +181,17 @@ def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
     return "named" if alone and found.settled else "ambiguous"
 
 
-def _worse(gaps: Gaps, fit: Fit, tuning: NamingTuning) -> bool:
+def _worse(gaps: Gaps, found: Found, fit: Fit) -> bool:
     """Whether the updated model is further from held-out data than the refitted one; names do not stand then."""
-    effects = [c.effect for c in fit.hypothesis.candidates]
-    slack = tuning.held_out_slack if all(e.gain_like for e in effects) else 0.0
-    return bool(effects) and overall(gaps.windows, "updated") > (1.0 + slack) * overall(gaps.windows, "refitted")
+    most = (1.0 + worth_telling(found, fit)) * overall(gaps.windows, "refitted")
+    return bool(fit.hypothesis.candidates) and overall(gaps.windows, "updated") > most
 
 
 def _explained(found: Found, fit: Fit) -> float:
     """Share of the fall in V from the bare model to noise that the named effects brought about."""
     bare, now = found.empty.fit.cost, fit.cost
     points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
+    points /= fit.noise.excess  # V of noise alone: the model of it says a larger variance than the errors have
     return 1.0 if bare <= points else (bare - now) / (bare - points)
 
 

@@ -208,4 +208,5 @@ def _spread(problem: Problem, most: int) -> Problem:
     taken = np.zeros(count, dtype=bool)
     taken[np.linspace(0, count - 1, most).round().astype(int)] = True
     masks = np.split(taken, np.cumsum([len(c) for c in problem.chosen])[:-1])
-    return problem.on(problem.records, [c[m] for c, m in zip(problem.chosen, masks, strict=True)])
+    left = [(r, c[m]) for r, c, m in zip(problem.records, problem.chosen, masks, strict=True) if m.any()]
+    return problem.on([r for r, _ in left], [c for _, c in left])

@@ -16,7 +16,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 
-__all__ = ["Start", "may_follow", "promising", "without"]
+__all__ = ["Start", "akin", "may_follow", "promising", "without"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +28,17 @@ class Start:
     z: Array
 
 
+def akin(a: Candidate, b: Candidate) -> bool:
+    """Whether they are one effect at one place, or one refines the other or what the other refines."""
+    ids = [{c.effect.id, c.effect.refines} - {"", None} for c in (a, b)]
+    return a.site == b.site and bool(ids[0] & ids[1])
+
+
 def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
     """An effect already there, the parent of a refinement that is there, or a second coupling, is not looked for."""
     for there in base.candidates:
-        same = candidate.site == there.site
-        if candidate.effect.id == there.effect.id and same:
-            return False
-        if there.effect.refines == candidate.effect.id and same:
-            return False
-        if there.effect.refines and there.effect.refines == candidate.effect.refines and same:
+        refined = candidate.effect.refines == there.effect.id
+        if akin(candidate, there) and not refined:
             return False
         if candidate.effect.structural and there.effect.structural:
             return False

@@ -23,20 +23,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
+from robustlab.dynamics.effects.contract import Site
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
-from robustlab.identification.hypotheses.unnamed_force import Unnamed, UnnamedEvidence, unnamed_force
+from robustlab.identification.hypotheses.random_force import FittedWindows
+from robustlab.identification.hypotheses.unnamed_force import (
+    PRIOR,
+    Unnamed,
+    UnnamedEvidence,
+    fitted_windows,
+    unnamed_force,
+)
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
-
+__all__ = ["Alternative", "Posterior", "Weighed", "weigh", "worth_telling"]
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 
@@ -117,11 +124,30 @@ class Posterior:
         return list(found.values())
 
 
-class _Weight(NamedTuple):
-    """Log marginal likelihood of a set over all windows, and what it leaves, place by place."""
+@dataclass(frozen=True, eq=False)
+class _Weight:
+    """A set over all windows under a random force, at each place where one may act."""
 
-    log_likelihood: float
-    left: tuple[Unnamed, ...]
+    places: tuple[tuple[FittedWindows, Site], ...]
+
+    @property
+    def log_likelihood(self) -> float:
+        """At the place that makes the set most probable."""
+        return max(windows.log_likelihood for windows, _ in self.places)
+
+    @cached_property
+    def left(self) -> tuple[Unnamed, ...]:
+        """What it leaves, place by place; nothing where its equations are singular."""
+        try:
+            with np.errstate(all="ignore"):
+                return tuple(unnamed_force(windows, place) for windows, place in self.places)
+        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+            return ()
+
+    @property
+    def force(self) -> UnnamedEvidence | None:
+        """The most probable unnamed force of those that beat nothing."""
+        return max((f for u in self.left for f in u.forces if f.wins), key=_gain, default=None)
 
 
 def weigh(found: Found) -> Posterior:
@@ -157,7 +183,7 @@ def weigh(found: Found) -> Posterior:
     sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
-        sets[0] = replace(sets[0], unnamed=_winning(weight.left))
+        sets[0] = replace(sets[0], unnamed=weight.force)
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
     collection = tuple(_collected(sets, tuning.sure, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
@@ -218,20 +244,18 @@ def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visite
 
 
 def _weight(found: Found, visited: Visited) -> _Weight | None:
-    """A set over all windows under a random force, at whichever place makes it most probable; None where none can."""
+    """A set weighed; None where there is hardly any motion."""
     problem, held = found.problem, found.held
     both = problem.on((*problem.records, *held.records), (*problem.chosen, *held.chosen))
     placed = held_out_fit(held, visited.fit, found.noise)
     fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
+    places = plain_places(both, fit)[: problem.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
-            left = tuple(
-                unnamed_force(both, fit, place) for place in plain_places(both, fit)[: problem.tuning.most_places]
-            )
+            weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
     except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
         return None
-    likely = max((u.log_likelihood for u in left), default=np.nan)
-    return _Weight(likely, left) if np.isfinite(likely) else None
+    return weight if np.isfinite(weight.log_likelihood) else None
 
 
 def _forces(
@@ -239,18 +263,16 @@ def _forces(
 ) -> dict[Key, UnnamedEvidence]:
     """The unnamed force beside each set: where the best has none, only that beside the empty one."""
     best = max((v.key for v in ordered), key=evidence.__getitem__)
-    found = {key: force for key, w in weights.items() if (force := _winning(w.left)) is not None}
-    return found if best in found else {key: force for key, force in found.items() if not key}
-
-
-def _winning(left: Sequence[Unnamed]) -> UnnamedEvidence | None:
-    """The most probable force of those that beat nothing."""
-    return max((f for u in left for f in u.forces if f.wins), key=_gain, default=None)
+    asked = weights if best in weights and weights[best].force is not None else {Key(), best} & weights.keys()
+    return {key: force for key in asked if (force := weights[key].force) is not None}
 
 
 def _gain(force: UnnamedEvidence | None) -> float:
-    """Log evidence that it brings: the more careful one of its two judges."""
-    return 0.0 if force is None else min(force.evidence, force.cross_validated)
+    """Log evidence that it brings, its prior paid: by the more careful one of its two judges."""
+    if force is None:
+        return 0.0
+    told = min(force.evidence, force.cross_validated)
+    return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + told))
 
 
 def _generalising(found: Found) -> tuple[list[Visited], bool]:
@@ -264,9 +286,7 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
         return rms_percent(found.held, held_out_fit(found.held, visited.fit, plain))
 
     def fails(visited: Visited) -> bool:
-        # A wrong gain and the tolerances that are stretched for it leave the same errors.
-        gains = all(c.effect.gain_like for c in visited.fit.hypothesis.candidates)
-        return error(visited) > most * (1.0 + tuning.held_out_slack * gains)
+        return error(visited) > most * (1.0 + worth_telling(found, visited.fit))
 
     most = error(found.empty)
     left: list[Visited] = []
@@ -276,6 +296,17 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
         (failed if judged and fails(visited) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)
+
+
+def worth_telling(found: Found, fit: Fit) -> float:
+    """Share by which held-out errors must rise to speak against a set: by which their likelihood has an evidence.
+
+    A wrong gain and the tolerances that are stretched for it leave the same errors, and may cost more.
+    """
+    held = found.held
+    points = sum(len(c) * r.windows.length // r.thin for r, c in zip(held.records, held.chosen, strict=True))
+    gains = all(c.effect.gain_like for c in fit.hypothesis.candidates)
+    return float(np.expm1(NO_EVIDENCE * found.noise.excess / points)) + found.problem.tuning.held_out_slack * gains
 
 
 def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:

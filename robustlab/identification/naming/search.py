@@ -44,9 +44,9 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
-from robustlab.identification.hypotheses.unnamed_force import unnamed_force
+from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
-from robustlab.identification.naming.first_look import Start, may_follow, promising, without
+from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
 
 __all__ = ["Found", "Key", "Visited", "key_of", "search_sets"]
@@ -126,12 +126,6 @@ class Found:
 def key_of(hypothesis: Hypothesis) -> Key:
     """Keys of the effects of a set, in no order."""
     return frozenset(c.key for c in hypothesis.candidates)
-
-
-def _kind(fit: Fit) -> tuple[str, str]:
-    """Of a set's first effect: what it is or refines, and where."""
-    first = fit.hypothesis.candidates[0]
-    return first.effect.refines or first.effect.id, first.site.name
 
 
 def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
@@ -250,17 +244,18 @@ class _Search:
         """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
 
         Where the errors hang together something is missing, and which effect came first says little: then the next
-        single effects are expanded, too, one of each kind (refinements of one effect are of its kind), until two of
-        them lead to the best set.
+        single effects are expanded, too, until two of them lead to the best set.
         """
         whole = self._told()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
         wanted = bool(begun) and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece
         if wanted and sum(k <= best for k in begun) < 2:
-            kinds = {_kind(self.visited[k].fit) for k in begun}
-            singles = [v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed]
-            others = [v for v in singles if _kind(v.fit) not in kinds]
+            done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
+            others = [
+                v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed
+                and not any(akin(v.fit.hypothesis.candidates[0], c) for c in done)
+            ]  # fmt: skip
             if others:
                 return max(others, key=lambda v: v.evidence).key
         if len(best) < self.tuning.most_effects and best not in self.expanded:
@@ -287,7 +282,7 @@ class _Search:
         self.asked.add(best.key)
         with np.errstate(all="ignore"):
             places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
-            left = [unnamed_force(self.problem, best.fit, place) for place in places]
+            left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
         told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
         for port, over, period in told:
