@@ -47,6 +47,7 @@ from robustlab.identification.tuning import NamingTuning
 __all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
+HARDLY = 0.005  # probability below which a set changes no verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +182,7 @@ def weigh(found: Found) -> Posterior:
         Weighed(v, float(p), distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
+    sets = sorted(_folded(problem, weighed, evidence), key=lambda w: -w.probability)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
@@ -218,19 +219,28 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
     return distance
 
 
-def _folded(weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
+def _folded(problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
     """Sets without those that have an effect more of which the records say nothing, neither for it nor against it.
 
     What a larger set is the more probable for, its prior put aside, is the evidence of the records for what it has
-    more. Where there is none, its probability is that of the smaller set, and of something that no record shows.
+    more. Where there is none, or where the refit distance says that there can be none, its probability is that of the
+    smaller set, and of something that no record shows.
     """
     kept: list[Weighed] = []
     for entry in sorted(weighed, key=lambda w: len(w.key)):
         plain = evidence[entry.key] - entry.visited.prior
-        within = [k for k, w in enumerate(kept) if w.key < entry.key]
-        silent = [k for k in within if plain - (evidence[kept[k].key] - kept[k].visited.prior) < NO_EVIDENCE]
-        if silent:
-            k = max(silent, key=lambda k: kept[k].probability)
+
+        def silent(less: Weighed, entry: Weighed = entry, plain: float = plain) -> bool:
+            if not less.key < entry.key:
+                return False
+            if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE:
+                return True
+            asked = entry.probability > HARDLY and less.probability > entry.probability
+            return asked and refit_distance(problem, entry.fit, less.fit) < problem.tuning.cannot_tell
+
+        within = [k for k, w in enumerate(kept) if silent(w)]
+        if within:
+            k = max(within, key=lambda k: kept[k].probability)
             kept[k] = replace(kept[k], probability=kept[k].probability + entry.probability)
         else:
             kept.append(entry)
