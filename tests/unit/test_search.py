@@ -1,6 +1,8 @@
 """The search over sets of effects, on records of an event-driven integrator: what it finds, drops and merges."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from naming_cases import (
 )
 
 import robustlab as rl
-from robustlab.identification.hypotheses.effect_fit import Hypothesis, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import noise_ratio
 from robustlab.identification.naming import search as module
 from robustlab.identification.naming.search import Key, log_prior, search_sets
@@ -164,6 +166,27 @@ def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():
     judged = next(v for v in found.sets if v.key == {FRICTION})
     assert not judged.allowed
     assert judged.evidence > found.best.evidence
+
+
+@pytest.mark.parametrize("last", [0, 1])
+def test_a_ripple_that_may_be_the_answer_is_not_lost_to_one_of_another_period_that_may_not(last):
+    found = usual(friction=20.0)
+    fit = found.best.fit
+    (candidate,) = fit.hypothesis.candidates
+    other = replace(fit, hypothesis=Hypothesis((replace(candidate),)), cost=fit.cost - 20.0)
+
+    def allowed(_: Problem, fitted: Fit) -> bool:
+        return candidate in fitted.hypothesis.candidates
+
+    search = module._Search(found.problem, found.held, [], allowed, quiet, ThreadPoolExecutor(1))
+    search.noise = found.noise
+    for visit in [fit, other][:: 1 if last else -1]:
+        search._visit(visit)
+    assert search.visited[found.best.key].fit is fit
+    # Of the same effect the better fit stands, whether it may be the answer or not.
+    search.allowed = lambda *_: False
+    search._visit(replace(fit, cost=fit.cost - 1.0))
+    assert not search.visited[found.best.key].allowed
 
 
 # --- where it ends ---------------------------------------------------------------------------------------------------

@@ -338,11 +338,18 @@ class _Search:
             self._visit(again)
 
     def _visit(self, fit: Fit) -> None:
-        """Judge a fit, and keep it where it is the better one of its set."""
+        """Judge a fit, and keep it where it is the better one of its set.
+
+        One set stands for ripples of several periods: one that may be the answer is not lost to one that may not.
+        """
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
-        if there is None or there.fit.evidence < fit.evidence:
-            self.visited[key] = self._judged(fit)
+        if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
+            return
+        judged = self._judged(fit)
+        same = there is None or set(there.fit.hypothesis.candidates) == set(fit.hypothesis.candidates)
+        if there is None or (same or judged.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
+            self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
         judged = held_out_fit(self.held, fit, self.noise)
