@@ -29,7 +29,7 @@ import numpy as np
 
 from robustlab.dynamics.effects.contract import Site
 from robustlab.errors import RobustlabError
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, refit_distance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
 from robustlab.identification.hypotheses.random_force import FittedWindows
@@ -221,17 +221,28 @@ def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visite
 
 def _weight(found: Found, visited: Visited) -> _Weight | None:
     """A set weighed; None where there is hardly any motion."""
-    problem, held = found.problem, found.held
-    both = problem.on((*problem.records, *held.records), (*problem.chosen, *held.chosen))
-    placed = held_out_fit(held, visited.fit, found.noise)
-    fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
-    places = plain_places(both, fit)[: problem.tuning.most_places]
+    both, fit = _all_windows(found, visited.fit)
+    places = plain_places(both, fit)[: both.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
             weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
     except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
+
+
+def _all_windows(found: Found, fit: Fit) -> tuple[Problem, Fit]:
+    """What was fitted and what was held out, windows of one record together and in order of time; and the fit there."""
+    problem, held = found.problem, found.held
+    records, chosen, starts = list(problem.records), list(problem.chosen), list(fit.starts)
+    placed = held_out_fit(held, fit, found.noise).starts
+    for record, more, theirs in zip(held.records, held.chosen, placed, strict=True):
+        k = next((k for k, r in enumerate(records) if r is record), len(records))
+        own, at = (chosen[k], starts[k]) if k < len(records) else (more[:0], theirs[:0])
+        order = np.argsort(every := np.append(own, more))
+        records[k : k + 1], chosen[k : k + 1] = [record], [every[order]]
+        starts[k : k + 1] = [np.concatenate([at, theirs])[order]]
+    return problem.on(records, chosen), replace(fit, starts=tuple(starts))
 
 
 def _forces(
