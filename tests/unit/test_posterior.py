@@ -133,3 +133,15 @@ def test_windows_of_one_record_are_weighed_in_order_of_time():
     order = np.argsort(np.append(found.problem.chosen[0], found.held.chosen[0]))
     (together,) = both.errors(fit.hypothesis, fit.z, fit.starts)
     np.testing.assert_allclose(together, np.concatenate([e[0] for e in apart])[order], atol=1e-12)
+
+
+def test_what_the_best_set_leaves_is_asked_for_even_where_it_was_not_weighed(monkeypatch):
+    monkeypatch.setattr(posterior_module, "_contenders", lambda *_: [])
+    assert weigh(usual(friction=20.0)).noise_ratio == pytest.approx(1.0, abs=0.2)
+
+
+def test_told_evidence_is_that_of_the_probabilities(weighed):
+    posterior, _ = weighed
+    shares = np.array([w.probability for w in posterior.sets])
+    told = np.exp([w.evidence - posterior.best.evidence for w in posterior.sets])
+    assert told == pytest.approx(shares / shares[0], abs=0.05)

@@ -52,12 +52,14 @@ NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 class Weighed:
     """A set with its probability.
 
-    ``distance`` is its refit distance from the most probable one (NaN where not asked for), ``unnamed`` the force that
-    more probably than not acts beside it (None also where it was not looked for).
+    ``evidence`` is the log of the probability up to a constant, ``distance`` the refit distance from the most probable
+    one (NaN where not asked for), ``unnamed`` the force that more probably than not acts beside it (None also where it
+    was not looked for).
     """
 
     visited: Visited
     probability: float
+    evidence: float
     distance: float
     unnamed: UnnamedEvidence | None = None
 
@@ -116,7 +118,7 @@ class Posterior:
         found: dict[str, Alternative] = {}
         for other in self.collection[1:]:
             missing = [c for key, c in here.items() if key not in other.key]
-            behind = other.visited.evidence - self.best.visited.evidence
+            behind = other.evidence - self.best.evidence
             for candidate in other.fit.hypothesis.candidates:
                 if candidate.key not in here and candidate.key not in found:
                     place = next((m for m in missing if m.site == candidate.site), missing[0] if missing else None)
@@ -183,14 +185,14 @@ def weigh(found: Found) -> Posterior:
     share = np.exp(log - log.max())
     share /= share.sum()
     weighed = [
-        Weighed(v, float(p), distance.get(v.key, np.nan), forces.get(v.key))
+        Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
     sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
     collection = tuple(_collected(sets, tuning.sure, twins))
-    left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left)
+    first = weights.get(sets[0].key) or _weight(found, sets[0].visited)
+    return Posterior(tuple(sets), collection, generalises, first.left if first else ())
 
 
 def _folded(weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
