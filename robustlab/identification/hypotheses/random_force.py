@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,9 @@ class FittedWindows:
                 return self._levels_of(f, nothing, [float(np.exp(log_size))])[0]
 
             ends = start + np.log(10.0) * np.array([-0.375, 0.375])
-            found = minimize_scalar(lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03})
+            found: Any = minimize_scalar(
+                lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03}
+            )
             return level(float(found.x))
 
         around = [best(factor * self.alone.bandwidth) for factor in FINER]

@@ -7,9 +7,9 @@ search whitened errors by an autoregression, which is quick, and takes a slow ra
 explained; the most probable sets are weighed again here under the noise of the sensors and a random force
 (`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held out.
 
-Of two sets that differ in one effect and whose refit distance d for these very records is below 3, no test on the
-records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
-accident of the fits, and is not counted.
+Of two sets that differ in one effect, or by one, and whose refit distance d for these very records is below 3, no test
+on the records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
+accident of the fits, and is not counted. So an effect without which the rest explains the records as well is not named.
 
 An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set
 leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
@@ -27,11 +27,12 @@ from functools import cached_property
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
-from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
+from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
@@ -43,7 +44,7 @@ from robustlab.identification.hypotheses.unnamed_force import (
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["Alternative", "Posterior", "Weighed", "weigh", "worth_telling"]
+__all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 
@@ -159,10 +160,10 @@ def weigh(found: Found) -> Posterior:
     # Of a machine far beyond its sensors' noise a random force follows the next sample better than any law does: there
     # the simulated windows have the say, and a force only tells whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.beyond_noise
-    looked = _contenders(ordered, tuning) if near else [ordered[0]]
+    looked = _contenders(ordered, tuning) if near else []
     weights = {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}
     evidence = {v.key: v.evidence for v in ordered}
-    if near and ordered[0].key in weights:
+    if ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
         again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
         # What was too far behind to be weighed again stays as far behind.
@@ -174,13 +175,7 @@ def weigh(found: Found) -> Posterior:
     if near:
         evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
-    best = ordered[0]
-    distance = {best.key: 0.0}
-    for other in _exchanged(best, ordered[1:], tuning.far_behind)[: tuning.most_rivals]:
-        d = distance[other.key] = refit_distance(problem, best.fit, other.fit)
-        if d < tuning.cannot_tell:
-            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
-            evidence[other.key] = max(evidence[other.key], least)
+    distance = _lift(problem, ordered, evidence)
     log = np.array([evidence[v.key] for v in ordered]) / tuning.temperature
     share = np.exp(log - log.max())
     share /= share.sum()
@@ -189,10 +184,40 @@ def weigh(found: Found) -> Posterior:
         for v, p in zip(ordered, share, strict=True)
     ]
     sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
+    if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
+        weights[sets[0].key] = weight
+        sets[0] = replace(sets[0], unnamed=weight.force)
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
     collection = tuple(_collected(sets, tuning.sure, twins))
     first = weights.get(sets[0].key) or _weight(found, sets[0].visited)
     return Posterior(tuple(sets), collection, generalises, first.left if first else ())
+
+
+def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
+    """Raise the evidence of sets that the records do not tell from the best one; refit distances from the best.
+
+    A set with less that becomes the more probable one by it takes the place of the best.
+    """
+    tuning, best = problem.tuning, ordered[0]
+    while True:
+        near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.far_behind]
+        less = _lessened(best, near)
+        distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
+        ahead = max([best, *less], key=lambda v: evidence[v.key])
+        if ahead is best:
+            return distance | _raise(problem, best, _exchanged(best, near)[: tuning.most_rivals], evidence)
+        best = ahead
+
+
+def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
+    """Distances of sets from the best one; where that is not told, their evidence becomes what it allows, at least."""
+    distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
+    for other in others:
+        d = distance[other.key]
+        if d < problem.tuning.cannot_tell:
+            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
+            evidence[other.key] = max(evidence[other.key], least)
+    return distance
 
 
 def _folded(weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
@@ -269,45 +294,43 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
 
     Those that fail are left out, as far down as sets are weighed.
     """
-    plain, tuning = white(found.noise), found.problem.tuning
+    held, plain, tuning = found.held, white(found.noise), found.problem.tuning
 
-    def error(visited: Visited) -> float:
-        return rms_percent(found.held, held_out_fit(found.held, visited.fit, plain))
+    def errors(visited: Visited) -> Array:
+        return window_errors(held, held_out_fit(held, visited.fit, plain))
 
-    def fails(visited: Visited) -> bool:
-        return error(visited) > most * (1.0 + worth_telling(found, visited.fit))
-
-    most = error(found.empty)
+    refitted = errors(found.empty)
     left: list[Visited] = []
     failed: list[Visited] = []
     for visited in (v for v in found.sets if v.allowed):
         judged = visited.key and len(left) < tuning.most_weighed
-        (failed if judged and fails(visited) else left).append(visited)
+        (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)
 
 
-def worth_telling(found: Found, fit: Fit) -> float:
-    """Share by which held-out errors must rise to speak against a set: by which their likelihood has an evidence.
-
-    A wrong gain and the tolerances that are stretched for it leave the same errors, and may cost more.
-    """
-    held = found.held
-    points = sum(len(c) * r.windows.length // r.thin for r, c in zip(held.records, held.chosen, strict=True))
-    gains = all(c.effect.gain_like for c in fit.hypothesis.candidates)
-    return float(np.expm1(NO_EVIDENCE * found.noise.excess / points)) + found.problem.tuning.held_out_slack * gains
-
-
-def _exchanged(best: Visited, others: Iterable[Visited], far: float) -> list[Visited]:
-    """Sets with one effect in the place of another, but for refinements of it, or of what it refines, too."""
+def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
+    """Sets with one effect less, or with what one of them refines in its place."""
     found = []
     for other in others:
         gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
         come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
-        if len(gone) != 1 or len(come) != 1 or best.evidence - other.evidence > far:
+        if len(gone) == 1 and all(c.site == gone[0].site and c.effect.id == gone[0].effect.refines for c in come):
+            found.append(other)
+    return found
+
+
+def _exchanged(best: Visited, others: Iterable[Visited]) -> list[Visited]:
+    """Sets with one effect in the place of another that neither refines, nor refines what the other does."""
+    found = []
+    for other in others:
+        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
+        come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+        if len(gone) != 1 or len(come) != 1:
             continue
         of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")
-        if not (of_these and come[0].site == gone[0].site):
+        plain = come[0].effect.id == gone[0].effect.refines
+        if not ((of_these or plain) and come[0].site == gone[0].site):
             found.append(other)
     return found
 

@@ -26,7 +26,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    NoiseModel,
+    Problem,
+    refit_distance,
+)
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import (
     careful,
@@ -164,6 +172,7 @@ class _Search:
     expanded: set[Key] = field(default_factory=set)
     looked: dict[Key, dict[str, Array]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
+    distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     sharpened: bool = False
@@ -188,9 +197,9 @@ class _Search:
                 if key is None:
                     settled = True
                     break
-                best = self.best
+                best = self._told()
                 self._expand(key)
-                if self.best.key != best.key:
+                if self._told().key != best.key:
                     self._sharpen()
         except KeyboardInterrupt:
             interrupted = True
@@ -210,13 +219,34 @@ class _Search:
     def best(self) -> Visited:
         return max((v for v in self.visited.values() if v.allowed), key=lambda v: v.evidence)
 
+    def _told(self) -> Visited:
+        """The best set, without effects that these records do not tell from none: nothing is built on those."""
+        told = self.best
+        while self.sharpened:
+            less = [v for k, v in self.visited.items() if k < told.key and len(k) == len(told.key) - 1 and v.allowed]
+            less = [v for v in less if told.evidence - v.evidence < self.tuning.far_behind and not self._tells(told, v)]
+            if not less:
+                break
+            told = max(less, key=lambda v: v.evidence)
+        return told
+
+    def _tells(self, one: Visited, other: Visited) -> bool:
+        """Whether the records tell a set from a smaller one by more than the smaller one's prior is ahead."""
+        if one.evidence < other.evidence:
+            return False
+        pair = one.fit, other.fit
+        if pair not in self.distances:
+            self.distances[pair] = refit_distance(self.problem, *pair)
+        d = self.distances[pair]
+        return d >= self.tuning.cannot_tell or 0.5 * d**2 > other.prior - one.prior
+
     def _next(self) -> Key | None:
         """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
 
         Where the errors hang together something is missing, and which effect came first says little: then the next
         single effects are expanded, too.
         """
-        whole = self.best
+        whole = self._told()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
         if begun and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece:
@@ -235,7 +265,7 @@ class _Search:
         for key in smaller:
             if key not in self.visited:
                 self._without(whole.fit, key)
-        if self.best.key != best:
+        if self._told().key != best:
             return self._next()
         left = [k for k in smaller if k not in self.expanded]
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
@@ -367,8 +397,8 @@ class _Search:
 
     def _sharpen(self) -> None:
         """Take the noise from the best set, fit again all that may still matter under it, and forget the rest."""
-        leader = self._freed(self.best.fit)
-        if self.sharpened and leader is self.best.fit and self._white(leader):
+        leader = self._freed(self._told().fit)
+        if self.sharpened and leader is self._told().fit and self._white(leader):
             return
         self.sharpened = True
         self.noise = self._noise_of(leader)
