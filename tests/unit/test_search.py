@@ -189,6 +189,16 @@ def test_a_ripple_that_may_be_the_answer_is_not_lost_to_one_of_another_period_th
     assert not search.visited[found.best.key].allowed
 
 
+def test_lines_that_cannot_be_told_lose_no_search(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(module, "unnamed_force", fails)
+    found = searched(machine(friction=20.0, seed=3), (FRICTION,))
+    assert found.best.key == {FRICTION}
+    assert found.settled
+
+
 # --- where it ends ---------------------------------------------------------------------------------------------------
 
 

@@ -29,13 +29,13 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
-from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
+    UNTOLD,
     Unnamed,
     UnnamedEvidence,
     fitted_windows,
@@ -144,7 +144,7 @@ class _Weight:
         try:
             with np.errstate(all="ignore"):
                 return tuple(unnamed_force(windows, place) for windows, place in self.places)
-        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+        except UNTOLD:
             return ()
 
     @property
@@ -189,8 +189,8 @@ def weigh(found: Found) -> Posterior:
         sets[0] = replace(sets[0], unnamed=weight.force)
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
     collection = tuple(_collected(sets, tuning.sure, twins))
-    first = weights.get(sets[0].key) or _weight(found, sets[0].visited)
-    return Posterior(tuple(sets), collection, generalises, first.left if first else ())
+    left = weights[sets[0].key].left if sets[0].key in weights else ()
+    return Posterior(tuple(sets), collection, generalises, left)
 
 
 def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
@@ -253,7 +253,7 @@ def _weight(found: Found, visited: Visited) -> _Weight | None:
     try:
         with np.errstate(all="ignore"):
             weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
-    except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
+    except UNTOLD:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
 

@@ -44,7 +44,7 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
-from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
+from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -279,9 +279,12 @@ class _Search:
         if best.key in self.asked:
             return False
         self.asked.add(best.key)
-        with np.errstate(all="ignore"):
-            places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
-            left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+        try:
+            with np.errstate(all="ignore"):
+                places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
+                left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+        except UNTOLD:
+            return False
         told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
         for port, over, period in told:
