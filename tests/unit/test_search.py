@@ -26,6 +26,7 @@ from naming_cases import (
 import robustlab as rl
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import noise_ratio
+from robustlab.identification.naming import first_look
 from robustlab.identification.naming import search as module
 from robustlab.identification.naming.search import Key, log_prior, search_sets
 from robustlab.identification.tuning import TUNING
@@ -266,3 +267,23 @@ def test_the_answer_does_not_depend_on_the_order_of_the_pool():
     other = searched(machine(friction=20.0, load=8.0, seed=3), POOL[::-1])
     assert one.best.key == other.best.key
     assert one.best.evidence - one.empty.evidence == pytest.approx(other.best.evidence - other.empty.evidence, abs=1.0)
+
+
+def test_an_earlier_look_is_no_beginning_where_the_effects_stand_in_another_order():
+    found = usual(friction=20.0)
+    problem, (friction,) = found.problem, found.best.fit.hypothesis.candidates
+    _, _, pool, _ = opened(machine(friction=20.0, seed=3))
+    load, gain = pool[LOAD], pool[GAIN_OF_Q]
+
+    def at(*candidates) -> Fit:
+        own = [c.standardised(c.starts[0]) for c in candidates]
+        hypothesis = Hypothesis(candidates)
+        z = np.concatenate([np.zeros(len(problem.nuisances)), *own])
+        return replace(found.best.fit, hypothesis=hypothesis, z=z)
+
+    earlier = at(load, friction, gain)
+    earlier = replace(earlier, z=earlier.z + 0.1)
+    (same,) = first_look._starts(problem, at(load, friction), gain, {gain.key: earlier})
+    (turned,) = first_look._starts(problem, at(friction, load), gain, {gain.key: earlier})
+    np.testing.assert_array_equal(same.z, earlier.z)
+    np.testing.assert_array_equal(turned.z, at(friction, load, gain).z)

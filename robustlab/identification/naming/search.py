@@ -25,7 +25,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
@@ -170,7 +169,7 @@ class _Search:
     workers: Executor
     visited: dict[Key, Visited] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
-    looked: dict[Key, dict[str, Array]] = field(default_factory=dict)
+    looked: dict[Key, dict[str, Fit]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
