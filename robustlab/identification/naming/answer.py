@@ -339,11 +339,11 @@ def _places(fit: Fit) -> tuple[str, ...]:
 
 
 def _probabilities(posterior: Posterior) -> tuple[SetProbability, ...]:
-    best = posterior.best.visited.evidence
+    best = posterior.best.evidence
     return tuple(
         SetProbability(
             _places(w.fit), tuple(c.effect.id for c in w.fit.hypothesis.candidates), w.probability,
-            w.visited.evidence - best, w.distance,
+            w.evidence - best, w.distance,
             f"{'dry ' if w.unnamed.dry else ''}force over {w.unnamed.over} at {w.unnamed.port}" if w.unnamed else "",
         )
         for w in posterior.sets

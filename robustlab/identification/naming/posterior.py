@@ -29,13 +29,13 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
-from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
+    UNTOLD,
     Unnamed,
     UnnamedEvidence,
     fitted_windows,
@@ -54,12 +54,14 @@ HARDLY = 0.005  # probability below which a set changes no verdict
 class Weighed:
     """A set with its probability.
 
-    ``distance`` is its refit distance from the most probable one (NaN where not asked for), ``unnamed`` the force that
-    more probably than not acts beside it (None also where it was not looked for).
+    ``evidence`` is the log of the probability up to a constant, ``distance`` the refit distance from the most probable
+    one (NaN where not asked for), ``unnamed`` the force that more probably than not acts beside it (None also where it
+    was not looked for).
     """
 
     visited: Visited
     probability: float
+    evidence: float
     distance: float
     unnamed: UnnamedEvidence | None = None
 
@@ -118,7 +120,7 @@ class Posterior:
         found: dict[str, Alternative] = {}
         for other in self.collection[1:]:
             missing = [c for key, c in here.items() if key not in other.key]
-            behind = other.visited.evidence - self.best.visited.evidence
+            behind = other.evidence - self.best.evidence
             for candidate in other.fit.hypothesis.candidates:
                 if candidate.key not in here and candidate.key not in found:
                     place = next((m for m in missing if m.site == candidate.site), missing[0] if missing else None)
@@ -143,7 +145,7 @@ class _Weight:
         try:
             with np.errstate(all="ignore"):
                 return tuple(unnamed_force(windows, place) for windows, place in self.places)
-        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+        except UNTOLD:
             return ()
 
     @property
@@ -179,7 +181,7 @@ def weigh(found: Found) -> Posterior:
     share = np.exp(log - log.max())
     share /= share.sum()
     weighed = [
-        Weighed(v, float(p), distance.get(v.key, np.nan), forces.get(v.key))
+        Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
     sets = sorted(_folded(problem, weighed, evidence), key=lambda w: -w.probability)
@@ -256,17 +258,28 @@ def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visite
 
 def _weight(found: Found, visited: Visited) -> _Weight | None:
     """A set weighed; None where there is hardly any motion."""
-    problem, held = found.problem, found.held
-    both = problem.on((*problem.records, *held.records), (*problem.chosen, *held.chosen))
-    placed = held_out_fit(held, visited.fit, found.noise)
-    fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
-    places = plain_places(both, fit)[: problem.tuning.most_places]
+    both, fit = _all_windows(found, visited.fit)
+    places = plain_places(both, fit)[: both.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
             weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
-    except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
+    except UNTOLD:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
+
+
+def _all_windows(found: Found, fit: Fit) -> tuple[Problem, Fit]:
+    """What was fitted and what was held out, windows of one record together and in order of time; and the fit there."""
+    problem, held = found.problem, found.held
+    records, chosen, starts = list(problem.records), list(problem.chosen), list(fit.starts)
+    placed = held_out_fit(held, fit, found.noise).starts
+    for record, more, theirs in zip(held.records, held.chosen, placed, strict=True):
+        k = next((k for k, r in enumerate(records) if r is record), len(records))
+        own, at = (chosen[k], starts[k]) if k < len(records) else (more[:0], theirs[:0])
+        order = np.argsort(every := np.append(own, more))
+        records[k : k + 1], chosen[k : k + 1] = [record], [every[order]]
+        starts[k : k + 1] = [np.concatenate([at, theirs])[order]]
+    return problem.on(records, chosen), replace(fit, starts=tuple(starts))
 
 
 def _forces(

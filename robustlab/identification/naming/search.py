@@ -25,7 +25,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
@@ -44,7 +43,7 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
-from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
+from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -170,7 +169,7 @@ class _Search:
     workers: Executor
     visited: dict[Key, Visited] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
-    looked: dict[Key, dict[str, Array]] = field(default_factory=dict)
+    looked: dict[Key, dict[str, Fit]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
@@ -279,9 +278,12 @@ class _Search:
         if best.key in self.asked:
             return False
         self.asked.add(best.key)
-        with np.errstate(all="ignore"):
-            places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
-            left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+        try:
+            with np.errstate(all="ignore"):
+                places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
+                left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+        except UNTOLD:
+            return False
         told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
         for port, over, period in told:
@@ -368,11 +370,18 @@ class _Search:
             self._visit(again)
 
     def _visit(self, fit: Fit) -> None:
-        """Judge a fit, and keep it where it is the better one of its set."""
+        """Judge a fit, and keep it where it is the better one of its set.
+
+        One set stands for ripples of several periods: one that may be the answer is not lost to one that may not.
+        """
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
-        if there is None or there.fit.evidence < fit.evidence:
-            self.visited[key] = self._judged(fit)
+        if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
+            return
+        judged = self._judged(fit)
+        same = there is None or set(there.fit.hypothesis.candidates) == set(fit.hypothesis.candidates)
+        if there is None or (same or judged.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
+            self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
         judged = held_out_fit(self.held, fit, self.noise)
