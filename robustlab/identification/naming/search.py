@@ -190,15 +190,18 @@ class _Search:
             self._expand(Key())
             self._sharpen()
             while self.expansions < self.tuning.most_expansions and sum(self.problem.work) < self.tuning.most_work:
+                best = self._told().key
                 key = self._next()
+                if self._told().key != best:  # a smaller set that had to be fitted first
+                    self._sharpen()
+                    continue
                 if key is None and self._lines():
                     key = self._next()
                 if key is None:
                     settled = True
                     break
-                best = self._told()
                 self._expand(key)
-                if self._told().key != best.key:
+                if self._told().key != best:
                     self._sharpen()
         except KeyboardInterrupt:
             interrupted = True
@@ -243,12 +246,13 @@ class _Search:
         """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
 
         Where the errors hang together something is missing, and which effect came first says little: then the next
-        single effects are expanded, too.
+        single effects are expanded, too, until two of them lead to the best set.
         """
         whole = self._told()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
-        if begun and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece:
+        wanted = bool(begun) and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece
+        if wanted and sum(k <= best for k in begun) < 2:
             done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
             others = [
                 v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed
@@ -406,7 +410,8 @@ class _Search:
         self.noise = self._noise_of(leader)
         leader = self._clocked(self._again(leader))
         self.noise = self._noise_of(leader)
-        ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.rough_fits]
+        ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
+        ordered = ordered[: self.tuning.rough_fits]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         kept[key_of(leader.hypothesis)] = leader
         again = self.workers.map(self._again, kept.values())
