@@ -209,6 +209,19 @@ def test_borrowed_derivatives_give_the_same_step():
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
+def test_borrowed_derivatives_of_a_parameter_that_an_effect_replaces_move_nothing():
+    run = noisy(rl.simulate(AXIS.with_parameters(M=1.3 * AXIS.values["M"]), T, U))
+    problem, pool = problem_of(run, tolerances={"M": 0.05})
+    base = problem.fit(Hypothesis(()), WHITE, np.zeros(len(problem.nuisances)))
+    heavier = Hypothesis((pool["inertia @ M"],))
+    z = np.array([*base.z, *pool["inertia @ M"].standardised({"s": 1.2})])
+    plan = FitPlan(1, draft=True)
+    borrowed = problem.fit(heavier, WHITE, z, base.starts, plan, problem.derivatives(base))
+    own = problem.fit(heavier, WHITE, z, base.starts, plan)
+    assert borrowed.cost < 2.0 * own.cost
+    assert borrowed.z[0] == pytest.approx(own.z[0], abs=1e-6)
+
+
 def test_errors_are_averaged_over_known_samples():
     error = np.arange(14.0).reshape(1, 7, 2)
     assert averaged(error, 3)[0].tolist() == [[2.0, 3.0], [8.0, 9.0]]  # the seventh sample is left over

@@ -13,9 +13,10 @@ import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.noise import spans
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import gaps as module
-from robustlab.identification.naming.gaps import held_out_gaps, spans
+from robustlab.identification.naming.gaps import held_out_gaps
 
 AXIS = rl.plant("servo-axis")
 HEAVIER = 1.25

@@ -24,7 +24,7 @@ from robustlab.identification.hypotheses.effect_fit import (
     refit_distance,
     simulated_outputs,
 )
-from robustlab.identification.hypotheses.noise import held_out_fit, rms_percent, whitening
+from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, whitening, window_errors
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.admissible import beyond_tolerance
 from robustlab.identification.naming.residual_after_naming import left_over
@@ -252,8 +252,21 @@ def test_held_out_data_changes_no_parameter_and_shows_the_gap():
     assert (there.z == true.z).all()
     # The noise is 0.1 % of the range; averaging over `thin` samples lowers it.
     expected = 0.1 / np.sqrt(problem.records[0].thin)
-    assert rms_percent(held, there) == pytest.approx(expected, rel=0.25)
-    assert rms_percent(held, without) > 3 * expected
+    errors, others = window_errors(held, there), window_errors(held, without)
+    assert 100 * np.sqrt(errors.mean()) == pytest.approx(expected, rel=0.25)
+    assert 100 * np.sqrt(others.mean()) > 3 * expected
+    assert clearly_larger(others, errors)
+    assert not clearly_larger(errors, others)
+
+
+def test_errors_are_clearly_larger_where_the_windows_agree_on_it():
+    rng = np.random.default_rng(2)
+    errors = rng.uniform(1.0, 2.0, 12)
+    assert clearly_larger(errors + 0.01, errors)
+    assert not clearly_larger(errors, errors)
+    by_chance = [clearly_larger(rng.uniform(1.0, 2.0, 12), rng.uniform(1.0, 2.0, 12)) for _ in range(400)]
+    assert 0.02 < np.mean(by_chance) < 0.09  # one-sided, 5 %
+    assert clearly_larger(np.array([2.0]), np.array([1.0]))
 
 
 # --- discover --------------------------------------------------------------------------------------------------------

@@ -8,7 +8,9 @@ from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, n
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.noise import held_out_fit
 from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.posterior import Posterior, weigh
 from robustlab.identification.naming.search import Key, search_sets
 from robustlab.identification.tuning import TUNING
@@ -130,3 +132,30 @@ def test_what_may_be_no_answer_has_no_probability():
     assert all(FRICTION not in w.key for w in posterior.sets)
     assert posterior.of_effect(FRICTION) == 0.0
     assert Key() in {w.key for w in posterior.sets}
+
+
+def test_windows_of_one_record_are_weighed_in_order_of_time():
+    found = usual(friction=20.0)
+    both, fit = posterior_module._all_windows(found, found.best.fit)
+    (record,), (chosen,) = both.records, both.chosen
+    assert record is found.problem.records[0]
+    assert list(chosen) == sorted([*found.problem.chosen[0], *found.held.chosen[0]])
+    # The starts are those of the windows: their errors are those of the two fits.
+    apart = [found.problem.errors(fit.hypothesis, fit.z, found.best.fit.starts)]
+    placed = held_out_fit(found.held, found.best.fit, found.noise)
+    apart.append(found.held.errors(fit.hypothesis, fit.z, placed.starts))
+    order = np.argsort(np.append(found.problem.chosen[0], found.held.chosen[0]))
+    (together,) = both.errors(fit.hypothesis, fit.z, fit.starts)
+    np.testing.assert_allclose(together, np.concatenate([e[0] for e in apart])[order], atol=1e-12)
+
+
+def test_what_the_best_set_leaves_is_asked_for_even_where_it_was_not_weighed(monkeypatch):
+    monkeypatch.setattr(posterior_module, "_contenders", lambda *_: [])
+    assert weigh(usual(friction=20.0)).noise_ratio == pytest.approx(1.0, abs=0.2)
+
+
+def test_told_evidence_is_that_of_the_probabilities(weighed):
+    posterior, _ = weighed
+    shares = np.array([w.probability for w in posterior.sets])
+    told = np.exp([w.evidence - posterior.best.evidence for w in posterior.sets])
+    assert told == pytest.approx(shares / shares[0], abs=0.05)

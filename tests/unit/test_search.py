@@ -1,6 +1,8 @@
 """The search over sets of effects, on records of an event-driven integrator: what it finds, drops and merges."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,8 +24,9 @@ from naming_cases import (
 )
 
 import robustlab as rl
-from robustlab.identification.hypotheses.effect_fit import Hypothesis, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import noise_ratio
+from robustlab.identification.naming import first_look
 from robustlab.identification.naming import search as module
 from robustlab.identification.naming.search import Key, log_prior, search_sets
 from robustlab.identification.tuning import TUNING
@@ -166,6 +169,37 @@ def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():
     assert judged.evidence > found.best.evidence
 
 
+@pytest.mark.parametrize("last", [0, 1])
+def test_a_ripple_that_may_be_the_answer_is_not_lost_to_one_of_another_period_that_may_not(last):
+    found = usual(friction=20.0)
+    fit = found.best.fit
+    (candidate,) = fit.hypothesis.candidates
+    other = replace(fit, hypothesis=Hypothesis((replace(candidate),)), cost=fit.cost - 20.0)
+
+    def allowed(_: Problem, fitted: Fit) -> bool:
+        return candidate in fitted.hypothesis.candidates
+
+    search = module._Search(found.problem, found.held, [], allowed, quiet, ThreadPoolExecutor(1))
+    search.noise = found.noise
+    for visit in [fit, other][:: 1 if last else -1]:
+        search._visit(visit)
+    assert search.visited[found.best.key].fit is fit
+    # Of the same effect the better fit stands, whether it may be the answer or not.
+    search.allowed = lambda *_: False
+    search._visit(replace(fit, cost=fit.cost - 1.0))
+    assert not search.visited[found.best.key].allowed
+
+
+def test_lines_that_cannot_be_told_lose_no_search(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(module, "unnamed_force", fails)
+    found = searched(machine(friction=20.0, seed=3), (FRICTION,))
+    assert found.best.key == {FRICTION}
+    assert found.settled
+
+
 # --- where it ends ---------------------------------------------------------------------------------------------------
 
 
@@ -233,3 +267,23 @@ def test_the_answer_does_not_depend_on_the_order_of_the_pool():
     other = searched(machine(friction=20.0, load=8.0, seed=3), POOL[::-1])
     assert one.best.key == other.best.key
     assert one.best.evidence - one.empty.evidence == pytest.approx(other.best.evidence - other.empty.evidence, abs=1.0)
+
+
+def test_an_earlier_look_is_no_beginning_where_the_effects_stand_in_another_order():
+    found = usual(friction=20.0)
+    problem, (friction,) = found.problem, found.best.fit.hypothesis.candidates
+    _, _, pool, _ = opened(machine(friction=20.0, seed=3))
+    load, gain = pool[LOAD], pool[GAIN_OF_Q]
+
+    def at(*candidates) -> Fit:
+        own = [c.standardised(c.starts[0]) for c in candidates]
+        hypothesis = Hypothesis(candidates)
+        z = np.concatenate([np.zeros(len(problem.nuisances)), *own])
+        return replace(found.best.fit, hypothesis=hypothesis, z=z)
+
+    earlier = at(load, friction, gain)
+    earlier = replace(earlier, z=earlier.z + 0.1)
+    (same,) = first_look._starts(problem, at(load, friction), gain, {gain.key: earlier})
+    (turned,) = first_look._starts(problem, at(friction, load), gain, {gain.key: earlier})
+    np.testing.assert_array_equal(same.z, earlier.z)
+    np.testing.assert_array_equal(turned.z, at(friction, load, gain).z)

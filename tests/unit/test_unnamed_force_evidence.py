@@ -124,6 +124,31 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     assert best.cross_validated == pytest.approx(expected, abs=1e-7)
 
 
+def test_the_likelihood_does_not_depend_on_the_unit_of_the_force():
+    rng = np.random.default_rng(3)
+    o, j, x = rng.normal(size=(40, 14, 6)), np.zeros((40, 14, 0)), rng.normal(size=(40, 14, 2))
+    e = (o @ rng.normal(size=(40, 6, 1)))[:, :, 0] + rng.normal(size=(40, 14))
+    # Each unit puts the grid of sizes elsewhere.
+    units = 10.0 ** np.linspace(0.5, 0.75, 6)
+    found = [Dense(o * unit, j, x, e, np.zeros((40, 2)), np.zeros(0)).windows().alone for unit in units]
+    assert np.ptp([level.alone for level in found]) < 0.2
+    assert [level.size * unit for level, unit in zip(found, units, strict=True)] == pytest.approx([1.0] * 6, rel=0.3)
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3])
+def test_a_start_that_shows_less_than_the_noise_tells_nothing(size):
+    rng = np.random.default_rng(3)
+    o, j, x = rng.normal(size=(40, 14, 6)), np.zeros((40, 14, 0)), rng.normal(size=(40, 14, 2))
+    e = (o @ rng.normal(size=(40, 6, 1)))[:, :, 0] + 0.1 * rng.normal(size=(40, 14))
+    hidden = o @ rng.normal(size=(40, 6, 1))  # as the random force does
+
+    def likely(share):
+        starts = np.concatenate([x, share * hidden], axis=2)
+        return Dense(10.0 * o, j, starts, 10.0 * e, np.zeros((40, 3)), np.zeros(0)).windows().log_likelihood
+
+    assert likely(size) == pytest.approx(likely(0.0), abs=0.1)
+
+
 # --- on records ------------------------------------------------------------------------------------------------------
 
 

@@ -252,16 +252,19 @@ class Problem:
     def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
         """Plant factors and effect values of the standardised parameters."""
         factors = {}
-        wrong = {c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"}
-        for nuisance, value in zip(self.nuisances, z, strict=False):
-            if nuisance.label in wrong:  # the effect's own factor is the whole factor
-                continue
-            factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
+        for nuisance, moves, value in zip(self.nuisances, self._moving(hypothesis), z, strict=False):
+            if moves:
+                factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
         values, at = [], len(self.nuisances)
         for candidate in hypothesis.candidates:
             values.append(candidate.values(z[at : at + len(candidate.parameters)]))
             at += len(candidate.parameters)
         return factors, values
+
+    def _moving(self, hypothesis: Hypothesis) -> list[bool]:
+        """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
+        wrong = {c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"}
+        return [n.label not in wrong for n in self.nuisances]
 
     def shift(self, z: Array) -> tuple[float, ...] | None:
         """Shift of each input's clock in s, beside any delay that an effect gives it; None where none has one."""
@@ -471,7 +474,8 @@ class Problem:
         columns = [moved(z + self.tuning.step * unit, xi, self.tuning.step)[:, :, None] for unit in units]
         j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
         if borrowed:
-            return Linearised.of(residual, np.concatenate([borrowed[0], j], axis=2), borrowed[1], xi)
+            over_z = borrowed[0] * self._moving(hypothesis)
+            return Linearised.of(residual, np.concatenate([over_z, j], axis=2), borrowed[1], xi)
         x = [moved(z, xi + self.tuning.start_step * unit, self.tuning.start_step) for unit in np.eye(xi.shape[1])]
         return Linearised.of(residual, j, np.stack(x, axis=2), xi)
 

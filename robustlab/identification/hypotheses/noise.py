@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
@@ -12,15 +13,16 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
 __all__ = [
     "careful",
+    "clearly_larger",
     "first_noise",
     "held_out_fit",
     "least_squares",
     "noise_ratio",
-    "rms_percent",
     "settled",
     "spans",
     "white",
     "whitening",
+    "window_errors",
 ]
 
 
@@ -98,12 +100,29 @@ def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
 
 
-def rms_percent(problem: Problem, fit: Fit) -> float:
-    """Windowed RMS error over all outputs in percent of their measured ranges."""
-    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-    ranges = spans(problem.records)
-    squares = np.concatenate([(e / np.where(ranges > 0, ranges, 1.0)).reshape(-1, len(ranges)) ** 2 for e in errors])
-    return float(100.0 * np.sqrt(np.nanmean(squares)))
+def window_errors(problem: Problem, fit: Fit) -> Array:
+    """Mean square of the errors of each chosen window over all outputs, shares of their measured ranges; (n_windows,).
+
+    A window of which nothing is known has none.
+    """
+    errors, ranges = problem.errors(fit.hypothesis, fit.z, fit.starts), spans(problem.records)
+    scaled = np.concatenate([e / np.where(ranges > 0, ranges, 1.0) for e in errors])
+    squares = np.nansum(scaled**2, axis=(1, 2))
+    return np.asarray(squares / np.maximum(np.isfinite(scaled).sum(axis=(1, 2)), 1))
+
+
+def clearly_larger(errors: Array, others: Array) -> bool:
+    """Whether errors of windows (mean squares) are larger than others of the same windows, on the whole and by more
+    than chance: by Student's test of the logarithm of their ratio, at 95 %.
+    """
+    tiny = np.finfo(float).tiny
+    ratio = np.log(np.maximum(errors, tiny) / np.maximum(others, tiny))
+    if not errors.sum() > others.sum():
+        return False
+    if len(ratio) < 2 or not ratio.std() > 0.0:
+        return bool(ratio.mean() > 0.0)
+    least = float(student.ppf(0.95, len(ratio) - 1)) * ratio.std(ddof=1) / np.sqrt(len(ratio))
+    return bool(ratio.mean() > least)
 
 
 def spans(records: Sequence[PreparedRecord]) -> Array:

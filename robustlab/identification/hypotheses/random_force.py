@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,9 @@ class FittedWindows:
                 return self._levels_of(f, nothing, [float(np.exp(log_size))])[0]
 
             ends = start + np.log(10.0) * np.array([-0.375, 0.375])
-            found = minimize_scalar(lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03})
+            found: Any = minimize_scalar(
+                lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03}
+            )
             return level(float(found.x))
 
         around = [best(factor * self.alone.bandwidth) for factor in FINER]
@@ -110,16 +113,19 @@ class FittedWindows:
 
     @property
     def start_volume(self) -> float:
-        """Log det of the equations of all starts without a random force.
+        """What twice the log likelihood of the hypothesis alone lacks to be compared with others', of the starts.
 
-        It grows with whatever scales the outputs. Starts have hardly any prior here, so that only what a random force
-        changes of it tells anything; hypotheses are compared without it.
+        The log det of their equations grows with whatever scales the outputs: only what a random force changes of it
+        tells anything. Starts have hardly any prior here, and what one of them shows below the noise within its prior
+        (a current whose heat is carried on for hours) would tell as much; so there they have that of the fit.
         """
         total = 0.0
-        for record in self.records:
-            n_x = record.xi.shape[1]
-            own = record.gram[:, -1 - n_x : -1, -1 - n_x : -1] + START * np.eye(n_x)
-            total += float(np.linalg.slogdet(own)[1].sum())
+        for k, record in enumerate(self.records):
+            own = slice(-1 - record.xi.shape[1], -1)
+            unit = np.eye(record.xi.shape[1])
+            free, within = record.gram[:, own, own], self._within_noise(k, self.alone.size)[:, own, own]
+            logdet = [np.linalg.slogdet(h)[1].sum() for h in (free + unit, within + unit, within + START * unit)]
+            total += float(logdet[0] - logdet[1] + logdet[2])
         return total
 
     @property
@@ -129,6 +135,14 @@ class FittedWindows:
         Up to a constant common to all hypotheses.
         """
         return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * self.start_volume
+
+    def _within_noise(self, k: int, size: float) -> Array:
+        """Products of one record under the noise and a random force of this size, bandwidth as beside nothing."""
+        record = self.records[k]
+        root, w = self.roots[self.alone.bandwidth][k]
+        t = root @ record.gram[:, : record.segments]
+        t = t * np.sqrt(size**2 / (1.0 + size**2 * w))[:, :, None]
+        return record.gram - np.swapaxes(t, 1, 2) @ t
 
     def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
         """All random forces, with these columns (n_windows, n_segments, k) a record."""
@@ -192,11 +206,7 @@ class FittedWindows:
         found = []
         for k, record in enumerate(self.records):
             s = record.segments
-            root, w = self.roots[self.alone.bandwidth][k]
-            a = (share * self.alone.size) ** 2
-            t = root @ record.gram[:, :s]
-            t = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
-            gram = record.gram - np.swapaxes(t, 1, 2) @ t
+            gram = self._within_noise(k, share * self.alone.size)
             n, n_x = gram.shape[1], record.xi.shape[1]
             first = [*range(n - 1 - n_x, n - 1), *range(s), *range(s, n - 1 - n_x), n - 1]
             g, _ = _without_start(gram[:, first][:, :, first], record)

@@ -31,14 +31,17 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
+from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.force_families import Family, Over, families
 from robustlab.identification.hypotheses.force_response import force_response
 from robustlab.identification.hypotheses.random_force import FittedWindows, NoiseLevel, eliminated
 
-__all__ = ["PRIOR", "Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
+__all__ = ["PRIOR", "UNTOLD", "Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
 
 PRIOR = 0.05  # probability that something acts that is not in the catalogue, before any data
+# What the sums end with where there is hardly any motion, or nothing that tells some parameter.
+UNTOLD = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
 STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
 
 

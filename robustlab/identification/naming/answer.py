@@ -28,9 +28,9 @@ from robustlab.identification.naming.discovery_parts import (
     SearchEntry,
     SetProbability,
 )
-from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
+from robustlab.identification.naming.discovery_result import AS_LARGE, Discovery, Verdict, overall
 from robustlab.identification.naming.gaps import Gaps, held_out_gaps
-from robustlab.identification.naming.posterior import Alternative, Posterior, worth_telling
+from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
@@ -103,8 +103,8 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit})
-    if _worse(gaps, found, fit):
-        judged = judged._replace(verdict="unknown", complete=False)
+    if best.hypothesis.candidates:
+        judged = _on_held_out(judged, gaps)
     rivals = posterior.alternatives()
     if judged.verdict == "unknown" and not best.hypothesis.candidates:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
@@ -181,10 +181,15 @@ def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
     return "named" if alone and found.settled else "ambiguous"
 
 
-def _worse(gaps: Gaps, found: Found, fit: Fit) -> bool:
-    """Whether the updated model is further from held-out data than the refitted one; names do not stand then."""
-    most = (1.0 + worth_telling(found, fit)) * overall(gaps.windows, "refitted")
-    return bool(fit.hypothesis.candidates) and overall(gaps.windows, "updated") > most
+def _on_held_out(judged: _Judgement, gaps: Gaps) -> _Judgement:
+    """Names do not stand where the updated model is clearly further from held-out data than the refitted one.
+
+    Where it is further by what may be chance, they are not sure.
+    """
+    if gaps.worse:
+        return judged._replace(verdict="unknown", complete=False)
+    further = overall(gaps.windows, "updated") > (1.0 + AS_LARGE) * overall(gaps.windows, "refitted")
+    return judged._replace(verdict="ambiguous") if further and judged.verdict == "named" else judged
 
 
 def _explained(found: Found, fit: Fit) -> float:
@@ -334,11 +339,11 @@ def _places(fit: Fit) -> tuple[str, ...]:
 
 
 def _probabilities(posterior: Posterior) -> tuple[SetProbability, ...]:
-    best = posterior.best.visited.evidence
+    best = posterior.best.evidence
     return tuple(
         SetProbability(
             _places(w.fit), tuple(c.effect.id for c in w.fit.hypothesis.candidates), w.probability,
-            w.visited.evidence - best, w.distance,
+            w.evidence - best, w.distance,
             f"{'dry ' if w.unnamed.dry else ''}force over {w.unnamed.over} at {w.unnamed.port}" if w.unnamed else "",
         )
         for w in posterior.sets

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Discovery", "Verdict", "chance", "compared", "headline", "in_words", "overall", "with_interval"]
 
 
+AS_LARGE = 5e-3  # share by which errors differ that are called as large
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
 
@@ -221,6 +222,9 @@ def headline(d: Discovery) -> str:
     also = "" if d.complete else "; something else remains"
     if d.verdict == "named":
         return f"{early}{d.plant} lacks {_listed(e.title for e in d.effects)}: {change}{also}."
+    if d.verdict == "ambiguous" and not d.rivals and d.gap_after > d.gap_refitted:
+        worth = "on held-out data no nearer than the refitted model"
+        return f"{early}{d.plant} may lack {_listed(e.title for e in d.effects)}, which is {worth} ({change}{also})."
     if d.verdict == "ambiguous":
         return f"{early}{d.plant} lacks {_choices(d)}: these records cannot tell which ({change}{also})."
     beyond = f" beyond {_listed(e.title for e in d.effects)}" if d.effects else ""
@@ -250,7 +254,7 @@ def compared(before: float, after: float, name: str) -> str:
     if before <= 0.0 or after <= 0.0:
         return f"as large as {name}" if before == after else f"{'zero' if after <= 0.0 else 'not zero'}, unlike {name}"
     ratio = before / after
-    if abs(ratio - 1.0) < 5e-3:
+    if abs(ratio - 1.0) < AS_LARGE:
         return f"as large as {name}"
     times = max(ratio, 1.0 / ratio)
     size = f"{times:.3g}" if times < 1000.0 else f"{times:.0f}"

@@ -59,7 +59,7 @@ def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
 
 
 def promising(
-    problem: Problem, base: Fit, best: Fit, pool: Sequence[Candidate], known: dict[str, Array], workers: Executor,
+    problem: Problem, base: Fit, best: Fit, pool: Sequence[Candidate], known: dict[str, Fit], workers: Executor,
     said: Callable[[int, int], None],
 ) -> list[Start]:  # fmt: skip
     """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
@@ -69,7 +69,7 @@ def promising(
     best
         The most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
     known
-        Key of an effect -> standardised parameters of base and effect that an earlier look ended with; put down here.
+        Key of an effect -> fit of base and effect that an earlier look ended with; put down here.
     said
         Called with the number of short fits done and to do.
     """
@@ -101,10 +101,10 @@ def promising(
         looked.append(entry)
         said(done, len(jobs) + tuning.kept_second)
     nearest = _best_of_each(looked)
-    known.update({job.candidate.key: fit.z for job, fit in nearest})
+    known.update({job.candidate.key: fit for job, fit in nearest})
     kept = _kept(nearest, few_base.cost, least, tuning.kept_second, tuning.kept_gains)
     nearer = _best_of_each(workers.map(second, kept))
-    known.update({job.candidate.key: fit.z for job, fit in nearer})
+    known.update({job.candidate.key: fit for job, fit in nearer})
     kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
     return [Start(job.candidate, fit.hypothesis, fit.z) for job, fit in kept]
 
@@ -129,12 +129,12 @@ def _best_of_each(fits: Iterable[tuple[Start, Fit]]) -> list[tuple[Start, Fit]]:
     return list(best.values())
 
 
-def _starts(problem: Problem, base: Fit, candidate: Candidate, known: Mapping[str, Array]) -> list[Start]:
+def _starts(problem: Problem, base: Fit, candidate: Candidate, known: Mapping[str, Fit]) -> list[Start]:
     """From where a fit of the effect begins: its own starts, or where an earlier look left it."""
     if candidate.key in known:
         hypothesis, z = extended(problem, base.hypothesis, base.z, candidate, candidate.starts[0])
-        earlier = known[candidate.key]
-        return [Start(candidate, hypothesis, earlier if len(earlier) == len(z) else z)]
+        earlier = known[candidate.key]  # of another period, or effects in another order, it begins anew
+        return [Start(candidate, hypothesis, earlier.z if earlier.hypothesis == hypothesis else z)]
     own = [*candidate.starts, *_as_refitted(problem, base, candidate)]
     found = [Start(candidate, *extended(problem, base.hypothesis, base.z, candidate, start)) for start in own]
     return found + _unstretched(problem, base, candidate)

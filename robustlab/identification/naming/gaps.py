@@ -17,7 +17,7 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
-from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.hypotheses.noise import clearly_larger, first_noise, spans, window_errors
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.discovery_parts import Gap
 
@@ -26,11 +26,15 @@ __all__ = ["Gaps", "held_out_gaps", "spans"]
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Errors by output in windows and in free run, what the free run was over, and signals for figures."""
+    """Errors by output in windows and in free run, what the latter was over, and signals for figures.
+
+    ``worse``: the updated model is clearly further from the windows than the refitted one.
+    """
 
     windows: Mapping[str, Gap]
     free_run: Mapping[str, Gap]
     free_run_on: str
+    worse: bool
     series: Mapping[str, Any]
 
 
@@ -61,15 +65,10 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit]) -> Gaps:
         _gaps(held, measured, outputs),
         _gaps(held, followed, free),
         f"all of {names}, which the fit saw in part" if partly else names,
+        clearly_larger(*(window_errors(held, placed[name]) for name in ("updated", "refitted"))),
         _series(held, first, drawn, measured[k], {name: values[k] for name, values in outputs.items()})
         | {"free_run": _series(held, first, whole, followed[k], {name: values[k] for name, values in free.items()})},
     )
-
-
-def spans(records: Sequence[PreparedRecord]) -> Array:
-    """Largest measured range of each output, (n_measured,); 0 of one that no record has."""
-    known = [[y[np.isfinite(y)] for y in r.y.T] for r in records]
-    return np.max([[np.ptp(y) if y.size else 0.0 for y in row] for row in known], axis=0)
 
 
 def _placed(problem: Problem, fit: Fit) -> Fit:

@@ -27,14 +27,15 @@ from functools import cached_property
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
-from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
-from robustlab.identification.hypotheses.noise import held_out_fit, noise_ratio, rms_percent, white
+from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
+    UNTOLD,
     Unnamed,
     UnnamedEvidence,
     fitted_windows,
@@ -43,21 +44,24 @@ from robustlab.identification.hypotheses.unnamed_force import (
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["Alternative", "Posterior", "Weighed", "weigh", "worth_telling"]
+__all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
+HARDLY = 0.005  # probability below which a set changes no verdict
 
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
     """A set with its probability.
 
-    ``distance`` is its refit distance from the most probable one (NaN where not asked for), ``unnamed`` the force that
-    more probably than not acts beside it (None also where it was not looked for).
+    ``evidence`` is the log of the probability up to a constant, ``distance`` the refit distance from the most probable
+    one (NaN where not asked for), ``unnamed`` the force that more probably than not acts beside it (None also where it
+    was not looked for).
     """
 
     visited: Visited
     probability: float
+    evidence: float
     distance: float
     unnamed: UnnamedEvidence | None = None
 
@@ -116,7 +120,7 @@ class Posterior:
         found: dict[str, Alternative] = {}
         for other in self.collection[1:]:
             missing = [c for key, c in here.items() if key not in other.key]
-            behind = other.visited.evidence - self.best.visited.evidence
+            behind = other.evidence - self.best.evidence
             for candidate in other.fit.hypothesis.candidates:
                 if candidate.key not in here and candidate.key not in found:
                     place = next((m for m in missing if m.site == candidate.site), missing[0] if missing else None)
@@ -141,7 +145,7 @@ class _Weight:
         try:
             with np.errstate(all="ignore"):
                 return tuple(unnamed_force(windows, place) for windows, place in self.places)
-        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+        except UNTOLD:
             return ()
 
     @property
@@ -177,10 +181,10 @@ def weigh(found: Found) -> Posterior:
     share = np.exp(log - log.max())
     share /= share.sum()
     weighed = [
-        Weighed(v, float(p), distance.get(v.key, np.nan), forces.get(v.key))
+        Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets = sorted(_folded(weighed, evidence), key=lambda w: -w.probability)
+    sets = sorted(_folded(problem, weighed, evidence), key=lambda w: -w.probability)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
@@ -217,19 +221,28 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
     return distance
 
 
-def _folded(weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
+def _folded(problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
     """Sets without those that have an effect more of which the records say nothing, neither for it nor against it.
 
     What a larger set is the more probable for, its prior put aside, is the evidence of the records for what it has
-    more. Where there is none, its probability is that of the smaller set, and of something that no record shows.
+    more. Where there is none, or where the refit distance says that there can be none, its probability is that of the
+    smaller set, and of something that no record shows.
     """
     kept: list[Weighed] = []
     for entry in sorted(weighed, key=lambda w: len(w.key)):
         plain = evidence[entry.key] - entry.visited.prior
-        within = [k for k, w in enumerate(kept) if w.key < entry.key]
-        silent = [k for k in within if plain - (evidence[kept[k].key] - kept[k].visited.prior) < NO_EVIDENCE]
-        if silent:
-            k = max(silent, key=lambda k: kept[k].probability)
+
+        def silent(less: Weighed, entry: Weighed = entry, plain: float = plain) -> bool:
+            if not less.key < entry.key:
+                return False
+            if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE:
+                return True
+            asked = entry.probability > HARDLY and less.probability > entry.probability
+            return asked and refit_distance(problem, entry.fit, less.fit) < problem.tuning.cannot_tell
+
+        within = [k for k, w in enumerate(kept) if silent(w)]
+        if within:
+            k = max(within, key=lambda k: kept[k].probability)
             kept[k] = replace(kept[k], probability=kept[k].probability + entry.probability)
         else:
             kept.append(entry)
@@ -245,17 +258,28 @@ def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visite
 
 def _weight(found: Found, visited: Visited) -> _Weight | None:
     """A set weighed; None where there is hardly any motion."""
-    problem, held = found.problem, found.held
-    both = problem.on((*problem.records, *held.records), (*problem.chosen, *held.chosen))
-    placed = held_out_fit(held, visited.fit, found.noise)
-    fit = replace(visited.fit, starts=(*visited.fit.starts, *placed.starts))
-    places = plain_places(both, fit)[: problem.tuning.most_places]
+    both, fit = _all_windows(found, visited.fit)
+    places = plain_places(both, fit)[: both.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
             weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
-    except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError):  # hardly any motion
+    except UNTOLD:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
+
+
+def _all_windows(found: Found, fit: Fit) -> tuple[Problem, Fit]:
+    """What was fitted and what was held out, windows of one record together and in order of time; and the fit there."""
+    problem, held = found.problem, found.held
+    records, chosen, starts = list(problem.records), list(problem.chosen), list(fit.starts)
+    placed = held_out_fit(held, fit, found.noise).starts
+    for record, more, theirs in zip(held.records, held.chosen, placed, strict=True):
+        k = next((k for k, r in enumerate(records) if r is record), len(records))
+        own, at = (chosen[k], starts[k]) if k < len(records) else (more[:0], theirs[:0])
+        order = np.argsort(every := np.append(own, more))
+        records[k : k + 1], chosen[k : k + 1] = [record], [every[order]]
+        starts[k : k + 1] = [np.concatenate([at, theirs])[order]]
+    return problem.on(records, chosen), replace(fit, starts=tuple(starts))
 
 
 def _forces(
@@ -280,33 +304,19 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
 
     Those that fail are left out, as far down as sets are weighed.
     """
-    plain, tuning = white(found.noise), found.problem.tuning
+    held, plain, tuning = found.held, white(found.noise), found.problem.tuning
 
-    def error(visited: Visited) -> float:
-        return rms_percent(found.held, held_out_fit(found.held, visited.fit, plain))
+    def errors(visited: Visited) -> Array:
+        return window_errors(held, held_out_fit(held, visited.fit, plain))
 
-    def fails(visited: Visited) -> bool:
-        return error(visited) > most * (1.0 + worth_telling(found, visited.fit))
-
-    most = error(found.empty)
+    refitted = errors(found.empty)
     left: list[Visited] = []
     failed: list[Visited] = []
     for visited in (v for v in found.sets if v.allowed):
         judged = visited.key and len(left) < tuning.most_weighed
-        (failed if judged and fails(visited) else left).append(visited)
+        (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)
-
-
-def worth_telling(found: Found, fit: Fit) -> float:
-    """Share by which held-out errors must rise to speak against a set: by which their likelihood has an evidence.
-
-    A wrong gain and the tolerances that are stretched for it leave the same errors, and may cost more.
-    """
-    held = found.held
-    points = sum(len(c) * r.windows.length // r.thin for r, c in zip(held.records, held.chosen, strict=True))
-    gains = all(c.effect.gain_like for c in fit.hypothesis.candidates)
-    return float(np.expm1(NO_EVIDENCE * found.noise.excess / points)) + found.problem.tuning.held_out_slack * gains
 
 
 def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:

@@ -25,7 +25,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
@@ -44,7 +43,7 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
-from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
+from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -170,7 +169,7 @@ class _Search:
     workers: Executor
     visited: dict[Key, Visited] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
-    looked: dict[Key, dict[str, Array]] = field(default_factory=dict)
+    looked: dict[Key, dict[str, Fit]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
@@ -191,15 +190,18 @@ class _Search:
             self._expand(Key())
             self._sharpen()
             while self.expansions < self.tuning.most_expansions and sum(self.problem.work) < self.tuning.most_work:
+                best = self._told().key
                 key = self._next()
+                if self._told().key != best:  # a smaller set that had to be fitted first
+                    self._sharpen()
+                    continue
                 if key is None and self._lines():
                     key = self._next()
                 if key is None:
                     settled = True
                     break
-                best = self._told()
                 self._expand(key)
-                if self._told().key != best.key:
+                if self._told().key != best:
                     self._sharpen()
         except KeyboardInterrupt:
             interrupted = True
@@ -280,9 +282,12 @@ class _Search:
         if best.key in self.asked:
             return False
         self.asked.add(best.key)
-        with np.errstate(all="ignore"):
-            places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
-            left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+        try:
+            with np.errstate(all="ignore"):
+                places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
+                left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+        except UNTOLD:
+            return False
         told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
         for port, over, period in told:
@@ -369,11 +374,18 @@ class _Search:
             self._visit(again)
 
     def _visit(self, fit: Fit) -> None:
-        """Judge a fit, and keep it where it is the better one of its set."""
+        """Judge a fit, and keep it where it is the better one of its set.
+
+        One set stands for ripples of several periods: one that may be the answer is not lost to one that may not.
+        """
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
-        if there is None or there.fit.evidence < fit.evidence:
-            self.visited[key] = self._judged(fit)
+        if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
+            return
+        judged = self._judged(fit)
+        same = there is None or set(there.fit.hypothesis.candidates) == set(fit.hypothesis.candidates)
+        if there is None or (same or judged.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
+            self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
         judged = held_out_fit(self.held, fit, self.noise)
@@ -398,7 +410,8 @@ class _Search:
         self.noise = self._noise_of(leader)
         leader = self._clocked(self._again(leader))
         self.noise = self._noise_of(leader)
-        ordered = sorted(self.visited.values(), key=lambda v: v.evidence, reverse=True)[: self.tuning.rough_fits]
+        ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
+        ordered = ordered[: self.tuning.rough_fits]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         kept[key_of(leader.hypothesis)] = leader
         again = self.workers.map(self._again, kept.values())
