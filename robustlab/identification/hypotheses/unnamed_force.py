@@ -106,13 +106,14 @@ class Unnamed:
     noise_ratio
         RMS error of the fit, starts and parameters at their best, over what the sensors' noise and the machine's random
         force make of it; the random force is what no unnamed force explains.
-    random_force, bandwidth
-        Its RMS in the unit of the port, and its bandwidth in Hz.
+    random_force, random_share, bandwidth
+        Its RMS in the unit of the port and over that of the force that moves the port, and its bandwidth in Hz.
     """
 
     forces: tuple[UnnamedEvidence, ...]
     noise_ratio: float
     random_force: float
+    random_share: float
     bandwidth: float
 
 
@@ -131,7 +132,7 @@ def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     level, rest = (first.level, first.q) if told[order[0]].wins else (windows.alone, windows.alone.alone_q)
     # What is called the sensors' noise was told by the nominal model, and is too large where that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.bandwidth)
+    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.size / windows.force, level.bandwidth)
 
 
 class _Best(NamedTuple):

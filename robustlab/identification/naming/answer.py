@@ -164,7 +164,7 @@ def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _S
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     remains = bool(lines) or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
-    remains = remains or not posterior.generalises
+    remains = remains or posterior.random_share > tuning.most_random or not posterior.generalises
     verdict = _verdict(found, posterior, remains)
     # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
     complete = not remains and verdict != "unknown" and left is not None and np.isfinite(posterior.noise_ratio)

@@ -106,6 +106,11 @@ class Posterior:
         return max((u.noise_ratio for u in self.left), default=np.nan)
 
     @property
+    def random_share(self) -> float:
+        """Random force beside the best set over the force that moves the port, the largest over the places."""
+        return max((u.random_share for u in self.left), default=np.nan)
+
+    @property
     def best(self) -> Weighed:
         """The most probable set."""
         return self.sets[0]
