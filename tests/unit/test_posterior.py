@@ -136,7 +136,7 @@ def test_what_may_be_no_answer_has_no_probability():
 
 def test_windows_of_one_record_are_weighed_in_order_of_time():
     found = usual(friction=20.0)
-    both, fit = posterior_module._all_windows(found, found.best.fit)
+    both, fit = posterior_module._all_windows(found, found.held, found.best.fit)
     (record,), (chosen,) = both.records, both.chosen
     assert record is found.problem.records[0]
     assert list(chosen) == sorted([*found.problem.chosen[0], *found.held.chosen[0]])

@@ -218,8 +218,9 @@ class Effect(ABC):
     # True where its period over the position is a parameter; it is then tried at each strong spatial line
     # (``scales.orders`` holds the one line of a trial).
     spatial: bool = False
-    # True where its frequency over time is a parameter; it is then tried at each line (``scales.lines`` holds the one).
-    timed: bool = False
+    # Of an effect that is periodic in time: the parameter that is its frequency in Hz; it is then tried at each line
+    # (``scales.lines`` holds the one).
+    timed: str = ""
     # True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
     # tolerances tell the two apart.
     gain_like: bool = False
@@ -273,6 +274,10 @@ class Effect(ABC):
         if self.timed and scales.lines:
             return tuple(replace(scales, lines=(f,)) for f in scales.lines)
         return (scales,)
+
+    def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
+        """Parameters as a record tells them that begins later by so many seconds."""
+        return values
 
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Parameters of the effect that this one refines, as far as its own tell; those of one name by default."""

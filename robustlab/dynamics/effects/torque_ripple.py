@@ -39,7 +39,7 @@ class TorqueRipple(Effect):
     site_kind = "joint"
     amplitude = ("A", "Ac", "As")
     force = ripple_force
-    timed = True
+    timed = "f"
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         wave = Prior("linear", 0.0, 0.2 * scales.force)
@@ -52,6 +52,12 @@ class TorqueRipple(Effect):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Both parts start at zero, where every phase is equally near.
         return tuple({"Ac": 0.0, "As": 0.0, "f": f} for f in _lines_or_mains(scales))
+
+    def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
+        angle = 2.0 * math.pi * values["f"] * later
+        turn, ac, as_ = complex(math.cos(angle), math.sin(angle)), values["Ac"], values["As"]
+        wave = complex(ac, -as_) * turn  # Ac cos + As sin is the real part of (Ac - i As) exp(2 pi i f t)
+        return {**values, "Ac": wave.real, "As": -wave.imag}
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # No gain of the motion at all: a bounded load.

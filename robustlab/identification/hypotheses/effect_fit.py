@@ -307,6 +307,8 @@ class Problem:
         """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
+        if record.begun:
+            values = [e.begun(v, record.begun) for (e, _), v in zip(simulator.effects, values, strict=True)]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
         x0 = self.starts_seen(k, simulator, values)

@@ -53,6 +53,8 @@ class PreparedRecord:
         Samples averaged into one point of the error.
     resolution
         Smallest step of each measured output, (n_measured,); 0 where it has none.
+    begun
+        Time in s by which it began later than a record whose time an effect counts by (`in_phase`).
     """
 
     record: Record
@@ -67,6 +69,7 @@ class PreparedRecord:
     push: Array
     thin: int
     resolution: Array
+    begun: float = 0.0
 
     @property
     def count(self) -> int:

@@ -102,7 +102,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         fit = settled(problem, fit, found.noise, 1)
     bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
-    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit})
+    gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     if best.hypothesis.candidates:
         judged = _on_held_out(judged, gaps)
     rivals = posterior.alternatives()

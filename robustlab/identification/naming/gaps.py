@@ -18,10 +18,11 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import clearly_larger, first_noise, spans, window_errors
+from robustlab.identification.hypotheses.phase import in_phase
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.discovery_parts import Gap
 
-__all__ = ["Gaps", "held_out_gaps", "spans"]
+__all__ = ["Gaps", "held_out_gaps"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Gaps:
     series: Mapping[str, Any]
 
 
-def held_out_gaps(held: Problem, models: Mapping[str, Fit]) -> Gaps:
+def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
     """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records.
 
     Parameters
@@ -47,11 +48,17 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit]) -> Gaps:
         The records and which of their windows are held out.
     models
         A fit for each of the three names; its parameters stay, only window starts are found anew.
+    known
+        Records that the fits were told by: of others an effect over time has phases of their own, found anew too.
     """
-    placed = {name: _placed(held, fit) for name, fit in models.items()}
-    outputs = {name: simulated_outputs(held, fit) for name, fit in placed.items()}
+    own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
+    placed = {name: _placed(own[name], fit) for name, fit in models.items()}
+    outputs = {name: simulated_outputs(own[name], fit) for name, fit in placed.items()}
     runs = [_unbroken(record) for record in held.records]
-    free = {name: _free_run(held, runs, fit) for name, fit in models.items()}
+    free = {
+        name: _free_run(own[name], [_unbroken(record) for record in own[name].records], fit)
+        for name, fit in models.items()
+    }
     measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
     followed = [r.measured for r in runs]
     # The record with most sensors is drawn.
@@ -65,7 +72,7 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit]) -> Gaps:
         _gaps(held, measured, outputs),
         _gaps(held, followed, free),
         f"all of {names}, which the fit saw in part" if partly else names,
-        clearly_larger(*(window_errors(held, placed[name]) for name in ("updated", "refitted"))),
+        clearly_larger(*(window_errors(own[name], placed[name]) for name in ("updated", "refitted"))),
         _series(held, first, drawn, measured[k], {name: values[k] for name, values in outputs.items()})
         | {"free_run": _series(held, first, whole, followed[k], {name: values[k] for name, values in free.items()})},
     )

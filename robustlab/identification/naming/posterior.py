@@ -32,6 +32,7 @@ from robustlab.dynamics.effects.contract import Site
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
+from robustlab.identification.hypotheses.phase import in_phase
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
@@ -135,14 +136,18 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Weight:
-    """A set over all windows under a random force, at each place where one may act."""
+    """A set over all windows under a random force, at each place where one may act.
+
+    ``price``: of phases that were looked for.
+    """
 
     places: tuple[tuple[FittedWindows, Site], ...]
+    price: float
 
     @property
     def log_likelihood(self) -> float:
         """At the place that makes the set most probable."""
-        return max(windows.log_likelihood for windows, _ in self.places)
+        return max(windows.log_likelihood for windows, _ in self.places) - self.price
 
     @cached_property
     def left(self) -> tuple[Unnamed, ...]:
@@ -263,19 +268,20 @@ def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visite
 
 def _weight(found: Found, visited: Visited) -> _Weight | None:
     """A set weighed; None where there is hardly any motion."""
-    both, fit = _all_windows(found, visited.fit)
+    held, price = in_phase(found.held, visited.fit, found.problem.records)
+    both, fit = _all_windows(found, held, visited.fit)
     places = plain_places(both, fit)[: both.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
-            weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places))
+            weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places), price)
     except UNTOLD:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
 
 
-def _all_windows(found: Found, fit: Fit) -> tuple[Problem, Fit]:
+def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
     """What was fitted and what was held out, windows of one record together and in order of time; and the fit there."""
-    problem, held = found.problem, found.held
+    problem = found.problem
     records, chosen, starts = list(problem.records), list(problem.chosen), list(fit.starts)
     placed = held_out_fit(held, fit, found.noise).starts
     for record, more, theirs in zip(held.records, held.chosen, placed, strict=True):
@@ -312,7 +318,8 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     held, plain, tuning = found.held, white(found.noise), found.problem.tuning
 
     def errors(visited: Visited) -> Array:
-        return window_errors(held, held_out_fit(held, visited.fit, plain))
+        phased, _ = in_phase(held, visited.fit, found.problem.records)
+        return window_errors(phased, held_out_fit(phased, visited.fit, plain))
 
     refitted = errors(found.empty)
     left: list[Visited] = []

@@ -43,6 +43,7 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
+from robustlab.identification.hypotheses.phase import in_phase
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
 from robustlab.identification.naming.clock import held_inputs, short_steps
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
@@ -388,11 +389,12 @@ class _Search:
             self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
-        judged = held_out_fit(self.held, fit, self.noise)
+        held, price = in_phase(self.held, fit, self.problem.records)
+        judged = held_out_fit(held, fit, self.noise)
         return Visited(
             fit,
             log_prior(fit.hypothesis, self.tuning),
-            -0.5 * (judged.cost - float(fit.z @ fit.z)),
+            -0.5 * (judged.cost - float(fit.z @ fit.z)) - price,
             self.allowed(self.problem, fit),
         )
 
