@@ -106,7 +106,6 @@ class NamingTuning:
 
     # --- verdict
     explained: float = 0.9  # of what the bare model lacks; below, what was named is not the effect
-    held_out_slack: float = 0.05  # of the held-out error that a wrong gain may cost
     most_noise: float = 1.5  # error over noise and random force, beyond which something systematic is missing
     most_random: float = 0.05  # of the force that moves a port: a random force beyond is no noise of a machine
     repeatable: float = 1.6  # F of the residual against the noise floor beyond which something repeatable remains

@@ -171,6 +171,10 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
         "25 % -> 0.5 %."
     )
     assert "cannot tell which" in headline(ambiguous())
+    no_nearer = made(verdict="ambiguous", status=Status.INCONCLUSIVE, gap_refitted=0.09)
+    assert "may lack Coulomb (dry) friction, which is on held-out data no nearer than the refitted" in headline(
+        no_nearer
+    )
     assert "either Coulomb (dry) friction or presliding (elastic dry friction): these" in headline(ambiguous())
     assert headline(unknown()).startswith("servo-axis lacks something that no effect of the catalogue explains")
     beyond = headline(unknown(effects=(COULOMB,)))

@@ -15,6 +15,8 @@ from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows
 from robustlab.identification.naming import answer as module
 from robustlab.identification.naming.discovery import _spread
+from robustlab.identification.naming.discovery_parts import Gap
+from robustlab.identification.naming.gaps import Gaps
 from robustlab.identification.naming.progress import Progress
 from robustlab.result import Status
 
@@ -124,3 +126,15 @@ def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_jud
     bare = replace(found.empty, fit=replace(found.empty.fit, noise=noise, cost=3.0 * points))
     share = module._explained(replace(found, empty=bare), wider)
     assert share == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("updated", "worse", "verdict"),
+    [(1.0, False, "named"), (1.004, False, "named"), (1.08, False, "ambiguous"), (1.08, True, "unknown")],
+)
+def test_names_do_not_stand_against_held_out_data(updated, worse, verdict):
+    judged = module._Judgement("named", True, None, (), 1.0, None, {})
+    gaps = Gaps({"q": Gap("q", "m", 1.0, 5.0, 1.0, updated)}, {}, "test", worse, {})
+    said = module._on_held_out(judged, gaps)
+    assert said.verdict == verdict
+    assert said.complete == (verdict != "unknown")
