@@ -560,6 +560,20 @@ def test_window_starts_follow_the_gain_of_a_sensor():
     assert np.abs((late - true.smoothed.x[true.windows.starts + 3]) / size).max() < 2e-3
 
 
+def test_window_starts_follow_the_bias_of_a_sensor():
+    states = [Signal("q", "m"), Signal("v", "m/s")]
+    a, b, c = [[0.0, 1.0], [-400.0, -2.0]], [[0.0], [50.0]], [[1.0, 0.0]]
+    spring = StateSpaceModel(a, b, c, [[0.0]], 0.0, [Signal("u", "V")], states[:1], states)
+    plant = linear_plant_of(spring, "test")
+    run = rl.simulate(plant, T, U)
+    bias = 0.2 * np.ptp(run["q"])
+    true = prepare(plant, port_model(plant), rl.Record(T, run.inputs, {"q": run["q"]}), 100)
+    seen = prepare(plant, port_model(plant), rl.Record(T, run.inputs, {"q": run["q"] + bias}), 100)
+    size = np.abs(true.x0).max(axis=0)
+    assert np.abs((seen.starts_seen(0.0, {}) - true.x0) / size).max() > 0.1
+    assert np.abs((seen.starts_seen(0.0, {}, {0: bias}) - true.x0) / size).max() < 5e-3
+
+
 def test_the_shares_of_the_outputs_add_up_to_the_states_where_nothing_else_moves_them():
     plant = rl.plant("servo-axis")
     run = rl.simulate(plant, T, U)

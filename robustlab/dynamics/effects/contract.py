@@ -323,6 +323,10 @@ class Effect(ABC):
         """What is recorded of an output over what is there; 1 where the output is not scaled as a whole."""
         return 1.0
 
+    def bias(self, values: Mapping[str, float]) -> float:
+        """What is recorded of an output where nothing is there."""
+        return 0.0
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""
         return None

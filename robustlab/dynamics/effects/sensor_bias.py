@@ -48,6 +48,9 @@ class SensorBias(Effect):
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         return signal + values["b"]
 
+    def bias(self, values: Mapping[str, float]) -> float:
+        return values["b"]
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "output", 1.0, 1.0, offset=abs(values["b"]))
 

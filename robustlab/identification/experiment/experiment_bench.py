@@ -150,7 +150,8 @@ def _as_record(
     )  # fmt: skip
     return PreparedRecord(
         record, trial.u[:n], np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
-        np.tile(start_std, (count, 1)), smoothed, told, first.push, first.thin, np.zeros(len(columns)),
+        np.tile(start_std, (count, 1)), smoothed, told, np.zeros_like(told), first.push, first.thin,
+        np.zeros(len(columns)),
     )  # fmt: skip
 
 

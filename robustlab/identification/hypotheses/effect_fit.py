@@ -326,7 +326,8 @@ class Problem:
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
         """States at all window starts of one record, as they are where its sensors have these effects."""
         lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
-        return self.records[k].starts_seen(lag, self.shown(simulator.effects, values))
+        shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
+        return self.records[k].starts_seen(lag, shown, biased)
 
     def shown(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
         """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
@@ -336,6 +337,16 @@ class Problem:
             if site.kind == "output" and (gain := effect.shown(v)) != 1.0:
                 k = names.index(site.name)
                 found[k] = found.get(k, 1.0) * gain
+        return found
+
+    def biased(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+        """Index of each output that the effects bias -> what is recorded of it where nothing is there."""
+        found: dict[int, float] = {}
+        names = [s.name for s in self.plant.outputs]
+        for (effect, site), v in zip(effects, values, strict=True):
+            if site.kind == "output" and (bias := effect.bias(v)) != 0.0:
+                k = names.index(site.name)
+                found[k] = found.get(k, 0.0) + bias
         return found
 
     # --- the fit -----------------------------------------------------------------------------------------------------

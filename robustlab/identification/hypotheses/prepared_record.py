@@ -47,6 +47,8 @@ class PreparedRecord:
         What the smoother found along the record.
     told
         Share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records.
+    constant
+        What one unit more of each output at all samples is in the smoothed states, (n_measured, n, n_x).
     push
         Directions of the unknown forces, (n_x, n_forces).
     thin
@@ -66,6 +68,7 @@ class PreparedRecord:
     x0_std: Array
     smoothed: SmoothedRecord
     told: Array
+    constant: Array
     push: Array
     thin: int
     resolution: Array
@@ -81,8 +84,8 @@ class PreparedRecord:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
-    def starts_seen(self, lag: float, shown: Mapping[int, float]) -> Array:
-        """States at the window starts, (n_windows, n_x), where sensors show them late or scaled.
+    def starts_seen(self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}) -> Array:
+        """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
 
         Parameters
         ----------
@@ -92,11 +95,15 @@ class PreparedRecord:
             Index of an output of the plant -> what is recorded of it over what is there. The smoother took the records
             for the truth, and its states are linear in them: of each the share that this output told is divided by
             the gain.
+        biased
+            The same -> what is recorded where nothing is there.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, column in enumerate(self.columns):
             if (gain := shown.get(column, 1.0)) != 1.0:
                 x0 += (1.0 / gain - 1.0) * self._at(self.told[j], lag)
+            if bias := biased.get(column, 0.0):
+                x0 -= bias / gain * self._at(self.constant[j], lag)
         return x0
 
     def _at(self, x: Array, lag: float) -> Array:
@@ -169,8 +176,9 @@ def prepare(
     push = np.column_stack([p.force for p in joints]) if joints else model.B
     bare = plant.state_space().select(None, [names[columns[j]] for j in own])
     smoothed, driven, inputs = _smoothed(bare, push, record.t, u, y[:, own])
-    told, noise_std = np.zeros((len(columns), *smoothed.x.shape)), np.zeros(len(columns))
-    told[own], noise_std[own] = _told(driven, push, record.t, inputs, y[:, own], smoothed), smoothed.noise_std
+    told, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
+    told[own], constant[own] = _told(driven, push, record.t, inputs, y[:, own], smoothed)
+    noise_std[own] = smoothed.noise_std
     smoothed = replace(smoothed, noise_std=noise_std)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
@@ -190,7 +198,19 @@ def prepare(
     seen = _fastest_seen(plant, y[:, own], record.dt, smoothed.noise_std[own])
     thin = max(1, min(length // tuning.points_per_window, int(tuning.averaged_share * seen)))
     return PreparedRecord(
-        record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, told, push, thin, resolution
+        record,
+        u,
+        y,
+        columns,
+        windows,
+        smoothed.x[windows.starts].copy(),
+        std,
+        smoothed,
+        told,
+        constant,
+        push,
+        thin,
+        resolution,
     )
 
 
@@ -257,19 +277,25 @@ def _smoothed(
     return max(found, key=lambda f: f[0].log_likelihood)
 
 
-def _told(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord) -> Array:
+def _told(
+    bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
+) -> tuple[Array, Array]:
     """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
 
-    Noise and bandwidth are held, so that the smoother is linear. (A larger output would raise the least noise that it
-    takes for a quantised one.)
+    And what one unit more of it at all samples adds. Noise and bandwidth are held, so that the smoother is linear. (A
+    larger output would raise the least noise that it takes for a quantised one.)
     """
-    shares = []
-    for j in range(y.shape[1]):
-        half = y.copy()
-        half[:, j] *= 0.5
-        less = smooth_disturbance(bare, push, t, u, half, smoothed.noise_std, smoothed.bandwidth, jumps=False)
-        shares.append(2.0 * (smoothed.x - less.x))
-    return np.stack(shares)
+
+    def changed(j: int, output: Array) -> Array:
+        other = y.copy()
+        other[:, j] = output
+        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth, jumps=False)
+        return there.x - smoothed.x
+
+    shares = [-2.0 * changed(j, 0.5 * y[:, j]) for j in range(y.shape[1])]
+    sizes = [float(np.nanmax(np.abs(column))) or 1.0 for column in y.T]
+    constants = [changed(j, y[:, j] + size) / size for j, size in enumerate(sizes)]
+    return np.stack(shares), np.stack(constants)
 
 
 def _lead(first: int, last: int, length: int) -> int:
