@@ -171,6 +171,8 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
         "25 % -> 0.5 %."
     )
     assert "cannot tell which" in headline(ambiguous())
+    unsettled = made(verdict="ambiguous", status=Status.INCONCLUSIVE)
+    assert "lacks Coulomb (dry) friction, as far as the search came before its work was used up" in headline(unsettled)
     no_nearer = made(verdict="ambiguous", status=Status.INCONCLUSIVE, gap_refitted=0.09)
     assert "may lack Coulomb (dry) friction, which is on held-out data no nearer than the refitted" in headline(
         no_nearer

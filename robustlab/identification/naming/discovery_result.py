@@ -225,6 +225,9 @@ def headline(d: Discovery) -> str:
     if d.verdict == "ambiguous" and not d.rivals and d.gap_after > d.gap_refitted:
         worth = "on held-out data no nearer than the refitted model"
         return f"{early}{d.plant} may lack {_listed(e.title for e in d.effects)}, which is {worth} ({change}{also})."
+    if d.verdict == "ambiguous" and not d.rivals and len(d.collection) == 1:
+        far = "as far as the search came before its work was used up"
+        return f"{early}{d.plant} lacks {_listed(e.title for e in d.effects)}, {far} ({change}{also})."
     if d.verdict == "ambiguous":
         return f"{early}{d.plant} lacks {_choices(d)}: these records cannot tell which ({change}{also})."
     beyond = f" beyond {_listed(e.title for e in d.effects)}" if d.effects else ""
