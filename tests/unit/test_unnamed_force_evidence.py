@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses import force_families
 from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
@@ -208,6 +209,17 @@ def test_a_pulse_moves_a_mass_as_the_closed_form_says():
 def left_by(problem, fit):
     place = plain_places(problem, fit)[0]
     return unnamed_force(fitted_windows(problem, fit, place), place)
+
+
+@pytest.mark.parametrize("segments", [4, 5, 6, 7, 8, 12])
+def test_so_few_segments_that_no_line_can_be_told_are_no_fault(segments):
+    rng = np.random.default_rng(segments)
+    o, j, x = rng.normal(size=(2, 14, segments)), np.zeros((2, 14, 0)), rng.normal(size=(2, 14, 2))
+    windows = Dense(o, j, x, rng.normal(size=(2, 14)), np.zeros((2, 2)), np.zeros(0)).windows()
+    way = [np.tile(np.arange(segments, dtype=float), (2, 1))]
+    for least in np.linspace(0.2, 0.5 * segments, 25):
+        found = force_families._strongest(windows, way, None, least)
+        assert all(wave > 0.0 for wave, _ in found)
 
 
 def test_nothing_wins_where_nothing_is_missing():

@@ -179,7 +179,7 @@ def _strongest(
     steps = np.concatenate([np.abs(np.diff(a, axis=1)).ravel() for a in x])
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else span
     last = min(0.5 / step, FINEST / span)
-    if last * span <= least:
+    if last * span <= least + 1.0 / OVERSAMPLED:  # one wave number is no spectrum
         return []
     waves = np.arange(least / span, last, 1.0 / (OVERSAMPLED * span))
     power = np.zeros(len(waves))
