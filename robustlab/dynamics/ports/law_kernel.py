@@ -65,7 +65,7 @@ def law(function):  # type: ignore[no-untyped-def]
     """Compile ``function(p, z, z_next, seen) -> force``.
 
     p are the law's parameters, z its memory at the start of the step (never to be written), z_next the memory at the
-    end, seen the vector described above.
+    end, seen the vector described above. All four are addresses: they are indexed, and have no length.
     """
     return nb.cfunc(LAW_SIGNATURE, cache=True)(function)
 
