@@ -23,7 +23,9 @@ from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 
 __all__ = [
+    "LocalModels",
     "NonlinearPlant",
+    "PortPlace",
     "Plant",
     "SteppedPlant",
     "Trim",
@@ -200,8 +202,75 @@ class Trim:
         return dict(vars(self))
 
 
+@dataclass(frozen=True)
+class PortPlace:
+    """A state of a nonlinear plant at which a force, torque or voltage can act.
+
+    Attributes
+    ----------
+    name
+        The velocity state (kind ``"joint"``) or current state (kind ``"current"``).
+    kind
+        As of `robustlab.dynamics.ports.port_model.Port`.
+    unit
+        Of what acts there: N, N m, V.
+    position
+        The state that integrates the velocity; empty without one.
+    """
+
+    name: str
+    kind: Literal["joint", "current"]
+    unit: str
+    position: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class LocalModels:
+    r"""A nonlinear plant about n points (x_k, u_k), which need not be at rest.
+
+    .. math::
+        \dot x \approx f_k + A_k (x - x_k) + B_k (u - u_k) + \sum_j b_{kj} F_j, \qquad
+        y \approx y_k + C_k (x - x_k) + D_k (u - u_k)
+
+    Attributes
+    ----------
+    rates, outputs
+        f_k and y_k, shapes (n, n_x) and (n, n_y).
+    A, B, C, D
+        Exact Jacobians, (n, n_x, n_x), (n, n_x, n_u), (n, n_y, n_x), (n, n_y, n_u).
+    push
+        b_kj: rates of the states per unit of what acts at each of the plant's `port_places`, (n, n_x, n_ports).
+    """
+
+    rates: Array
+    outputs: Array
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    push: Array
+
+
 class NonlinearPlant(Plant):
     """The contract of a plant whose equations are not linear in state and input."""
+
+    @property
+    def port_places(self) -> tuple[PortPlace, ...]:
+        """Where forces can act, in the order of `LocalModels.push`; none by default."""
+        return ()
+
+    def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
+        """The plant about the points x (n, n_x), u (n, n_u), with the parameter values (all of them; nominal ones where
+        left out).
+
+        Raises
+        ------
+        InputError
+            A plant that has no such models.
+        NoTrustworthyNumber
+            A point at which it has none, by its number.
+        """
+        raise InputError(self.name, "a plant without models along a motion", "one that has them", None)
 
     @abstractmethod
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
