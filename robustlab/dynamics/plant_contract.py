@@ -136,6 +136,10 @@ class Plant(Traced, ABC):
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
         """``h(x, u)``: outputs, shape (n_y,)."""
 
+    @abstractmethod
+    def with_parameters(self, **given: Any) -> Any:
+        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+
     @property
     def values(self) -> dict[str, float]:
         """Nominal value of each parameter."""

@@ -19,7 +19,7 @@ from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, MotionModel, exponentials, motion_model
-from robustlab.dynamics.ports.port_model import PortModel, port_model
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
@@ -111,7 +111,7 @@ class Simulator:
 
     def __init__(
         self,
-        plant: LinearPlant | NonlinearPlant,
+        plant: AnyPlant,
         effects: Sequence[tuple[Effect, Site]],
         u: Array,
         dt: float,

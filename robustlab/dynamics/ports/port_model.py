@@ -35,6 +35,7 @@ from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
 __all__ = [
+    "AnyPlant",
     "Port",
     "PortModel",
     "linear_plant_of",
@@ -44,6 +45,7 @@ __all__ = [
 ]
 
 
+AnyPlant = LinearPlant | NonlinearPlant
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
 INERTIA_UNITS = {"rad/s": "kg m2", "m/s": "kg"}
 ASSUMED = "read off the matrices of the model"
@@ -221,7 +223,7 @@ def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
     return frozenset(int(k) for k in np.flatnonzero(np.sum(changed, axis=0)))
 
 
-def parameter_groups(plant: LinearPlant | NonlinearPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     """Parameters that a misjudgement of one physical quantity changes together: (role, label, names).
 
     Those of one role that stand in the same equations belong together (the inertias of a drive train); torque constant
