@@ -57,7 +57,7 @@ class Inputs(NamedTuple):
 
 
 class Machine(NamedTuple):
-    """Legs (6, 12) and constants (28,) of a platform, with motors or without, and the limits of its actuators."""
+    """Legs (6, 12) and constants (34,) of a platform, with motors or without, and the limits of its actuators."""
 
     legs: Any
     constants: Any
