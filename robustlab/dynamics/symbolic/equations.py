@@ -284,9 +284,9 @@ class PlantEquations:
         titles = labels(self._states, self._inputs, [Signal(*o) for o in _pairs(self._outputs)], places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
         return Equations(
-            tape_of(everything, ca.cse(rates), name, titles.__getitem__),
-            tape_of(everything, ca.cse(outputs), name, titles[len(self._states) :].__getitem__),
-            tape_of(everything, rows, name, titles.__getitem__),
+            tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
+            tape_of(everything, ca.cse(outputs), len(parameters), name, titles[len(self._states) :].__getitem__),
+            tape_of(everything, rows, len(parameters), name, titles.__getitem__),
             places,
         )
 

@@ -51,6 +51,9 @@ class Tape:
         Finite numbers, shape (n_c,).
     outputs
         Places of the outputs, shape (n_out,).
+    n_still
+        So many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
+        these alone that stand first are done once.
 
     Raises
     ------
@@ -73,6 +76,7 @@ class Tape:
     right: Places
     constants: Array
     outputs: Places
+    n_still: int = 0
 
     def __post_init__(self) -> None:
         for name in ("operations", "left", "right", "outputs"):
@@ -105,7 +109,11 @@ class Tape:
     @cached_property
     def code(self) -> Any:
         """The tape as the kernels take it."""
-        return tape_kernels().Code(self.operations, self.left, self.right, self.constants, self.outputs)
+        rows = (self.operations, self.left, self.right, self.outputs)
+        operations, left, right, outputs = (row.astype(np.uint32) for row in rows)
+        moving = np.minimum(self.left, self.right) < self.n_in - self.n_still
+        still = int(np.argmax(moving)) if moving.any() else len(moving)
+        return tape_kernels().Code(operations, left, right, self.constants, outputs, self.n_in - self.n_still, still)
 
     def __call__(self, points: Array) -> Array:
         """Outputs (n, n_out) at the points (n, n_in); NaN and infinite where the function has no value."""
@@ -143,7 +151,7 @@ def _codes() -> dict[int, int]:
     return {**known, ca.OP_CONSTPOW: known[ca.OP_POW]}
 
 
-def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] = str) -> Tape:
+def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable[[int], str] = str) -> Tape:
     """The tape of CasADi expressions.
 
     Parameters
@@ -152,6 +160,8 @@ def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] =
         Column of SX symbols.
     outputs
         Column of SX expressions in these symbols and no others.
+    n_still
+        As of `Tape`.
     where
         What messages call the plant.
     label
@@ -192,15 +202,47 @@ def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] =
         else:
             name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
             raise InputError(where, f"operation {name.removeprefix('OP_').lower()}", f"one of {', '.join(OPERATIONS)}")
-    base = {"input": 0, "constant": n_in, "result": n_in + len(constants)}
+    order = _grouped(steps, n_in - n_still)
+    rank = {k: r for r, k in enumerate(order)}
+    base = {"input": 0, "constant": n_in}
 
     def place(source: Source) -> int:
-        return base[source[0]] + source[1]
+        kind, number = source
+        return n_in + len(constants) + rank[number] if kind == "result" else base[kind] + number
 
-    numbers = np.array([(op, place(a), place(b)) for op, a, b in steps], np.int64).reshape(-1, 3)
-    return Tape(
-        n_in, numbers[:, 0], numbers[:, 1], numbers[:, 2], np.array([*constants], float), np.array([*map(place, ends)])
-    )
+    numbers = np.array([(steps[k][0], *map(place, steps[k][1:])) for k in order], np.int64).reshape(-1, 3)
+    return Tape(n_in, *numbers.T, np.array([*constants], float), np.array([*map(place, ends)], np.int64), n_still)
+
+
+def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int]:
+    """The operations in an order in which those come first that no moving input enters, and equal ones in long runs.
+
+    Of what can be done next always the kind of which there is the most.
+    """
+    waits, users = [0] * len(steps), [list[int]() for _ in steps]
+    moving = [False] * len(steps)
+    for k, (_, *arguments) in enumerate(steps):
+        for kind, number in set(arguments):
+            if kind == "result":
+                waits[k] += 1
+                users[number].append(k)
+                moving[k] |= moving[number]
+            moving[k] |= kind == "input" and number < n_moving
+    order: list[int] = []
+    for part in (False, True):
+        ready: dict[int, list[int]] = {}
+        for k in range(len(steps)):
+            if not waits[k] and moving[k] == part:
+                ready.setdefault(steps[k][0], []).append(k)
+        while ready:
+            run = ready.pop(max(ready, key=lambda op: (len(ready[op]), op)))
+            order += run
+            for k in run:
+                for user in users[k]:
+                    waits[user] -= 1
+                    if not waits[user] and moving[user] == part:
+                        ready.setdefault(steps[user][0], []).append(user)
+    return order
 
 
 def _concerned(outputs: Any, label: Callable[[int], str]) -> str:
