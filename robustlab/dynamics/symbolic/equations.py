@@ -274,9 +274,9 @@ class PlantEquations:
         outputs = ca.vertcat(*(e for e, _ in self._outputs.values()))
         self._check_symbols(pushes)
         rates, jacobian, push = self._differentiated(x, u, force, parameters)
+        self._check_affine(push, places)
         zero = ca.SX.zeros(len(pushes))
         rates, jacobian, push = (ca.substitute(e, force, zero) if pushes else e for e in (rates, jacobian, push))
-        self._check_affine(rates, push, force)
         c, d = ca.jacobian(outputs, x), ca.jacobian(outputs, u)
         a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
         blocks = (rates, outputs, a, b, c, d, push)
@@ -335,8 +335,11 @@ class PlantEquations:
             both = next((v for _, v, _ in self._joints if v in self._rates), None)
             if both is not None:
                 raise InputError(f"{self._where}: {both!r}", "p.rate and p.motion for one joint", "one of them")
-            self._check_mass_matrix(matrix, parameters)
             n = len(self._joints)
+            if matrix.shape[0] != n:
+                found = f"of {matrix.shape[0]} joints, and {n - matrix.shape[0]} came later"
+                raise InputError(f"{self._where}: motion", found, "p.joint(...) of all joints before it")
+            self._check_mass_matrix(matrix, parameters)
             forces = forces + force[:n]
             factor = _factorised(ca, matrix)
             a = _solved(ca, factor, forces)
@@ -377,13 +380,18 @@ class PlantEquations:
                     or "an unknown that depends on itself is an algebraic loop: solve for it, or make it a state",
                 )
 
-    def _check_affine(self, rates: Any, push: Any, force: Any) -> None:
-        ca = self._ca
-        if any(s.element_hash() in {f.element_hash() for f in self._pushes.values()} for s in ca.symvar(push)):
-            raise InputError(self._where, "a force that does not enter the rates linearly", "rates = ... + b * force")
-        nothing = [name for k, name in enumerate(self._pushes) if push[:, k].nnz() == 0]
-        if nothing and force.numel():
-            raise InputError(f"{self._where}: {nothing[0]!r}", "a force that moves nothing", "it in the state's rate")
+    def _check_affine(self, push: Any, places: tuple[PortPlace, ...]) -> None:
+        """Forces enter the rates, and linearly."""
+        forces = {f.element_hash(): name for name, f in self._pushes.items()}
+        for symbol in self._ca.symvar(push):
+            if symbol.element_hash() in forces:
+                where = f"{self._where}: {forces[symbol.element_hash()]!r}"
+                raise InputError(where, "its force does not enter the rates linearly", "rates = ... + b * force")
+        for k, place in enumerate(places):
+            if push[:, k].nnz() == 0:
+                raise InputError(
+                    f"{self._where}: {place.name!r}", "a force that moves nothing", "it in the state's rate"
+                )
 
     def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
         """Symmetric and positive definite at a few states, with the parameters as they are."""

@@ -175,12 +175,12 @@ class SymbolicPlant(NonlinearPlant):
         )
         if outcome == code.DONE:
             return states
-        words = "too many steps"
+        words, hint = "too many steps", "a force that jumps with a velocity is dry friction: add it by with_effects"
         if outcome == code.NOT_FINITE:
-            words = "the step became too small"
+            words, hint = "the step became too small", None
             if culprit >= 0:
                 words = f"the rate of {self.states[culprit].name} has no finite value there"
-        raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
+        raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}", None, hint)
 
     # --- evaluation --------------------------------------------------------------------------------------------------
 
