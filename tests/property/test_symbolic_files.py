@@ -179,16 +179,3 @@ def test_no_number_in_a_tape_brings_it_down(place, k, value):
         plant.derivative(np.full(4, 0.1), np.zeros(2))
     except rl.RobustlabError:
         pass
-
-
-def test_effects_on_such_a_plant_or_a_word_why_not(tmp_path):
-    plant = maker("cart_pole")()
-    try:
-        extended = rl.with_effects(plant, {"coulomb-friction@v": {"Fc": 0.5}})
-    except rl.RobustlabError as error:
-        assert "\n" not in error.line
-        return
-    rl.save(tmp_path / "x.h5", extended)
-    again = rl.load(tmp_path / "x.h5", isolate=False)
-    assert again.effects == extended.effects
-    assert again.plant.parameters == plant.parameters
