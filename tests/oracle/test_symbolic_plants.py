@@ -1,5 +1,6 @@
 """The plants under models/plants against equations written out in numpy, scipy's integrator, and Pinocchio."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from plant_files import NAMES, maker
@@ -231,6 +232,25 @@ def test_trims_that_have_a_closed_form():
     np.testing.assert_allclose([found.x[2], found.u[0]], hover, rtol=1e-10)
     assert found.x[0] == pytest.approx(0.0, abs=1e-9)  # of all heights the nearest to zero
     assert rl.trim(quad, z=2.5).x[0] == 2.5
+
+
+def test_a_rest_that_rounding_blurs_is_told_as_inaccurate():
+    p = rl.PlantEquations("blurred")
+    x, big = p.state("x"), p.parameter("big", 1e9)
+    p.rate(x, ca.sqrt((x + big) ** 2) - big - 1.23)
+    p.output("x", x)
+    found = rl.trim(p.plant())
+    assert found.status is Status.INACCURATE
+    assert found.x[0] == pytest.approx(1.23, abs=1e-6)
+    assert found.residual > 1e-9
+
+
+def test_a_start_says_which_of_many_rests():
+    arm = maker("two_link_arm")()
+    for angle in (np.pi / 2, -np.pi / 2):
+        start = (np.array([angle + 0.1, 0.0, 0.0, 0.0]), np.zeros(2))
+        found = rl.trim(arm, torque_1=0.0, torque_2=0.0, start=start)
+        np.testing.assert_allclose(found.x, [angle, 0.0, 0.0, 0.0], atol=1e-9)
 
 
 def test_an_arm_without_torque_hangs_or_stands():

@@ -65,6 +65,19 @@ def test_a_role_says_the_sign_and_none_is_no_role():
     assert [q.role for q in found.values()] == ["inertia", "viscous-friction", "torque-constant", "", ""]
 
 
+def test_a_mass_may_be_a_state():
+    """A rocket: v' = T / m, m' = -T / c; the speed is c log(m0 / m)."""
+    p = rl.PlantEquations("rocket")
+    thrust = p.input("thrust", "N")
+    (_, v), m = p.joint("height", "v", "m"), p.state("mass", "kg")
+    p.motion(m, thrust)
+    p.rate(m, -thrust / p.parameter("c", 2000.0, "m/s"))
+    p.output("v", v, "m/s")
+    t = np.linspace(0.0, 10.0, 11)
+    record = rl.simulate(p.plant(), t, np.full(11, 100.0), [0.0, 0.0, 2.0], rtol=1e-10)
+    np.testing.assert_allclose(record["v"], 2000 * np.log(2 / (2 - t / 20)), rtol=1e-9)
+
+
 def test_a_plant_without_inputs():
     p = rl.PlantEquations("decay")
     x = p.state("x")

@@ -35,7 +35,7 @@ SIGNS: dict[str, Sign] = {
 }
 # Unit of a joint's coordinate -> units of its velocity and of the force that acts along it.
 JOINT_UNITS = {"m": ("m/s", "N"), "rad": ("rad/s", "N m")}
-# Mass matrices are looked at at this many states, and are symmetric to this share of their largest entry.
+# A mass matrix is looked at at zero and at twice as many states; it is symmetric to this share of its largest entry.
 PROBES = 5
 SYMMETRIC = 1e-9
 
@@ -394,25 +394,26 @@ class PlantEquations:
                 )
 
     def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
-        """Symmetric and positive definite at a few states, with the parameters as they are."""
-        ca = self._ca
-        symbols = list(self._symbols.items())
-        function = ca.Function("M", [ca.vertcat(*(s for _, s in symbols))], [matrix])
-        draw = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, len(symbols)))
-        draw[0] = 0.0
-        for row in draw:
-            point = [parameters[n].value if n in parameters else row[k] for k, (n, _) in enumerate(symbols)]
+        """Symmetric wherever it is looked at, and positive definite somewhere, with the parameters as they are.
+
+        Not everywhere: a mass that is a state is negative where no plant is asked.
+        """
+        names, where = list(self._symbols), f"{self._where}: motion: mass matrix"
+        function = self._ca.Function("M", [self._ca.vertcat(*self._symbols.values())], [matrix])
+        draw = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, len(names)))
+        smallest: list[float] = []
+        for row in (0.0 * draw[0], *draw, *np.abs(draw)):
+            point = [parameters[n].value if n in parameters else row[k] for k, n in enumerate(names)]
             values = np.array(function(point).full())
-            where = f"{self._where}: motion: mass matrix"
             if not np.isfinite(values).all():
-                continue  # a singular state, at which no plant is asked
+                continue
             gap = np.abs(values - values.T)
             if gap.max() > SYMMETRIC * np.abs(values).max():
                 i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
                 raise InputError(where, f"entry [{i}, {j}] is not entry [{j}, {i}]", "a symmetric matrix")
-            smallest = float(np.linalg.eigvalsh(values)[0])
-            if smallest <= 0:
-                raise InputError(where, f"an eigenvalue of {smallest:.3g}", "a positive definite matrix")
+            smallest.append(float(np.linalg.eigvalsh(values)[0]))
+        if smallest and max(smallest) <= 0:
+            raise InputError(where, f"an eigenvalue of {max(smallest):.3g}", "a positive definite matrix")
 
     # --- small things ------------------------------------------------------------------------------------------------
 
