@@ -26,7 +26,7 @@ def motor():
     phi, omega = p.joint("phi", "omega", "rad")
     i = p.state("i", "A", current=True)
     p.motion(J, Km * i - Kf * omega)
-    p.rate(i, (u - R * i - Kb * omega + p.voltage("i")) / L)
+    p.rate(i, (u - R * i - Kb * omega + p.voltage(i)) / L)
     for name, symbol, unit in (("phi", phi, "rad"), ("omega", omega, "rad/s"), ("i", i, "A")):
         p.output(name, symbol, unit)
     return p.plant()

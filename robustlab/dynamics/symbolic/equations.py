@@ -128,6 +128,7 @@ class PlantEquations:
         kept: Any = "" if role in (None, NONE) else role
         sign = sign or SIGNS.get(kept, "any")
         symbol = self._new(name, "parameter")
+        _unit(unit, where)
         self._parameters[name] = Parameter(name, value, unit, tolerance, source, meaning, sign, kept)
         if role is None:
             self._without_role.add(name)
@@ -136,7 +137,7 @@ class PlantEquations:
     def input(self, name: str, unit: str = "") -> Any:
         """An input; returns its symbol."""
         symbol = self._new(name, "input")
-        self._inputs.append(Signal(name, unit))
+        self._inputs.append(Signal(name, _unit(unit, f"{self._where}: input {name!r}")))
         return symbol
 
     def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
@@ -166,23 +167,23 @@ class PlantEquations:
         if current and unit != "A":
             raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
         symbol = self._new(name, "state")
-        self._states.append(Signal(name, unit))
+        self._states.append(Signal(name, _unit(unit, f"{self._where}: state {name!r}")))
         if current:
             self._currents.append(name)
         return symbol
 
-    def force(self, velocity: str) -> Any:
+    def force(self, velocity: Any) -> Any:
         """Symbol of the force or torque that acts at a joint, for a plant whose rates are given one by one.
 
         Parameters
         ----------
         velocity
-            Name of the joint's velocity. The force accelerates the joint: ``(... + p.force("v")) / m``.
+            The joint's velocity, by its symbol or name. The force accelerates it: ``(... + p.force(v)) / m``.
         """
         return self._push(velocity, [v for _, v, _ in self._joints], "velocity of a joint")
 
-    def voltage(self, current: str) -> Any:
-        """Symbol of the voltage that acts at a current: ``(u - R * i + p.voltage("i")) / L``."""
+    def voltage(self, current: Any) -> Any:
+        """Symbol of the voltage that acts at a current, given by symbol or name: ``(u - R * i + p.voltage(i)) / L``."""
         return self._push(current, self._currents, "current")
 
     # --- equations ---------------------------------------------------------------------------------------------------
@@ -208,7 +209,7 @@ class PlantEquations:
 
     def rate(self, state: Any, expression: Any) -> None:
         """The rate of a state, given by its symbol or name; that of a joint's position is its velocity."""
-        name = state if isinstance(state, str) else self._name_of(state)
+        name = self._name_of(state)
         names = [s.name for s in self._states]
         place = f"{self._where}: rate"
         if name not in names:
@@ -225,7 +226,8 @@ class PlantEquations:
         _title(name, self._where, "output")
         if name in self._outputs:
             raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
-        self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), str(unit)
+        unit = _unit(unit, f"{self._where}: output {name!r}")
+        self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 
     def plant(self, **given: Any) -> SymbolicPlant:
         """The plant.
@@ -424,17 +426,20 @@ class PlantEquations:
         self._symbols[name] = self._ca.SX.sym(name)
         return self._symbols[name]
 
-    def _push(self, name: str, known: Sequence[str], kind: str) -> Any:
+    def _push(self, state: Any, known: Sequence[str], kind: str) -> Any:
+        name = self._name_of(state)
         if name not in known:
-            hint = did_you_mean(str(name), tuple(known))
+            hint = did_you_mean(name, tuple(known))
             raise InputError(f"{self._where}: {name!r}", f"no {kind}", f"one of {_listed(known)}", hint)
         if self._motion is not None and name not in self._currents:
             raise InputError(f"{self._where}: force at {name!r}", "in a plant with p.motion", "none: it acts by itself")
         return self._pushes.setdefault(name, self._ca.SX.sym(f"push {name}"))
 
     def _name_of(self, symbol: Any) -> str:
+        """Name of a state given by its symbol or name; what else was given, in words."""
         for name, known in self._symbols.items():
-            if isinstance(symbol, self._ca.SX) and known.element_hash() == symbol.element_hash():
+            one = isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1)
+            if one and known.element_hash() == symbol.element_hash():
                 return name
         return str(symbol)
 
@@ -504,6 +509,12 @@ def _title(name: Any, where: str, kind: str) -> str:
     if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
         raise InputError(where, f"{kind} {name!r}", f"a text of 1 to {MAX_NAME} characters")
     return name
+
+
+def _unit(unit: Any, where: str) -> str:
+    if not isinstance(unit, str):
+        raise InputError(where, f"unit {unit!r}", "a text; empty where there is none")
+    return unit
 
 
 def _listed(names: Any) -> str:

@@ -141,7 +141,8 @@ class SymbolicPlant(NonlinearPlant):
         """State and input at which the plant stays, with the given states, inputs and outputs held by name.
 
         What is left open is found by Newton's method from zero, or from the state and input in ``start=(x, u)``; of
-        many points at which the plant may rest, the one nearest to there (each number in its own unit).
+        many points at which the plant may rest, the one nearest to there (each number in its own unit). A name that a
+        state or input has holds that, not an output of the same name.
 
         Raises
         ------
