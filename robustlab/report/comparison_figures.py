@@ -239,7 +239,9 @@ def speed_figure(comparison: Comparison, output: str) -> Figure:
 
 
 def spectrum_figure(comparison: Comparison, output: str) -> Figure:
-    """Power spectral densities of recorded output, free run and error; below, the inputs' coherence with the error."""
+    """Power spectral densities of recorded output, free run and error; below, the coherence of
+    the inputs (of many those with the largest) with the error.
+    """
     s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
     f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
     figure, (above, below) = new_figure(2, 1, width=7.6, height=2.7, sharex=True)
@@ -260,7 +262,9 @@ def spectrum_figure(comparison: Comparison, output: str) -> Figure:
         if top > 0:
             above.legend(loc="lower left", ncols=1)
             above.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
-        for (name, coherence), colour in zip(s.coherence.items(), _cycle(len(s.coherence)), strict=True):
+        most = sorted(s.coherence, key=lambda name: -float(s.coherence[name].mean()))[:MOST_INPUTS]
+        drawn = {name: coherence for name, coherence in s.coherence.items() if name in most}
+        for (name, coherence), colour in zip(drawn.items(), _cycle(len(drawn)), strict=True):
             label = f"{plain_label(name)} with the error (mean over narrow bands)"
             below.semilogx(*_smoothed(f, coherence[1:]), color=colour, lw=1.2, label=label)
         below.axhline(

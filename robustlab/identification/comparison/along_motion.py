@@ -30,7 +30,14 @@ from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.prepared_record import window_length
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.record_check.suitability import channel_warnings
-from robustlab.identification.response.motion_response import MotionResponse, fit_windows, start_along, windows_along
+from robustlab.identification.response.motion_response import (
+    FitOfWindows,
+    MotionResponse,
+    WindowResponses,
+    fit_windows,
+    start_along,
+    windows_along,
+)
 from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units
 from robustlab.identification.response.windowed_simulation import WindowedSimulation, window_edges
 from robustlab.record import Record
@@ -42,6 +49,8 @@ __all__ = ["compare_along"]
 SHORTEST_RECORD = 40  # samples
 SHORTEST_PIECE = 20  # samples
 PIECES_PER_WINDOW = 4
+ASKED = 10  # pieces that tell how short they may be
+WELL_TOLD = 0.02  # standard deviation of an addition to an input, of what that input does
 CHECKED = 6  # windows that the nonlinear plant goes through, too
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
 LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighed by its rounding
@@ -108,7 +117,7 @@ def compare_along(
         simulated=kept(record, inputs, names, ran, f"{record.name} (free run)") if len(ran) > 1 else None,
         windowed=kept(record, inputs, names, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(names)},
-        disturbance=_disturbances(response, _piece(length), of_inputs),
+        disturbance=_disturbances(response, _piece(response, length), of_inputs),
         warnings=(
             *noted,
             *channel_warnings(record, tuple(inputs), tuple(names)),
@@ -259,22 +268,41 @@ def _windowed_error(response: MotionResponse, part: Stretch, length: int) -> Arr
     return error
 
 
-def _piece(length: int) -> int:
-    return max(length // PIECES_PER_WINDOW, min(length, SHORTEST_PIECE))
+def _piece(response: MotionResponse, length: int) -> int:
+    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or a quarter of a window."""
+    size, n = min(length, SHORTEST_PIECE), len(response.whole.t)
+    moved = response.course.u.std(axis=0)
+    moving = moved > 0
+    while 2 * size <= length // PIECES_PER_WINDOW:
+        starts = np.unique(np.linspace(0, n - size, ASKED).astype(np.int64))
+        square = np.concatenate([_told(p, response)[0] for p in response.responses(starts, size)])
+        std = 1.0 / np.sqrt(np.maximum(np.median(square, axis=0), 1e-300))
+        if (std[moving] <= WELL_TOLD * moved[moving]).all():
+            break
+        size *= 2
+    return size
+
+
+def _told(pieces: WindowResponses, response: MotionResponse) -> tuple[Array, Array, Array, FitOfWindows]:
+    """Square of what a unit more of each input does that no start can do, and of all it does, (n_pieces, n_u) each; the
+    former itself (n_pieces, length * n_y, n_u), and the fit of the starts.
+    """
+    weight = response.whole.weight
+    fit = fit_windows(pieces, response.errors(pieces), weight)
+    held = (pieces.held * weight[:, None]).reshape(*fit.left.shape, -1)
+    own = held - fit.basis @ (np.swapaxes(fit.basis, 1, 2) @ held)
+    return (own**2).sum(axis=1), (held**2).sum(axis=1), own, fit
 
 
 def _disturbances(response: MotionResponse, length: int, motions: dict[str, Motion]) -> dict[str, InputDisturbance]:
     """What would have to be added to each input, and to no other, in pieces of ``length`` samples."""
-    weight, names = response.whole.weight, list(motions)
+    names = list(motions)
     edges = np.arange(0, len(response.whole.t) + 1, length)
     value, std = np.full((2, len(names), len(edges) - 1), np.nan)
     before, after = np.zeros((2, len(names)))
     for pieces in response.responses(edges[:-1], length):
-        fit = fit_windows(pieces, response.errors(pieces), weight)
         at = np.searchsorted(edges, pieces.starts)
-        held = (pieces.held * weight[:, None]).reshape(*fit.left.shape, len(names))
-        own = held - fit.basis @ (np.swapaxes(fit.basis, 1, 2) @ held)
-        square, whole = (own**2).sum(axis=1), (held**2).sum(axis=1)
+        square, whole, own, fit = _told(pieces, response)
         told = square > TOLD**2 * whole
         d = np.divide(np.einsum("wmi,wm->wi", own, fit.left), square, out=np.zeros_like(square), where=told)
         total = (fit.left**2).sum(axis=1)[:, None]
