@@ -93,8 +93,8 @@ def keywords_of_frame(
     if "t" in meaning:
         source.notes += str(meaning["t"]).splitlines()
     if not isinstance(frame.index, pandas.RangeIndex):
-        values, unit = _values(frame.index)
-        _index_is_clock(source, str(frame.index.name or INDEX), values, unit or "s")
+        (values, unit), name = _values(frame.index), str(frame.index.name or INDEX)
+        _index_is_clock(source, name, values, unit or str(stated.get(name, "")))
     elif not any(name in names for name in CLOCK_NAMES):
         hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
         raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
@@ -134,7 +134,7 @@ def keywords_of_dataset(
     clock = dataset.coords[axis]
     source.notes += str(clock.attrs.get("meaning", "")).splitlines()
     values, unit = _values(clock)
-    _index_is_clock(source, str(axis), values, unit or str(clock.attrs.get("units", "s")))
+    _index_is_clock(source, str(axis), values, unit or str(clock.attrs.get("units", "")))
     return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=_ANY_CLOCK))
 
 

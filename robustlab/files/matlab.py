@@ -37,8 +37,8 @@ MAX_EMPTY = 1 << 31  # longest side of an array without entries
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 HEADER = 128  # bytes
 MATRIX, COMPRESSED = 14, 15  # data types of elements
-OPAQUE = ("s0", "s1", "s2", "arr")  # fields in which scipy hands over an object: its variable, system, class, content
-CELL, STRUCT, OBJECT, CHAR, SPARSE = 1, 2, 3, 4, 5  # classes of matrices; 6 to 15 are numbers
+OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object as scipy hands it over: variable, system, class, content
+CELL, STRUCT, OBJECT, CHAR, SPARSE, OPAQUE = 1, 2, 3, 4, 5, 17  # classes of matrices; 6 to 15 are numbers
 COMPLEX = 0x800  # flag
 LONGEST_HEADER = 256  # bytes of flags, of 32 sizes, of a name
 MAX_ELEMENTS = 100_000
@@ -75,7 +75,7 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
         raise InputError(where, f"damaged MATLAB file ({type(error).__name__}: {str(error)[:100]})") from error
     for name, value in variables.items():
         if not (name.startswith("__") and name.endswith("__")):
-            if isinstance(value, np.ndarray) and value.dtype.names == OPAQUE and value.size == 1:
+            if isinstance(value, np.ndarray) and value.dtype.names == OPAQUE_FIELDS and value.size == 1:
                 name = _latin(value["s0"].flat[0])  # scipy calls objects None, or by nothing
             _variable(tree, name, value, limits, 0)
     return tree
@@ -113,7 +113,7 @@ def _matlab_values(array: AnyArray) -> Any:
             texts = [str(cell.flat[0]) if cell.size else "" for cell in cells]
             return np.array(texts, dtype=np.str_).reshape(array.shape)
         return Unread("cell array", array.shape)
-    if array.dtype.names == OPAQUE and array.size == 1:
+    if array.dtype.names == OPAQUE_FIELDS and array.size == 1:
         return Unread(f"MATLAB object ({_latin(array['s2'].flat[0])})", array.shape)
     return Unread("MATLAB object", array.shape)
 
@@ -254,7 +254,7 @@ class _Walk:
         if depth > self.limits.depth:
             raise self._refused(f"cells and structs are nested deeper than {self.limits.depth}")
         self._count(BYTES_OF_MATRIX)
-        place, of_value, expected = 0, 0, 0
+        place, of_value, expected, opaque = 0, 0, 0, False
         while left >= 8:
             raw = source.take(8)
             kind, length = struct.unpack(self.order + "II", raw)
@@ -276,10 +276,13 @@ class _Walk:
                     source.skip(padded)
             if place == 0 and len(data) >= 4:
                 flags = struct.unpack(self.order + "I", data[:4])[0]
+                opaque = flags & 0xFF == OPAQUE  # of these name, system and class follow, no sizes
                 of_value = BYTES_OF_VALUE.get(flags & 0xFF, 16 if flags & COMPLEX else 8)
-            elif place == 1 and len(data) >= 4:
+            elif place == 1 and len(data) >= 4 and not opaque:
                 expected = of_value * math.prod(struct.unpack(f"{self.order}{len(data) // 4}I", data[: len(data) & ~3]))
-            elif place == 2:
+            elif place == 1 and opaque:
+                self.name = self.name if depth else data.decode("latin-1") or "?"
+            elif place == 2 and not opaque:
                 self.name = self.name if depth else data.decode("latin-1") or "?"
                 self._count(expected)
             place += 1

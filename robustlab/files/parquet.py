@@ -61,7 +61,9 @@ def _read(file: Any, where: str, wanted: Sequence[str] | None, limits: Limits, a
     schema, rows = file.schema_arrow, file.metadata.num_rows
     if len(schema.names) > limits.objects:
         raise InputError(where, f"{len(schema.names)} columns", f"at most {limits.objects}")
-    labels = [name_and_unit(name) for name in schema.names]
+    told = _metadata(schema)
+    of_record = "inputs" in table_of(told, "attributes")  # its names are what they are
+    labels = [(name, "") if of_record else name_and_unit(name) for name in schema.names]
     names = [name for name, _ in labels]
     twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
     if twice:
@@ -71,7 +73,7 @@ def _read(file: Any, where: str, wanted: Sequence[str] | None, limits: Limits, a
     if rows == 0:
         raise InputError(where, "no rows", "a table with samples")
     tree, columns = Tree(file=where), list(zip(schema, labels, strict=True))
-    _tell(tree, schema, columns)
+    _tell(tree, told, columns)
     also = (*(wanted or []), text_attr(tree.attrs, "clock"))
     chosen = [(f, name) for f, (name, _) in columns if _numeric(f.type) and (wanted is None or name in also)]
     declared = 8 * rows
@@ -87,9 +89,8 @@ def _read(file: Any, where: str, wanted: Sequence[str] | None, limits: Limits, a
     return tree
 
 
-def _tell(tree: Tree, schema: Any, columns: list[tuple[Any, tuple[str, str]]]) -> None:
-    """What the file says of its columns, beside their values."""
-    told = _metadata(schema)
+def _tell(tree: Tree, told: dict[str, Any], columns: list[tuple[Any, tuple[str, str]]]) -> None:
+    """What the file says of its columns, beside their values; ``told`` is what pandas left there."""
     attrs = table_of(told, "attributes")
     units, meanings = table_of(attrs, "units"), table_of(attrs, "meaning")
     for f, (name, unit) in columns:
@@ -102,9 +103,10 @@ def _tell(tree: Tree, schema: Any, columns: list[tuple[Any, tuple[str, str]]]) -
         for key, text in (("unit", unit), ("meaning", meaning)):
             if text and isinstance(text, str):
                 dataset.attrs[key] = canonical(text[:1000].replace("\x00", ""), key)
-    index = [text for text in told.get("index_columns", []) if isinstance(text, str) and text in schema.names]
+    stored = {f.name: name for f, (name, _) in columns}
+    index = [stored[text] for text in told.get("index_columns", []) if isinstance(text, str) and text in stored]
     times = [name for f, (name, _) in columns if _clock_unit(f.type)]
-    clock = name_and_unit(index[0])[0] if len(index) == 1 else times[0] if len(times) == 1 else ""
+    clock = index[0] if len(index) == 1 else times[0] if len(times) == 1 else ""
     if clock:
         tree.attrs["clock"] = canonical(clock, "clock")
     for side in ("inputs", "outputs"):

@@ -32,7 +32,7 @@ SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "
 GAP = 1.5
 # s; three years. A clock of whole numbers that begins later counts from its first sample, which keeps all digits.
 LONG = 1e8
-# Seconds: some 3000 years. A clock without unit beyond it shows smaller units since 1970.
+# s; some 3000 years. A clock beyond it shows smaller units since 1970, whatever it says.
 TOO_LATE = 1e11
 # A sample time given beside a clock that differs by more than this is told.
 SAME_RATE = 1e-6
@@ -210,7 +210,7 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
         _agree(source.where, clock, source.channels[clock].unit, units[clock])
         source.channels[clock].unit = units.pop(clock)
     order = dict.fromkeys(source.channels[signal].clock for signal in (*outs.values(), *ins.values()))
-    if len(order) > 1:
+    if len(order) > 1 and not _same_clock([source.clocks.get(key) for key in order]):
         t, arrays = _on_one_clock(source, arrays, set(ins.values()), list(order), clock, options)
     else:
         n = _common_length(source, arrays)
@@ -233,6 +233,11 @@ def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str
         alone = text in known or not sign
         found[text if alone else name.strip()] = text if alone else signal.strip()
     return found
+
+
+def _same_clock(clocks: list[Array | None]) -> bool:
+    first = clocks[0]
+    return first is not None and all(t is not None and np.array_equal(t, first) for t in clocks[1:])
 
 
 def _on_one_clock(
@@ -284,7 +289,7 @@ def _done(mine: list[str], ins: set[str], t: Array, between: Mask, apart: float,
     if not ins.isdisjoint(mine):
         words.append("inputs held at their last sample")
     if own.step < 0.75 * step:
-        words.append(f"every {step / own.step:.3g}th kept without a filter")
+        words.append(f"{step / own.step:.3g} to 1, without a filter")
     return "; ".join([own.text(), *words])
 
 
@@ -378,7 +383,13 @@ def _common_length(source: Source, arrays: Mapping[str, Array]) -> int:
 
 def _times(source: Source, names: list[str], n: int, dt: float | None, clock: str | None) -> Array:
     key = source.channels[names[0]].clock
-    given = source.clocks[key] if key else _clock(source, clock) if clock in source.channels and clock else None
+    given = source.clocks[key] if key else None
+    if not key and clock and clock in source.channels:
+        try:
+            given = _clock(source, clock, tell=dt is None)
+        except InputError:
+            if dt is None:
+                raise  # with dt given the clock need not be one
     if dt is None and given is not None:
         if len(given) != n:
             label = key or source.label(clock or "t")
@@ -406,8 +417,8 @@ def _times(source: Source, names: list[str], n: int, dt: float | None, clock: st
     return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
-def _clock(source: Source, name: str) -> Array:
-    """The named channel in s."""
+def _clock(source: Source, name: str, tell: bool) -> Array:
+    """The named channel in s; where its times count from is told."""
     channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
     if channel.unit not in SECONDS:
         raise InputError(
@@ -415,13 +426,13 @@ def _clock(source: Source, name: str) -> Array:
         )
     t, factor = _numbers(source, name), SECONDS[channel.unit]
     raw = channel.values
-    if not channel.unit and len(t) and np.abs(t).max() > TOO_LATE:
+    if factor == 1.0 and len(t) and np.abs(t).max() > TOO_LATE:
         unit = next(u for u, most in (("ms", 1e14), ("us", 1e17), ("ns", np.inf)) if np.abs(t).max() <= most)
-        raise InputError(
-            where, f"times of {t[0]:.4g} and no unit", "times in s", f"--unit {name}={unit}, if it is {unit}"
-        )
+        found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
+        raise InputError(where, found, "times in s", f"--unit {name}={unit}, if it is {unit}")
     if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
-        source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
+        if tell:
+            source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
         t = (raw - raw[0]).astype(np.float64)
     return t / round(1 / factor) if factor < 1 else t * factor
 
