@@ -45,6 +45,8 @@ SAME_TIME = 1e-6
 UNIFORM_TOLERANCE = 1e-3
 # More samples than this many times those recorded are no resampling.
 MOST_SAMPLES = 100
+# ppm; less is no drift but the rounding of stamps.
+LEAST_DRIFT = 1e-3
 # Fewer pairs of stamps tell no drift.
 FEWEST_PAIRS = 10
 
@@ -118,10 +120,11 @@ class Drift(NamedTuple):
     scatter: float
 
     def text(self) -> str:
-        """In words, in parts in a million."""
+        """In words, in parts in a million, with two standard deviations."""
         rate, sure = 1e6 * self.rate, 2e6 * self.deviation
-        drift = f"drift {rate:+.3g} ppm" if abs(rate) > sure else f"no drift above {sure:.3g} ppm"
-        return f"{drift} (± {sure:.2g} at 2 sigma), delay {self.delay:.3g} s, scatter {self.scatter:.2g} s rms"
+        known = abs(rate) > max(sure, LEAST_DRIFT)
+        drift = f"drift {rate:+.3g} ppm (± {sure:.2g})" if known else f"no drift above {max(sure, LEAST_DRIFT):.2g} ppm"
+        return f"{drift}, delay {self.delay:.3g} s, scatter {self.scatter:.2g} s rms"
 
 
 def clock_drift(stamps: Array, reference: Array) -> Drift | None:

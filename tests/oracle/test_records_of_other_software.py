@@ -187,7 +187,7 @@ def test_a_topic_of_a_bag(tmp_path, isolate):
     first, second = record.meaning["t"].splitlines()
     assert first == f"times are those of the message stamps, from {rf.T0} ns on"
     said = float(second.partition("drift ")[2].partition(" ppm")[0])
-    sure = float(second.partition("± ")[2].partition(" at")[0])
+    sure = float(second.partition("± ")[2].partition(")")[0])
     assert abs(said - 80) < 1.5 * sure < 60
     assert rl.Record.read(path, "/joints", clock="log", isolate=isolate).t[1] == pytest.approx(0.01, abs=1e-3)
 

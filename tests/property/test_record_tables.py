@@ -15,9 +15,7 @@ from robustlab.files.record_source import Channel, Source
 from robustlab.files.records import RecordOptions, choose
 
 NUMBERS = st.floats(-1e300, 1e300, allow_nan=False)
-NAMES = st.text(
-    st.characters(codec="utf-8", exclude_characters="\x00[]()=,", exclude_categories=("Cc", "Cs", "Zs")), min_size=1
-)
+NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs")), min_size=1)
 TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs")), max_size=9)
 
 
