@@ -102,8 +102,8 @@ def summarise_clock(t: Array) -> ClockSummary:
 
     Examples
     --------
-    >>> summarise_clock(np.array([0.0, 0.1, 0.2, 0.5, 0.6])).text()
-    '5 samples at 10 Hz, jitter 3.21e-17 s rms, largest gap 0.3 s after t = 0.2 s'
+    >>> summarise_clock(np.array([0.0, 0.11, 0.2, 0.5, 0.6])).text()
+    '5 samples at 10 Hz, jitter 0.00816 s rms, largest gap 0.3 s after t = 0.2 s'
     """
     steps = np.diff(t)
     k = int(np.argmax(steps))

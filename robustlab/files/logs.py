@@ -57,12 +57,12 @@ def recipe_of(variable: str, kind: str) -> str | None:
 
 
 def logs_of(node: Tree) -> Iterator[Log]:
-    """All channels of the logs in ``node`` and below it.
+    """All channels of the logs in ``node`` and below it; their lengths are those of the file.
 
     Raises
     ------
     InputError
-        Values with another number of rows than the log has times.
+        A value of too many columns.
     """
     yield from _logs(node, node.file, "")
 
@@ -135,11 +135,9 @@ def _columns(where: str, name: str, dataset: Dataset, unit: str, clock: str, tim
         return
     if values.ndim > 2 and n and values.shape[-1] == n:  # a matrix for each time: time runs last
         values = values.reshape(-1, n, order="F").T
-    elif values.ndim == 2 and values.shape[0] != n and values.shape[1] == n:
+    elif values.ndim == 2 and values.shape[0] != n and (values.shape[1] == n or values.shape[0] == 1):
         values = values.T
     table = values.reshape(len(values), -1, order="F") if values.ndim else values.reshape(1, 1)
-    if n and len(table) != n:
-        raise InputError(f"{where}: {name}", f"{len(table)} samples", f"{n} as {clock}")
     if table.shape[1] > MOST_COLUMNS:
         raise InputError(f"{where}: {name}", f"{table.shape[1]} columns", f"at most {MOST_COLUMNS}")
     for k in range(table.shape[1]):

@@ -74,7 +74,7 @@ def _read(file: Any, where: str, wanted: Sequence[str] | None, limits: Limits, a
         raise InputError(where, "no rows", "a table with samples")
     tree, columns = Tree(file=where), list(zip(schema, labels, strict=True))
     _tell(tree, told, columns)
-    also = (*(wanted or []), text_attr(tree.attrs, "clock"))
+    also = {*(wanted or []), text_attr(tree.attrs, "clock") or ""}
     chosen = [(f, name) for f, (name, _) in columns if _numeric(f.type) and (wanted is None or name in also)]
     declared = 8 * rows
     for part, limit in ((declared, limits.dataset), (declared * len(chosen), limits.total)):

@@ -195,7 +195,7 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     ins = _named(source.inputs if stated else options.inputs, known)
     outs = _named(source.outputs if stated else options.outputs, known)
     if options.outputs is None and not stated:
-        outs = {name: name for name in known if name not in (*ins.values(), clock)}
+        outs = {name: name for name in _of_default_clock(source, clock) if name not in (*ins.values(), clock)}
     signals = {**ins, **outs}
     asked = [*signals.values(), *([clock] if clock and dt is None else [])]
     missing = [name for name in asked if name not in known]
@@ -233,6 +233,13 @@ def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str
         alone = text in known or not sign
         found[text if alone else name.strip()] = text if alone else signal.strip()
     return found
+
+
+def _of_default_clock(source: Source, clock: str | None) -> list[str]:
+    """What is read where nothing is named: the signals of the source's own clock, or where it has none all logs."""
+    own = [name for name, channel in source.channels.items() if not channel.clock]
+    logged = [name for name, channel in source.channels.items() if channel.clock]
+    return own if clock in own or source.dt or not logged else logged
 
 
 def _same_clock(clocks: list[Array | None]) -> bool:

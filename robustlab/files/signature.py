@@ -111,7 +111,8 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
 
 def _check_state(state: os.stat_result, where: str, limits: Limits) -> None:
     if stat.S_ISDIR(state.st_mode):
-        raise InputError(where, "is a directory", "a file")
+        bags = sorted(str(file) for file in Path(where).glob("*.mcap"))  # a bag of ROS 2 is a folder
+        raise InputError(where, "is a directory", "a file", bags[0] if bags else None)
     if not stat.S_ISREG(state.st_mode):
         raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
     if state.st_size == 0:

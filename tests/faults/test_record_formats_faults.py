@@ -184,7 +184,7 @@ def test_structs_that_lead_in_circles(tmp_path):
 
 def test_logs_that_do_not_fit_their_times(tmp_path):
     scipy.io.savemat(tmp_path / "r.mat", {"a": {"time": T[:, None], "values": T[:-1, None]}})
-    refused(r"r\.mat: a: 20 samples, expected 21 as a\.time", tmp_path / "r.mat")
+    refused(r"r\.mat: a\.time has 21 samples, the signals 20, expected equal lengths", tmp_path / "r.mat")
     scipy.io.savemat(tmp_path / "c.mat", {"a": {"time": T, "values": T}, "b": {"time": T + 5, "values": T}})
     refused("the clocks run from 0 s to 2 s and 5 s to 7 s, expected times that overlap", tmp_path / "c.mat")
     scipy.io.savemat(tmp_path / "d.mat", {"a": {"time": JUMP, "values": T}, "b": {"time": T / 2, "values": T}})

@@ -161,6 +161,19 @@ def test_objects_of_matlab_are_refused_with_the_line_that_converts_them(tmp_path
             read(path)
 
 
+def test_flat_variables_come_before_logs_and_what_a_timetable_becomes(tmp_path):
+    """The line for timetables leaves ``Time`` and a variable for each column."""
+    scipy.io.savemat(
+        tmp_path / "r.mat", {"Time": T[:, None], "q": U[:, None], **simulink(), "bad": {"t": T, "data": U[:5]}}
+    )
+    record = read(tmp_path / "r.mat", inputs=["q"], outputs=None)
+    assert (list(record.inputs), list(record.outputs)) == (["q"], [])
+    assert list(read(tmp_path / "r.mat").outputs) == ["q"]
+    assert read(tmp_path / "r.mat", outputs=["speed"]).n == 51
+    with pytest.raises(InputError, match=r"bad.t has 101 samples, the signals 5, expected equal lengths"):
+        read(tmp_path / "r.mat", outputs=["bad"])
+
+
 # --- ROS 2 -----------------------------------------------------------------------------------------------------------
 
 
