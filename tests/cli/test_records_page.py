@@ -15,6 +15,7 @@ import scipy.io
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.dynamics.effects.catalogue import catalogue
 
 PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text(encoding="utf-8")
 N, H = 400, 5_000_000  # samples, ns
@@ -88,6 +89,28 @@ def test_the_commands_refuse_in_one_line(call):
 def test_a_group_by_its_place_in_the_name(call):
     told = call("discover", "servo-axis", "run.mat#simin", "--outputs", "q", code=3)
     assert "missing group /simin" in told.err
+
+
+def test_friction_is_named_from_a_bag_of_two_clocks_with_jitter(call, folder):
+    """Position at 200 Hz, command at 1 kHz, both logged up to 0.2 ms late; the truth is Coulomb friction of 20 N."""
+    rng = np.random.default_rng(0)
+    t = np.arange(3000) * 1e-3
+    u = np.repeat(rng.uniform(-3.0, 3.0, size=15), 200)
+    machine = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
+    q = rl.simulate(machine, t, u)["q"] + 1e-6 * rng.standard_normal(len(t))
+    late = rng.integers(0, 200_000, (2, len(t)))
+    events = [("/drive", "number", rf.T0 + k * 10**6 + late[0, k], {"data": u[k]}) for k in range(len(t))]
+    events += [("/axis", "number", rf.T0 + k * 10**6 + late[1, k], {"data": q[k]}) for k in range(0, len(t), 5)]
+    rf.bag(folder / "friction.mcap", sorted(events, key=lambda event: event[2]))
+    tried = ("coulomb-friction", "constant-load", "viscous-friction")
+    excluded = [word for name in catalogue() if name not in tried for word in ("--exclude", name)]
+    signals = ("--inputs", "u=/drive.data", "--outputs", "q=/axis.data", "--unit", "u=V", "--unit", "q=m")
+    told = call("discover", "servo-axis", "friction.mcap", *signals, *excluded, "--json")
+    result = json.loads(told.out)
+    assert (result["verdict"], result["names"]) == ("named", ["coulomb-friction"])
+    assert result["effects"][0]["parameters"][0]["value"] == pytest.approx(20.0, rel=0.05)
+    assert re.search(r"2 clocks brought on one of (199\.9|200)\S* Hz \(that of /axis\)", told.err)
+    assert "outputs interpolated at 9" in told.err
 
 
 def test_the_code_runs(monkeypatch, tmp_path, capsys):
