@@ -195,7 +195,7 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     ins = _named(source.inputs if stated else options.inputs, known)
     outs = _named(source.outputs if stated else options.outputs, known)
     if options.outputs is None and not stated:
-        outs = {name: name for name in _of_default_clock(source, clock) if name not in (*ins.values(), clock)}
+        outs = {name: name for name in _of_default_clock(source, clock, dt) if name not in (*ins.values(), clock)}
     signals = {**ins, **outs}
     asked = [*signals.values(), *([clock] if clock and dt is None else [])]
     missing = [name for name in asked if name not in known]
@@ -235,11 +235,11 @@ def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str
     return found
 
 
-def _of_default_clock(source: Source, clock: str | None) -> list[str]:
+def _of_default_clock(source: Source, clock: str | None, dt: float | None) -> list[str]:
     """What is read where nothing is named: the signals of the source's own clock, or where it has none all logs."""
     own = [name for name, channel in source.channels.items() if not channel.clock]
     logged = [name for name, channel in source.channels.items() if channel.clock]
-    return own if clock in own or source.dt or not logged else logged
+    return own if not logged or clock in own or (own and (dt or source.dt)) else logged
 
 
 def _same_clock(clocks: list[Array | None]) -> bool:

@@ -20,7 +20,16 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.clocks import NEAR, SAME_TIME, checked_step, clock_step, common_clock, held, interpolated
+from robustlab.clocks import (
+    NEAR,
+    SAME_TIME,
+    checked_step,
+    clock_step,
+    common_clock,
+    held,
+    interpolated,
+    summarise_clock,
+)
 from robustlab.errors import InputError
 from robustlab.record import Record
 from robustlab.result import Evidence
@@ -136,6 +145,8 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
     equal sample times, the clock of the record with more outputs is taken. A shift
     between the clocks is not looked for here: it is a delay, and naming finds it.
 
+    What the clocks are like and what was done stands in the meaning of ``t``.
+
     Parameters
     ----------
     first, second
@@ -180,6 +191,9 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
         inputs.update({name: held(clock, r.t, samples, step) for name, samples in r.inputs.items()})
         outputs.update({name: interpolated(clock, r.t, x, step)[0] for name, x in r.outputs.items()})
     units, meaning = {**first.units, **second.units}, {**first.meaning, **second.meaning}
+    done = f"2 clocks brought on one of {1 / step:.6g} Hz, inputs held, outputs interpolated"
+    clocks = [f"{r.name}: {summarise_clock(r.t).text()}" for r in (first, second)]
+    meaning["t"] = "\n".join([*(r.meaning["t"] for r in (first, second) if "t" in r.meaning), done, *clocks])
     return Record(clock, inputs, outputs, units, f"{first.name} + {second.name}", meaning)
 
 
