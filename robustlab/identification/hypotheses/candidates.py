@@ -332,7 +332,7 @@ def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dic
     return result
 
 
-def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> LinearPlant:
+def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> AnyPlant:
     """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
     that no effect has to do it in their stead.
     """

@@ -1,0 +1,106 @@
+"""A nonlinear plant with effects, as a plant of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.dynamics.extended.extended_equations import ExtendedEquations
+from robustlab.dynamics.extended.nonlinear_point import About, point_model, scaled
+from robustlab.dynamics.extended.nonlinear_steps import Drive, march
+from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.tuning import TUNING
+from robustlab.errors import InputError, NoTrustworthyNumber
+
+__all__ = ["ExtendedNonlinearPlant"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExtendedNonlinearPlant(ExtendedEquations):
+    """A nonlinear plant with effects; made by `robustlab.dynamics.extended.extended_plant.with_effects`.
+
+    Attributes
+    ----------
+    changed
+        The plant with the parameters that the effects give it.
+    """
+
+    plant: NonlinearPlant
+    changed: NonlinearPlant = field(init=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "changed", scaled(self.plant, self.effects))
+
+    def about(self, x: Array, seen: Array) -> About:
+        """Rates, outputs and slopes of the plant at the point."""
+        return point_model(self.changed, self.effects, x, seen)
+
+    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+        """States and outputs, by `robustlab.dynamics.extended.nonlinear_steps`.
+
+        Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
+        more than ``TUNING.halved`` of their root mean square.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            Steps that many times shorter still change the motion; a motion that leaves what the plant can do.
+        """
+        parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
+        states, outputs = self._stepped(u, dt / parts, t0, x0, parts, None)
+        if step is not None:
+            return states[::parts], outputs[::parts]
+        off = np.inf
+        for _ in range(TUNING.most_halvings):
+            coarse, parts = states, 2 * parts
+            between = np.arange(len(u) * parts) / 2.0
+            guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
+            states, outputs = self._stepped(u, dt / parts, t0, x0, parts, guess)
+            found, before = states[::parts], coarse[:: parts // 2]
+            size = np.sqrt(np.mean(found**2, axis=0))
+            off = float((np.sqrt(np.mean((found - before) ** 2, axis=0)) / np.where(size > 0, size, 1.0)).max())
+            if off <= TUNING.halved:
+                return found, outputs[::parts]
+        raise NoTrustworthyNumber(
+            f"{self.name}: simulate",
+            f"steps of {1e6 * dt / parts:.3g} us still change the motion by {off:.2g} of its size",
+            None,
+            "a step of your own, without error control: simulate(..., step=1e-4)",
+        )
+
+    def _stepped(
+        self, u: Array, h: float, t0: float, x0: Array, parts: int, guess: Array | None
+    ) -> tuple[Array, Array]:
+        """States and outputs at all steps of h seconds, ``parts`` of them a sample."""
+        held, pairs = np.repeat(u, parts, axis=0), [(e.effect, e.site) for e in self.effects]
+        own = len(self.plant.states)
+        inputs = Simulator(self.plant, pairs, held, h, sub=1, motion=np.zeros((len(held), own)))  # it steps nothing
+        mean, rise = inputs.seen_input([e.values for e in self.effects])
+        states = march(self.changed, self.effects, Drive(mean, rise, h, t0), self.whole_state(x0), guess)
+        outputs = self.changed.outputs_along(states[:, :own], mean - rise)
+        for e in self.effects:
+            if e.site.kind == "output":
+                k = [s.name for s in self.outputs].index(e.site.name)
+                outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, h)[0]
+        return states, outputs
+
+    def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
+        """The rest of the plant without force laws, and what is asked; at a pose that is asked the states stay."""
+        signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
+        given = {name: value for name, value in where.items() if name in signals}
+        n, extra = len(self.plant.states), np.zeros(len(self.states) - len(self.plant.states))
+        try:
+            rest = self.changed.equilibrium(**where)
+        except (InputError, NoTrustworthyNumber):
+            if len(given) < len(where):
+                raise
+            return np.zeros(len(self.states) + len(self.inputs)), given
+        if len(given) < len(where) and rest.pose is not None:
+            given |= dict(zip((s.name for s in self.states[:n]), rest.x, strict=False))
+        return np.concatenate([rest.x, extra, rest.u]), given
