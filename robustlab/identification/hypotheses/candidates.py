@@ -14,7 +14,6 @@ from scipy.ndimage import median_filter
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
-from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
