@@ -45,7 +45,8 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         """States and outputs, by `robustlab.dynamics.extended.nonlinear_steps`.
 
         Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
-        more than ``TUNING.halved`` of their root mean square.
+        more than ``TUNING.halved`` (1e-4), in root mean square, of the largest state of the same unit. What is left
+        then is a third of that or less.
 
         Raises
         ------
@@ -63,8 +64,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
             guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
             states, outputs = self._stepped(u, dt / parts, t0, x0, parts, guess)
             found, before = states[::parts], coarse[:: parts // 2]
-            size = np.sqrt(np.mean(found**2, axis=0))
-            off = float((np.sqrt(np.mean((found - before) ** 2, axis=0)) / np.where(size > 0, size, 1.0)).max())
+            off = self._difference(found, before)
             if off <= TUNING.halved:
                 return found, outputs[::parts]
         raise NoTrustworthyNumber(
@@ -83,12 +83,19 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         inputs = Simulator(self.plant, pairs, held, h, sub=1, motion=np.zeros((len(held), own)))  # it steps nothing
         mean, rise = inputs.seen_input([e.values for e in self.effects])
         states = march(self.changed, self.effects, Drive(mean, rise, h, t0), self.whole_state(x0), guess)
-        outputs = self.changed.outputs_along(states[:, :own], mean - rise)
+        outputs = self.changed.outputs_along(states[:, :own], mean - rise).copy()
         for e in self.effects:
             if e.site.kind == "output":
                 k = [s.name for s in self.outputs].index(e.site.name)
                 outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, h)[0]
         return states, outputs
+
+    def _difference(self, one: Array, other: Array) -> float:
+        """Root mean square difference of two motions, as a share of the largest state of the same unit."""
+        size, off = (np.sqrt(np.mean(motion**2, axis=0)) for motion in (one, one - other))
+        units = np.array([s.unit for s in self.states])
+        shares = (off[units == unit].max() / (size[units == unit].max() or 1.0) for unit in dict.fromkeys(units))
+        return float(max(shares, default=0.0))
 
     def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
         """The rest of the plant without force laws, and what is asked; at a pose that is asked the states stay."""

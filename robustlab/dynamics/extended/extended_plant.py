@@ -28,7 +28,7 @@ from robustlab.dynamics.extended.nonlinear_point import About
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
@@ -97,7 +97,7 @@ class ExtendedPlant(ExtendedEquations):
 
 
 def with_effects(
-    plant: Plant | StateSpaceModel,
+    plant: AnyPlant | StateSpaceModel,
     effects: Mapping[str, Mapping[str, Any]] | Iterable[AttachedEffect] | AttachedEffect,
 ) -> Any:
     """The plant with effects attached.
@@ -161,8 +161,10 @@ def _fitting(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEff
 
 def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant | ExtendedNonlinearPlant:
     states = (*base.states, *_further_states(extended_model(base, effects)))
-    made = ExtendedNonlinearPlant if isinstance(base, NonlinearPlant) else ExtendedPlant
-    return made(base.name, base.parameters, base.inputs, base.outputs, states, base, effects)
+    signals = base.inputs, base.outputs, states
+    if isinstance(base, NonlinearPlant):
+        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
+    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
 
 
 def _further_states(model: PortModel) -> tuple[Signal, ...]:

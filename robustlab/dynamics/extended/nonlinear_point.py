@@ -1,4 +1,4 @@
-"""A nonlinear plant with effects about one point: its parameters under the effects, its linear model and ports there."""
+"""A nonlinear plant with effects about one point: its parameters under the effects, linear model and ports there."""
 
 from __future__ import annotations
 
