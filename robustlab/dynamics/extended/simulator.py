@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -138,6 +139,13 @@ class Simulator:
         self._steps: dict[tuple[float, ...], Array] = {}
         self._exponentials: dict[bytes, tuple[Array, Array, Array]] = {}
         self._models: dict[tuple[tuple[str, float], ...], PortModel] = {}
+
+    def about(self, motion: Array | None) -> Simulator:
+        """The same simulator of a nonlinear plant about another motion."""
+        other = copy(self)
+        if isinstance(self.plant, NonlinearPlant) and motion is not None and self._course is not None:
+            other._course = _course(self.plant, motion, self._course.u, self.dt)
+        return other
 
     def run(
         self,
