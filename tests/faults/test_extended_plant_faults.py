@@ -67,9 +67,19 @@ def test_an_effect_without_any_place_is_refused():
         rl.with_effects(tank(), {"coulomb-friction": {"Fc": 1.0}})
 
 
-def test_the_nonlinear_platform_is_refused_with_the_way_to_its_friction():
-    with pytest.raises(rl.InputError, match=r"(?s)nonlinear plant.*stewart\.friction"):
-        rl.with_effects(rl.plant("stewart-platform"), {"coulomb-friction": {"Fc": 1.0}})
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ({"coulomb-friction": {"Fc": 1.0}}, r"(?s)6 places where it may sit.*coulomb-friction@phidot_1"),
+        ({"coulomb-friction@phidot_9": {"Fc": 1.0}}, "no such place"),
+        ({"coulomb-friction@phidot_1": {"Fc": float("nan")}}, "Fc"),
+        ({"coulomb-friction@phidot_1": {"Fc": -1.0}}, "no negative"),
+        ({"brush-drop": {"U": 1.0}}, "brush-drop"),
+    ],
+)
+def test_what_the_nonlinear_platform_cannot_have_is_refused(effects, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.with_effects(rl.plant("stewart-platform"), effects)
 
 
 @pytest.mark.parametrize("base", [3.0, "dc-motor"])

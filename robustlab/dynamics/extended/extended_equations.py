@@ -137,6 +137,12 @@ class ExtendedEquations(SteppedPlant):
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
         """States and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
 
+    def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+        """What the slopes of a nonlinear plant's inertia make of forces at ports (name -> force) and of the effects'
+        equations: what A has besides those of the model at the point, (n_x, n_x).
+        """
+        return np.zeros((len(x), len(x)))
+
     def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
         """State and input at which the search for a rest begins, and what is asked of it by name."""
         return np.zeros(len(self.states) + len(self.inputs)), where
@@ -302,7 +308,7 @@ class ExtendedEquations(SteppedPlant):
             # Newton's steps leave rates of rounding at joints whose rest is what lets them be held: those are zero.
             s[free] += np.where(np.abs(step) > 1e-14 * np.abs(s[free]), step, 0.0)
             s = np.where(np.abs(s) > 1e-12 * np.abs(s).max(initial=0.0), s, 0.0)
-        given = ", ".join(f"{name} = {value:g}" for name, value in where.items())
+        given = ", ".join(f"{name} = {value:g}" if np.ndim(value) == 0 else name for name, value in where.items())
         moving = int(np.argmax(np.abs(residual[:n])))
         name, rate = self.states[moving].name, residual[moving]
         raise NoTrustworthyNumber(
@@ -333,17 +339,19 @@ class ExtendedEquations(SteppedPlant):
         return s, np.flatnonzero(~fixed), wanted
 
     def _holding_columns(self, s: Array) -> Array:
-        """Rates per unit of each force that holds its joint within its band and may change: scaled to entries of 1."""
+        """Rates per unit of each force that holds its joint and may change: scaled to entries of 1, and one that is at
+        the edge of its band to so little that it moves only where nothing else can.
+        """
         n = len(self.states)
         columns = [np.zeros((n, 0))]
         _, ports, forces = self._forced(s[:n], s[n:])
         for (_, law, _), port, force in zip(self.laws, ports, forces, strict=True):
             q, v = _motion(port, s[:n])
-            if v != 0.0 or law.memory:
+            if v != 0.0 or law.memory or not is_set_valued(law, q):
                 continue
             low, high = rest_band(law, q)
-            if low < force < high and is_set_valued(law, q):
-                columns.append((port.force / np.abs(port.force).max())[:, None])
+            within = 1.0 if low < force < high else TUNING.cheap**-2
+            columns.append(within * (port.force / np.abs(port.force).max())[:, None])
         return np.hstack(columns)
 
     def _is_still(self, s: Array, residual: Array) -> bool:
@@ -392,8 +400,8 @@ class ExtendedEquations(SteppedPlant):
             An amplitude at a place without an effect, or not positive; an order outside 0..8.
         """
         x, u, amplitude = self._asked_point(at, amplitude, pade)
-        model = self.about(x, self.mapped_input(u)).model
-        a = model.A.copy()
+        (model, _, _), _, forces = self._forced(x, u)
+        a, acting = model.A.copy(), dict[str, float]()
         for j, (e, law, port) in enumerate(self.laws):
             port = model.ports[port.name]
             if stand_in is not None and j in stand_in:
@@ -406,10 +414,12 @@ class ExtendedEquations(SteppedPlant):
                 continue
             if v == 0.0 and is_set_valued(law, q):
                 continue
+            acting[port.name] = acting.get(port.name, 0.0) + forces[j]
             stiffness, damping = slopes(law, q, v)
             a += np.outer(port.force, damping * port.velocity)
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
+        a += self.turning(x, self.mapped_input(u), acting)
         into, out = self.signal_gains(x, u, amplitude)
         delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
         for e, k, _ in self.signal_levels(x, u):

@@ -10,10 +10,11 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations
-from robustlab.dynamics.extended.nonlinear_point import About, point_model, scaled
+from robustlab.dynamics.extended.nonlinear_point import About, point_model, scaled, with_linear_parts
 from robustlab.dynamics.extended.nonlinear_steps import Drive, march
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 
@@ -40,6 +41,24 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def about(self, x: Array, seen: Array) -> About:
         """Rates, outputs and slopes of the plant at the point."""
         return point_model(self.changed, self.effects, x, seen)
+
+    def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+        """By differences of the exact models about the point, extrapolated."""
+        own, n = len(self.plant.states), len(self.states)
+        here, n_u = self.changed.local_models(x[None, :own], seen[None]), len(seen)
+        steps = TUNING.position_step * np.maximum(np.abs(x[:own]), 1.0)
+        shifts = np.concatenate([k * np.diag(steps) for k in (1.0, -1.0, 0.5, -0.5)])
+        local = self.changed.local_models(x[:own] + shifts, np.tile(seen, (len(shifts), 1)))
+        model = with_linear_parts(local_port_model(self.changed, local), self.effects)
+        if model.A is local.A and not any(forces.values()):
+            return np.zeros((n, n))
+        entering = model.B[..., n_u:]
+        rates = model.A @ x + entering @ here.rates[0] - (entering @ local.A) @ x[:own]
+        for port, force in forces.items():
+            rates = rates + force * model.ports[port].force
+        up, down, near_up, near_down = rates.reshape(4, own, n)
+        wide, narrow = ((a - b) / steps[:, None] for a, b in ((0.5 * up, 0.5 * down), (near_up, near_down)))
+        return np.column_stack([((4.0 * narrow - wide) / 3.0).T, np.zeros((n, n - own))])
 
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
         """States and outputs, by `robustlab.dynamics.extended.nonlinear_steps`.
@@ -98,10 +117,10 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         return float(max(shares, default=0.0))
 
     def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
-        """The rest of the plant without force laws, and what is asked; at a pose that is asked the states stay."""
+        """The rest of the plant without force laws, and what is asked; a pose that is asked for holds the positions."""
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
         given = {name: value for name, value in where.items() if name in signals}
-        n, extra = len(self.plant.states), np.zeros(len(self.states) - len(self.plant.states))
+        extra = np.zeros(len(self.states) - len(self.plant.states))
         try:
             rest = self.changed.equilibrium(**where)
         except (InputError, NoTrustworthyNumber):
@@ -109,5 +128,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
                 raise
             return np.zeros(len(self.states) + len(self.inputs)), given
         if len(given) < len(where) and rest.pose is not None:
-            given |= dict(zip((s.name for s in self.states[:n]), rest.x, strict=False))
+            names = [s.name for s in self.states]
+            given |= {p.position: rest.x[names.index(p.position)] for p in self.plant.port_places if p.position}
         return np.concatenate([rest.x, extra, rest.u]), given

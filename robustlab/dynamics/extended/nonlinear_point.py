@@ -57,7 +57,8 @@ def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Arr
 
 
 def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortModel:
-    """The model about a point at which the plant has one: zero, its rest, or all states at 1.
+    """The model about a point at which the plant has one and nothing is zero by symmetry: all states near 0.1; else
+    its rest, or zero.
 
     Raises
     ------
@@ -67,12 +68,12 @@ def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortM
     changed = scaled(plant, effects)
     n, u = len(plant.states), np.zeros(len(plant.inputs))
     said = ""
-    for place in (lambda: np.zeros(n), lambda: changed.equilibrium().x, lambda: np.ones(n)):
+    for place in (lambda: 0.1 + 0.01 * np.arange(n), lambda: changed.equilibrium().x, lambda: np.zeros(n)):
         try:
             return _about(changed, effects, place(), u)[0]
         except NoTrustworthyNumber as error:
             said = error.found
-    raise InputError(f"{plant.name}: effects", f"no linear model at zero, at rest and at 1: {said}", "one of them")
+    raise InputError(f"{plant.name}: effects", f"no linear model at 0.1, at rest and at zero: {said}", "one of them")
 
 
 def _about(

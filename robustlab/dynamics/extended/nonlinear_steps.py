@@ -112,6 +112,8 @@ def march(
                 )
             length = max(1, count // 4)
             continue
+        reached = found[1:, : len(plant.states)]
+        plant.check_reach(drive.t0 + drive.h * (at + 1 + np.arange(count)), reached)
         states[at : at + count + 1] = found
         memory = block.after
         at += count
@@ -145,12 +147,11 @@ class _Block:
 
     def settled(self, start: Array, guess: Array | None) -> tuple[Array | None, int]:
         """States (count + 1, n_x), None where they do not settle, and the passes that were made."""
-        own = len(self.plant.states)
         motion = start[None].repeat(self.count + 1, axis=0) if guess is None else guess
         before = np.inf
         for k in range(1, PASSES + 1):
             # About a point the plant has one linear model.
-            found, speed = self._passed(start, motion[:, :own], self.count if guess is None and k == 1 else 1)
+            found, speed = self._passed(start, motion, self.count if guess is None and k == 1 else 1)
             if not np.isfinite(found).all():
                 return None, k
             size = AGREED * (np.abs(found).max(axis=0) + speed * self.drive.h) + LEAST
@@ -165,54 +166,68 @@ class _Block:
         return None, PASSES
 
     def _passed(self, start: Array, motion: Array, stride: int) -> tuple[Array, Array]:
-        """States (count + 1, n_x) of the plant taken as linear about a motion (count + 1, own), and its largest rates.
+        """States (count + 1, n_x) of the plant taken as linear about a motion of that shape, and its largest rates.
 
-        One linear model stands for ``stride`` steps.
+        One linear model stands for ``stride`` steps. What the effects add to the equations, and how forces enter, goes
+        on from the middle of each step by first and second differences.
         """
-        h, count, n_u = self.drive.h, self.count, self.mean.shape[1]
+        h, count, n_u, own = self.drive.h, self.count, self.mean.shape[1], len(self.plant.states)
         course = Course(self.plant, motion, self.mean, h)
         steps = np.arange(count)
-        points = np.arange(0, count, stride) + 0.5 * stride
-        local = self.plant.local_models(*course.at(points))
-        model = with_linear_parts(local_port_model(self.plant, local), self.effects)
         of = steps // stride
-        phi, psi, ramp = exponentials(model.A, 0.5 * h)
-        entering, own = model.B[..., n_u:], local.A[of]
+        x, u = course.at(np.minimum((np.arange(of[-1] + 1) + 0.5) * stride, count - 0.5))
+        local = self.plant.local_models(x[:, :own], u)
+        model = with_linear_parts(local_port_model(self.plant, local), self.effects)
+        halves = exponentials(model.A, 0.5 * h)
+        parts = []
+        if model.A is not local.A:
+            entering, added = model.B[..., n_u:], model.A.copy()
+            added[..., :own] -= entering @ local.A
+            parts = [_around(part) for part in (entering, added)]
         sides, size = [], np.zeros(model.A.shape[-1])
         for share in (-GAUSS, GAUSS):
             x, _ = course.at(steps + 0.5 + share)
-            rates = self.plant.rates_along(x, self.mean + 2.0 * share * self.rise)
-            size[: motion.shape[1]] = np.maximum(size[: motion.shape[1]], np.abs(rates).max(axis=0))
-            sides.append(_times(entering[of], rates - _times(own, x)))
+            rates = self.plant.rates_along(x[:, :own], self.mean + 2.0 * share * self.rise)
+            size[:own] = np.maximum(size[:own], np.abs(rates).max(axis=0))
+            if parts:  # what the effects make of the plant's rates, and what they add
+                enters, adds = ((here + share * first + 0.5 * share**2 * second)[of] for here, first, second in parts)
+                rates = _times(enters, rates) + _times(adds, x)
+            sides.append(rates - _times(model.A[of], x))
+        phi, psi, ramp = (matrices[of] for matrices in halves)
         middle, rise = 0.5 * (sides[0] + sides[1]), (sides[1] - sides[0]) / (4.0 * GAUSS)
-        turned = _times(ramp[of], 0.5 * rise)
-        first = _times(psi[of], middle - 0.5 * rise) + turned
-        second = _times(psi[of], middle + 0.5 * rise) + turned
-        drift = np.array([_times(phi[of], first) + second, first, second])
-        self._table = model, phi, psi, np.concatenate([drift, drift[:, -1:]], axis=1), stride
+        turned = _times(ramp, 0.5 * rise)
+        first = _times(psi, middle - 0.5 * rise) + turned
+        second = _times(psi, middle + 0.5 * rise) + turned
+        drift = np.array([_times(phi, first) + second, first, second])
+        push = np.zeros((2, len(model.A), len(self.laws), model.A.shape[-1]))
+        for j, law in enumerate(self.laws):
+            here, by, twice = _around(model.ports[law.port].force)
+            for k, share in enumerate((-0.25, 0.25)):  # over the halves: mean, and half of what it rises by
+                rising = 0.25 * by + 0.5 * share * twice
+                push[k, :, j] = _times(halves[1], here + share * by + twice / 24.0) + _times(halves[2], rising)
+        whole = push[0] @ np.swapaxes(halves[0], 1, 2) + push[1]
+        phi = np.array([halves[0] @ halves[0], halves[0], halves[0]])
+        self._table = _with_one_more(count, stride, phi, np.array([whole, *push]), drift), model.ports, stride
         return self._stepped(start, self.memory.copy(), count + 1), size
 
     def _stepped(self, start: Array, memory: Array, length: int) -> Array:
         """States (length, n_x) at the beginnings of so many steps; the memory is carried to the end of the last."""
         from robustlab.dynamics.ports import law_kernel as kernel
 
-        model, phi, psi, drift, stride = self._table
-        rows = np.minimum(np.arange(-(-(self.count + 1) // stride)), len(phi) - 1)  # one step more, for the last state
+        (phi, push, drift), ports, stride = self._table
         n, n_laws = phi.shape[-1], len(self.laws)
-        push, velocity, position = np.zeros((len(phi), n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
+        velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n))
         parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in self.laws)])))
         for j, law in enumerate(self.laws):
-            port = model.ports[law.port]
-            push[:, j], velocity[j] = _times(psi, port.force), port.velocity
+            port = ports[law.port]
+            velocity[j] = port.velocity
             if port.position is not None:
                 position[j] = port.position
             parameters[j, : len(law.parameters)] = law.parameters
-        whole = push @ np.swapaxes(phi, 1, 2) + push
+        no_input = np.zeros((*phi.shape[:3], 0))
         held = kernel.HeldSteps(
-            np.array([(phi @ phi)[rows], phi[rows], phi[rows]]), np.zeros((3, len(rows), n, 0)),
-            np.array([whole[rows], push[rows], push[rows]]), velocity, position,
-            np.ascontiguousarray(drift[:, :length]), stride,
-        )  # fmt: skip
+            phi, no_input, push, velocity, position, np.ascontiguousarray(drift[:, :length]), stride
+        )
         addresses = np.array([law.function.address for law in self.laws], dtype=np.uintp)
         states, forces = np.empty((1, length, n)), np.zeros((1, length, n_laws))
         run = kernel.Run(
@@ -226,6 +241,22 @@ class _Block:
         if any(law.memory for law in self.laws):
             self.after = self.memory.copy()
             self._stepped(start, self.after, self.count)
+
+
+def _around(values: Array) -> tuple[Array, Array, Array]:
+    """Values (m, ...) in the middles of the steps, their first and second change from step to step."""
+    if len(values) < 3:
+        return values, np.zeros_like(values), np.zeros_like(values)
+    first = np.gradient(values, axis=0, edge_order=2)
+    return values, first, np.gradient(first, axis=0, edge_order=2)
+
+
+def _with_one_more(count: int, stride: int, phi: Array, push: Array, drift: Array) -> tuple[Array, Array, Array]:
+    """The table with a step more than ``count``, so that the state at the end of the last one is written as well."""
+    rows = np.minimum(np.arange(-(-(count + 1) // stride)), phi.shape[1] - 1)
+    if len(rows) > phi.shape[1]:
+        phi, push = (np.ascontiguousarray(np.take(part, rows, axis=1)) for part in (phi, push))
+    return phi, push, np.concatenate([drift, drift[:, -1:]], axis=1)
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
