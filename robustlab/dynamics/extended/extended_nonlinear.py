@@ -20,6 +20,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 
 __all__ = ["ExtendedNonlinearPlant"]
 
+STILL = 1e-6  # rad, m, rad/s, m/s, A: a motion below it is none
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedNonlinearPlant(ExtendedEquations):
@@ -113,7 +115,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         """Root mean square difference of two motions, as a share of the largest state of the same unit."""
         size, off = (np.sqrt(np.mean(motion**2, axis=0)) for motion in (one, one - other))
         units = np.array([s.unit for s in self.states])
-        shares = (off[units == unit].max() / (size[units == unit].max() or 1.0) for unit in dict.fromkeys(units))
+        shares = (off[units == unit].max() / max(size[units == unit].max(), STILL) for unit in dict.fromkeys(units))
         return float(max(shares, default=0.0))
 
     def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:

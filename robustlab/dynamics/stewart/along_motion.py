@@ -60,7 +60,7 @@ def _kept_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
 def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
     """Motor torques (n, 6): the inputs, or with motors (18 states) what the currents and the speeds make."""
     if x.shape[1] == 12:
-        return np.array(u, order="C")  # writable, as the kernels ask for
+        return np.array(u, order="C")
     return values["Km"] * x[:, 12:] - values["Kf"] * values["ratio"] * x[:, 6:12]
 
 
