@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
+from robustlab.dynamics.extended import nonlinear_steps
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
@@ -192,6 +193,24 @@ def test_steps_are_halved_where_none_is_given():
     assert np.array_equal(y, x[:, [0, 2]])
 
 
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"presliding@w_1": {"Fc": 1.0, "sigma0": 300.0}},
+        {"torque-ripple@w_1": {"Ac": 0.5, "As": 0.2, "f": 7.0}},
+        {"backlash@w_2": {"gap": 0.05, "share": 0.4, "f": 15.0}},
+    ],
+)
+def test_memory_time_and_further_states_go_on_from_block_to_block(effects, monkeypatch):
+    rough = rl.with_effects(arm(), effects)
+    t, u = drive(200)
+    long, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
+    monkeypatch.setattr(nonlinear_steps, "FIRST", 7)
+    monkeypatch.setattr(nonlinear_steps, "MOST", 7)
+    short, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
+    assert np.abs(long - short).max() < 1e-6 * np.abs(long).max()
+
+
 # --- inputs, outputs, parameters -------------------------------------------------------------------------------------
 
 
@@ -284,6 +303,7 @@ def test_friction_holds_an_arm_and_the_trim_says_with_what():
     (holding,) = held.holding
     assert holding.force == pytest.approx(0.7, rel=1e-9)
     assert held.u[1] == pytest.approx(free.u[1], rel=1e-9)
+    assert rl.trim(rough, q_1=0.4, q_2=0.2).holding[0].force == pytest.approx(0.0, abs=1e-9)
     with pytest.raises(rl.NoTrustworthyNumber, match="no rest"):
         rl.trim(rough, q_1=0.4, q_2=0.2, torque_1=free.u[0] - 1.3)
 
@@ -294,6 +314,7 @@ def test_a_platform_with_a_constant_load_is_trimmed_at_its_pose():
     free, held = rl.trim(plant, pose=pose), rl.trim(load, pose=pose)
     p = plant.values
     assert np.allclose(held.x[:12], free.x[:12], rtol=0, atol=1e-12)
+    assert np.array_equal(rl.linearise(load, pose).A, rl.linearise(load, held).A)
     change = np.abs(held.u - free.u)
     assert change[1] == pytest.approx(0.03 / p["ratio"] / p["Km"] * p["R"], rel=1e-8)
     assert np.delete(change, 1).max() < 1e-9
@@ -367,8 +388,8 @@ def test_other_parameters_keep_the_effects():
 
 @cache
 def case():
+    plant = arm().with_parameters(b_1=(0.0, 0.4))  # not known but by its tolerance, in N m s/rad
     t, u = drive(600)
-    plant = arm()
     record = rl.simulate(plant, t, u)
     model = ports_of(plant, record)
     ready = prepare(plant, model, record, 100)
@@ -381,16 +402,17 @@ def test_the_updated_arm_has_refitted_parameters_and_its_effect():
     friction = pool["coulomb-friction @ w_1"]
     (z,) = friction.standardised({"Fc": 0.9})
     n = len(problem.nuisances)
-    std = np.full(n + 1, 0.1)
+    values, std = np.append(np.linspace(0.5, 1.0, n), z), np.full(n + 1, 0.1)
     noise = NoiseModel(np.ones(2), np.zeros((0, 2)))
-    values = np.append(np.linspace(0.5, 1.0, n), z)
     fit = Fit(Hypothesis((friction,)), values, (), 0.0, np.zeros(0), np.diag(std**-2.0), noise, 1)
+    factors, _ = problem.split(fit.hypothesis, fit.z)
     found = updated_plant(problem, fit, "run 7")
     assert [e.key for e in found.effects] == ["coulomb-friction@w_1"]
     assert found.effects[0].values["Fc"] == pytest.approx(0.9)
-    for nuisance in problem.nuisances:
-        for name in nuisance.names:
-            assert found.values[name] != arm().values[name]
-            assert found.parameters[name].source.endswith("run 7")
+    assert set(factors) >= {"m_1", "m_2", "b_1", "b_2"}
+    for name, factor in factors.items():
+        assert found.values[name] == pytest.approx((problem.plant.values[name] or 1.0) * factor)
+        assert found.parameters[name].source == "run 7"
+    assert found.values["b_1"] > 0.1
     t, u = drive(100)
     assert np.isfinite(rl.simulate(found, t, u)["q_1"]).all()

@@ -488,6 +488,8 @@ class ExtendedEquations(SteppedPlant):
         if isinstance(at, (Trim, OperatingPoint)):
             at = (at.x, at.u)
         if not (isinstance(at, (tuple, list)) and len(at) == 2):
+            if isinstance(self.plant, NonlinearPlant) and isinstance(at, (list, tuple, np.ndarray)):
+                return self._asked_point(self.equilibrium(pose=at), amplitude, pade)
             expected = "a trim or (x, u), or None for the rest of the plant"
             raise InputError("linearise: at", f"{type(at).__name__}", expected)
         x, u = self.point(*at)

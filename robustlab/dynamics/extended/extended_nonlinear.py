@@ -122,14 +122,16 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         """The rest of the plant without force laws, and what is asked; a pose that is asked for holds the positions."""
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
         given = {name: value for name, value in where.items() if name in signals}
-        extra = np.zeros(len(self.states) - len(self.plant.states))
+        other = {name: value for name, value in where.items() if name not in signals}
         try:
             rest = self.changed.equilibrium(**where)
         except (InputError, NoTrustworthyNumber):
-            if len(given) < len(where):
-                raise
-            return np.zeros(len(self.states) + len(self.inputs)), given
-        if len(given) < len(where) and rest.pose is not None:
-            names = [s.name for s in self.states]
-            given |= {p.position: rest.x[names.index(p.position)] for p in self.plant.port_places if p.position}
-        return np.concatenate([rest.x, extra, rest.u]), given
+            if not other:
+                return np.zeros(len(self.states) + len(self.inputs)), given
+            rest = self.changed.equilibrium(**other)
+        x, names = self.whole_state(rest.x).copy(), [s.name for s in self.states]
+        joints = [p for p in self.plant.port_places if p.position]
+        x[[names.index(p.name) for p in joints]] = 0.0  # not its rounding: that would be sliding
+        if other and rest.pose is not None:
+            given |= {p.position: x[names.index(p.position)] for p in joints}
+        return np.concatenate([x, rest.u]), given
