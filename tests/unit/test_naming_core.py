@@ -373,9 +373,10 @@ def test_no_record_is_refused():
         rl.discover(AXIS, [])
 
 
-def test_a_nonlinear_plant_is_refused_with_the_way_out():
-    with pytest.raises(InputError, match=r"discover.*nonlinear plant stewart-platform(?s:.*)rl\.linearise"):
-        rl.discover(rl.plant("stewart-platform"), plain())
+def test_a_plant_with_effects_is_refused_with_the_way_out():
+    rubbed = rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 5e-3}})
+    with pytest.raises(InputError, match=r"discover.*dc-motor with effects(?s:.*)give its plant"):
+        rl.discover(rubbed, plain())
 
 
 def test_a_discrete_model_and_no_plant_are_refused():
