@@ -9,7 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended import nonlinear_steps
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.extended_equations import extended_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
@@ -209,6 +213,25 @@ def test_memory_time_and_further_states_go_on_from_block_to_block(effects, monke
     monkeypatch.setattr(nonlinear_steps, "MOST", 7)
     short, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
     assert np.abs(long - short).max() < 1e-6 * np.abs(long).max()
+
+
+@pytest.mark.parametrize("name", ["arm", "platform"])
+def test_every_effect_that_has_a_place_can_be_simulated_and_has_a_linear_model(name):
+    plant = arm() if name == "arm" else platform(motors=True)
+    home, t = rl.trim(plant), 1e-3 * np.arange(20)
+    u = home.u + 0.2 * np.abs(home.u).max() * np.sin(40 * t)[:, None]
+    model, tried = extended_model(plant, []), 0
+    for kind in catalogue().values():
+        for site in kind.sites(plant, model)[:1]:
+            force_unit = "N m" if site.kind in ("joint", "current") else ""
+            seen = Scales(force_unit=force_unit, lowest=-1.0, highest=1.0, orders=(5.0,), lines=(10.0,), side=1)
+            rough = rl.with_effects(plant, AttachedEffect(kind, site, kind.starts(seen)[0]))
+            x, y = rough.stepped(t, u, home.x, 1e-3)
+            assert np.isfinite(x).all()
+            assert np.isfinite(y).all()
+            assert rl.linearise(rough, (rough.whole_state(home.x), home.u)).n_states == len(rough.states)
+            tried += 1
+    assert tried > 30
 
 
 # --- inputs, outputs, parameters -------------------------------------------------------------------------------------

@@ -101,7 +101,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         """States and outputs at all steps of h seconds, ``parts`` of them a sample."""
         held, pairs = np.repeat(u, parts, axis=0), [(e.effect, e.site) for e in self.effects]
         own = len(self.plant.states)
-        inputs = Simulator(self.plant, pairs, held, h, sub=1, motion=np.zeros((len(held), own)))  # it steps nothing
+        inputs = Simulator(self.plant, pairs, held, h, sub=1, motion=np.zeros((2, own)))  # it steps nothing
         mean, rise = inputs.seen_input([e.values for e in self.effects])
         states = march(self.changed, self.effects, Drive(mean, rise, h, t0), self.whole_state(x0), guess)
         outputs = self.changed.outputs_along(states[:, :own], mean - rise).copy()
