@@ -19,6 +19,7 @@ _PUBLIC = {
     "export_controller": "storage.controller_export",
     # plants from physics
     "plant": "dynamics",
+    "FmuPlant": "dynamics.fmu",
     "trim": "dynamics",
     "linearise": "dynamics",
     "simulate": "dynamics",

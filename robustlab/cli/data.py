@@ -488,7 +488,7 @@ def _plant_or_model(name: str, settings: list[str]) -> Any:
     from robustlab.dynamics import plant, plant_names
     from robustlab.storage import load
 
-    if name in plant_names():
+    if name in plant_names() or name.lower().endswith(".fmu"):
         return plant(name, **plant_settings(settings))
     if settings:
         known = ", ".join(plant_names())

@@ -48,10 +48,12 @@ def plant(name: str, **parameters: Any) -> Any:
     Parameters
     ----------
     name
-        One of `plant_names`.
+        One of `plant_names`; or the file of a functional mock-up unit, ``"machine.fmu"``, which is a program and is run
+        because it is named (`robustlab.dynamics.fmu`).
     parameters
         Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform
-        also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``.
+        also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``; a unit what
+        `robustlab.dynamics.fmu.FmuPlant` takes.
 
     Returns
     -------
@@ -69,6 +71,10 @@ def plant(name: str, **parameters: Any) -> Any:
     >>> motor.parameters["R"].value, motor.parameters["R"].unit
     (2.07, 'ohm')
     """
+    if str(name).lower().endswith(".fmu"):
+        from robustlab.dynamics.fmu import fmu
+
+        return fmu(name, **parameters)
     if not isinstance(name, str) or name not in _PLANTS:
         known = ", ".join(_PLANTS)
         raise InputError(f"plant {name!r}", "no such plant", f"one of {known}", did_you_mean(str(name), plant_names()))

@@ -16,7 +16,7 @@ from robustlab.files.record_layout import decode_record, encode_record
 from robustlab.files.records import CLOCK_NAMES, RecordOptions, read_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
-from robustlab.provenance import NOT_VERIFIED, Provenance, Traced
+from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
@@ -302,11 +302,14 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
 
 
 def _origin(obj: Any, given: Provenance) -> Provenance:
-    """The provenance to write: what came from a file that nothing verified says so in every file made of it."""
+    """The provenance to write: what nothing verified, and what is not exact, says so in every file made of it."""
     source = getattr(obj, "provenance", None)
-    if not isinstance(source, Provenance) or NOT_VERIFIED not in source.note or NOT_VERIFIED in given.note:
+    if not isinstance(source, Provenance):
         return given
-    return replace(given, note=f"{given.note}; made from a file {NOT_VERIFIED}".removeprefix("; "))
+    for remark, text in ((NOT_VERIFIED, f"made from a file {NOT_VERIFIED}"), (BY_DIFFERENCES, BY_DIFFERENCES)):
+        if remark in source.note and remark not in given.note:
+            given = replace(given, note=f"{given.note}; {text}".removeprefix("; "))
+    return given
 
 
 def _encode(tree: Tree, obj: Any) -> str:
