@@ -20,6 +20,7 @@ _PUBLIC = {
     # plants from physics
     "plant": "dynamics",
     "FmuPlant": "dynamics.fmu",
+    "PlantEquations": "dynamics.symbolic.equations",
     "trim": "dynamics",
     "linearise": "dynamics",
     "simulate": "dynamics",

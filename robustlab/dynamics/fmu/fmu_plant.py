@@ -18,15 +18,12 @@ from robustlab.dynamics.fmu.unit_process import UnitProcess
 from robustlab.dynamics.fmu.unit_signals import OpenedUnit, described, joints_of, opened, unit_provenance
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.statespace import real_array
+from robustlab.dynamics.symbolic.rest import rest
+from robustlab.errors import InputError
 
 __all__ = ["TIME_LIMIT", "FmuPlant", "fmu"]
 
 TIME_LIMIT = 60.0
-REST_PASSES, HALVINGS = 60, 20
-# A rate is zero where it is at most this share of the terms that make it up.
-STILL, STILL_BY_DIFFERENCES = 1e-11, 1e-8
 
 
 def fmu(path: str | Path, *, interface: str | None = None, **options: Any) -> FmuPlant | FmuCoSimulation:
@@ -119,7 +116,6 @@ class FmuPlant(NonlinearPlant):
         put(self, "derivatives", derivatives or ("directional" if own else "differences"))
         put(self, "unused_signals", tuple(about["left_out"]))
         put(self, "process", process)
-        put(self, "_nominal", np.array([v["nominal"] for v in about["states"]]))
         self.__post_init__()
         put(self, "joints", joints_of(self, joints, about))
         put(self, "joints_source", "" if not self.joints else "stated by the user" if joints else "its description")
@@ -131,7 +127,6 @@ class FmuPlant(NonlinearPlant):
     unused_signals: tuple[str, ...]
     joints: dict[str, dict[str, str]]
     joints_source: str
-    _nominal: Array
 
     def with_parameters(self, **given: Any) -> FmuPlant:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
@@ -169,9 +164,9 @@ class FmuPlant(NonlinearPlant):
         point = self.point(x, u)
         return self._evaluated(point[0][None], point[1][None])[1][1][0]
 
-    def outputs_along(self, x: Array, u: Array) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
-        return self._evaluated(x, u)[1][1]
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """As the contract says, through one message."""
+        return self._evaluated(x, u, "", values)[1][1]
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D at (x, u): the unit's directional derivatives, or differences (``derivatives`` says which)."""
@@ -234,80 +229,22 @@ class FmuPlant(NonlinearPlant):
         return self.response(signal, x0, rtol)[0]
 
     def equilibrium(self, **where: Any) -> Trim:
-        """State and input with f(x, u) = 0, by Newton steps from the unit's initial state.
+        """The rest nearest to the unit's initial state, see `robustlab.dynamics.symbolic.rest`.
 
         Parameters
         ----------
         where
-            Name of an input, state or output -> its value; a name that is both output and state means the state.
-            Inputs that are not named keep their start values; where a state or an output is named, they are found.
+            Name of an input, state or output -> its value. Inputs that are not named keep their start values; where a
+            state or an output is named, they are found. ``start=(x, u)``: where the search begins.
 
         Raises
         ------
         InputError
             An unknown name.
         NoTrustworthyNumber
-            No rest was found there.
+            No rest was found.
         """
-        n = len(self.states)
-        s, free, wanted = self._asked(where)
-        rows, target = list(wanted), np.array(list(wanted.values()))
-        scale = np.concatenate([self._nominal, np.ones(len(self.inputs))])
-        still = STILL if self.derivatives == "directional" else STILL_BY_DIFFERENCES
-
-        def off(rates: Array, y: Array) -> Array:
-            return np.concatenate([rates, y[rows] - target])
-
-        residual = np.zeros(0)
-        for _ in range(REST_PASSES):
-            _, (rates, y, slopes) = self._evaluated(s[None, :n], s[None, n:], self.derivatives)
-            matrix = np.vstack([slopes[0, :n], slopes[0, n:][rows]])
-            residual = off(rates[0], y[0])
-            terms = np.abs(matrix) @ np.maximum(np.abs(s), 1e-3 * scale)
-            if (np.abs(residual) <= still * terms).all():
-                return Trim(self.name, s[:n], s[n:], y[0], float(np.abs(rates).max(initial=0.0)))
-            size = np.where(terms > 0, terms, 1.0)
-            step = np.zeros(len(s))
-            moved = matrix[:, free] * scale[free] / size[:, None]
-            step[free] = scale[free] * np.linalg.lstsq(moved, -residual / size, rcond=1e-12)[0]
-            # As far as the residual falls: a whole step may lead out of where the equations hold.
-            trials = s + step * 0.5 ** np.arange(HALVINGS)[:, None]
-            s = self._best(trials, s, off, residual / size, size)
-        given = ", ".join(f"{name} = {value:g}" for name, value in where.items()) or "the inputs at their start values"
-        k = int(np.argmax(np.abs(residual)))
-        what = self.states[k].name if k < n else self.outputs[rows[k - n]].name
-        found = f"no rest with {given}: {what} is off by {residual[k]:.3g}"
-        raise NoTrustworthyNumber(f"{self.name}: trim", found, None, "name inputs, states or outputs: trim(plant, u=0.1)")
-
-    def _best(self, trials: Array, s: Array, off: Any, residual: Array, size: Array) -> Array:
-        """The first of the trials at which the residual is smaller; the last where none is."""
-        n = len(self.states)
-        for trial in trials:
-            try:
-                _, (rates, y, _) = self._evaluated(trial[None, :n], trial[None, n:])
-            except NoTrustworthyNumber:
-                continue  # out of where the unit has values
-            if np.linalg.norm(off(rates[0], y[0]) / size) < np.linalg.norm(residual):
-                return trial
-        return s
-
-    def _asked(self, where: Mapping[str, Any]) -> tuple[Array, Array, dict[int, float]]:
-        """Start with what is given in place, the indices of what is free, and outputs that are wanted."""
-        n = len(self.states)
-        states, inputs, outputs = ([v.name for v in kind] for kind in (self.states, self.inputs, self.outputs))
-        s, fixed = np.concatenate(self._start), np.zeros(n + len(inputs), dtype=np.bool_)
-        wanted: dict[int, float] = {}
-        moved = any(name not in inputs for name in where)
-        fixed[n:] = not moved
-        for name, value in where.items():
-            number = float(real_array(name, value, 0, f"{self.name}: trim"))
-            if name in states or name in inputs:
-                k = states.index(name) if name in states else n + inputs.index(name)
-                s[k], fixed[k] = number, True
-            elif name in outputs:
-                wanted[outputs.index(name)] = number
-            else:
-                known = (*inputs, *outputs, *(x for x in states if x not in outputs))
-                hint = did_you_mean(name, known)
-                raise InputError(f"{self.name}: trim", f"{name!r}", f"one of {', '.join(known)}", hint)
-        return s, np.flatnonzero(~fixed), wanted
+        x, u = self._start
+        inputs = {s.name: float(value) for s, value in zip(self.inputs, u, strict=True)}
+        free = any(name not in inputs and name != "start" for name in where)
+        return rest(self, {"start": (x, u), **({} if free else inputs), **where})
