@@ -147,6 +147,7 @@ def show(
 # --- printing --------------------------------------------------------------------------------------------------------
 
 SIDES = ("inputs", "outputs", "states")
+ROUNDING = 1e-9  # a pole of this share of the largest is at zero
 
 
 class _Rest:
@@ -184,21 +185,27 @@ class _Rest:
         """The same for reading."""
         if self.model is None:
             return [f"operating point: none found ({self.problem.line if self.problem else ''})"]
-        lines = ["operating point: rest at zero"] if self.trim is None else [
-            "operating point: " + ", ".join(
-                f"{s.name} = {value:.6g} {s.unit}".rstrip()
+        lines = ["operating point: rest at zero"]
+        if self.trim is not None:
+            rows = [
+                (s.name, f"{value:.6g}", s.unit)
                 for _, side, values in self._vectors()[:2]
                 for s, value in zip(getattr(self.plant, side), values, strict=True)
-            )
-        ]  # fmt: skip
+            ]
+            lines = ["operating point", *table(rows, ("signal", "value", "unit")).splitlines()]
         poles = sorted(self.model.poles(), key=lambda p: (-p.real, p.imag))
+        still = max(map(abs, poles), default=0.0) * ROUNDING
         rows = [
-            (f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""), f"{abs(p):.6g}", f"{-p.real / (abs(p) or 1):.3g}")
+            (
+                f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""),
+                f"{abs(p):.6g}",
+                f"{-p.real / abs(p):.3g}" if abs(p) > still else "moves freely",
+            )
             for p in poles
         ]
         if rows:
             lines += ["", *table(rows, ("pole [1/s]", "frequency [rad/s]", "damping")).splitlines()]
-        return [*lines, "stable" if self.model.is_stable() else "NOT stable"]
+        return [*lines, "NOT stable" if any(p.real > still for p in poles) else "no pole in the right half plane"]
 
     def _vectors(self) -> list[tuple[str, str, Any]]:
         assert self.trim is not None

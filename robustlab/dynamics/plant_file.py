@@ -53,7 +53,7 @@ def plant_reference(text: str) -> tuple[str, str] | None:
     >>> plant_reference("machines/axis.py:axis"), plant_reference("axis.py"), plant_reference("servo-axis")
     (('machines/axis.py', 'axis'), ('axis.py', ''), None)
     """
-    found = re.fullmatch(r"(.+\.py)(?::(.*))?", text, re.DOTALL)
+    found = re.fullmatch(r"([^\0]+\.py)(?::(.*))?", text, re.DOTALL)
     return (found[1], found[2] or "") if found else None
 
 
