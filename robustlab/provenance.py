@@ -17,7 +17,15 @@ from typing import ClassVar
 
 from robustlab.errors import InputError
 
-__all__ = ["BY_DIFFERENCES", "NOT_VERIFIED", "Provenance", "Traced", "file_sha256", "library_versions", "robustlab_version"]
+__all__ = [
+    "BY_DIFFERENCES",
+    "NOT_VERIFIED",
+    "Provenance",
+    "Traced",
+    "file_sha256",
+    "library_versions",
+    "robustlab_version",
+]
 
 # In the note of whatever comes from a file without a content hash, and of all that is saved from it.
 # Remarks on an object that every file made of it repeats.

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim
+from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError
-from robustlab.provenance import BY_DIFFERENCES
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 __all__ = [
@@ -118,7 +118,7 @@ def linearise(
         else:
             matrices, point = plant.jacobians_at(trimmed), trimmed.operating_point
         model = StateSpaceModel(*matrices, 0.0, plant.inputs, plant.outputs, plant.states, point, plant.name)
-        if plant.provenance is not None and BY_DIFFERENCES in plant.provenance.note:
+        if plant.provenance is not None and code_of(plant):
             model.traced(plant.provenance)
         return model
     if not isinstance(plant, LinearPlant):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
@@ -276,7 +277,7 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or a
         linear one of the user's own: its equations are stored as coefficients.
     provenance
-        Where it comes from; time and versions of now where left out.
+        Where it comes from; where left out, time and versions of now, and the code of a plant file (its SHA-256).
 
     Returns
     -------
@@ -297,7 +298,7 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ".h5, .hdf5 or .mat")
     tree = Tree(file=str(path))
     kind = _encode(tree, obj)
-    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save")))
+    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save", code_of(obj))))
     return write_tree(path, tree)
 
 

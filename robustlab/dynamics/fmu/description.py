@@ -32,7 +32,9 @@ class _Plain(ET.TreeBuilder):
     """Builds a tree of a document without document type declaration."""
 
     def doctype(self, *_: Any) -> None:
-        raise InputError(XML, "a document type declaration, in which entities are declared", "none: FMI has no use of it")
+        raise InputError(
+            XML, "a document type declaration, in which entities are declared", "none: FMI has no use of it"
+        )
 
 
 def read_description(path: str, shown: str) -> dict[str, Any]:
@@ -117,7 +119,9 @@ def _bytes(archive: zipfile.ZipFile, info: zipfile.ZipInfo, shown: str) -> bytes
     try:
         return archive.read(info)
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, OSError) as error:
-        raise InputError(f"{shown}: {info.filename!r:.120}", f"cannot be unpacked ({error})", "a whole archive") from None
+        raise InputError(
+            f"{shown}: {info.filename!r:.120}", f"cannot be unpacked ({error})", "a whole archive"
+        ) from None
 
 
 class _Described:
@@ -248,7 +252,8 @@ class _Described:
         return {
             "identifier": identifier,
             "directional": can("providesDirectionalDerivatives" if self.three else "providesDirectionalDerivative"),
-            "every_step_told": not can("completedIntegratorStepNotNeeded") and not self.three
+            "every_step_told": not can("completedIntegratorStepNotNeeded")
+            and not self.three
             or can("needsCompletedIntegratorStep"),
             "variable_step": can("canHandleVariableCommunicationStepSize"),
             "needs_tool": can("needsExecutionTool"),

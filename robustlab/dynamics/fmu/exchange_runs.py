@@ -302,4 +302,3 @@ class _Run:
             else:
                 low = middle
         return high, between(high)
-

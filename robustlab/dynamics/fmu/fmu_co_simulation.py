@@ -175,7 +175,9 @@ class FmuCoSimulation(SteppedPlant):
         states = tuple(Signal(v["name"], v["unit"]) for v in self._about["states"])
         matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
         point = OperatingPoint(x, u, y)
-        return StateSpaceModel(*matrices, 0.0, self.inputs, self.outputs, states, point, self.name)
+        model = StateSpaceModel(*matrices, 0.0, self.inputs, self.outputs, states, point, self.name)
+        model.traced(unit_provenance(self.process, by_differences=False))
+        return model
 
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
         """Nothing that is known."""

@@ -150,7 +150,11 @@ class FmuPlant(NonlinearPlant):
     def _evaluated(
         self, x: Array, u: Array, derivatives: str = "", values: Mapping[str, float] | None = None
     ) -> tuple[float, list[Array]]:
-        request = {"op": "evaluate", "derivatives": derivatives, "values": dict(self.values if values is None else values)}
+        request = {
+            "op": "evaluate",
+            "derivatives": derivatives,
+            "values": dict(self.values if values is None else values),
+        }
         header, arrays = self.process.ask(request, [x, u])
         return header.get("truncation", 0.0), arrays
 

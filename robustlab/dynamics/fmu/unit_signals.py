@@ -10,6 +10,7 @@ from typing import Any
 from robustlab.dynamics.fmu.description import CO_SIMULATION, MODEL_EXCHANGE
 from robustlab.dynamics.fmu.unit_process import UnitProcess
 from robustlab.dynamics.parameters import Parameter, overridden
+from robustlab.dynamics.plant_file import BY_UNIT
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import BY_DIFFERENCES, Provenance
 from robustlab.statespace import Signal
@@ -104,5 +105,5 @@ def joints_of(plant: Any, stated: Mapping[str, Any] | None, about: Mapping[str, 
 
 def unit_provenance(process: UnitProcess, by_differences: bool) -> Provenance:
     """Where a plant and its models come from: the file with its hash, and whether derivatives are differences."""
-    note = f"functional mock-up unit {process.shown}" + (f"; {BY_DIFFERENCES}" if by_differences else "")
-    return Provenance.now("fmu", {process.shown: process.sha256}, note=note)
+    note = BY_DIFFERENCES if by_differences else ""
+    return Provenance.now(BY_UNIT, {process.shown: process.sha256}, note=note)
