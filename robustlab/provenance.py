@@ -27,9 +27,9 @@ __all__ = [
     "robustlab_version",
 ]
 
-# In the note of whatever comes from a file without a content hash, and of all that is saved from it.
-# Remarks on an object that every file made of it repeats.
+# In the note of a model whose derivatives are not exact, and of all that is saved from it.
 BY_DIFFERENCES = "derivatives by differences, not exact"
+# In the note of whatever comes from a file without a content hash, and of all that is saved from it.
 NOT_VERIFIED = "not verified by a content hash"
 
 _LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "control", "h5py")

@@ -32,9 +32,7 @@ class _Plain(ET.TreeBuilder):
     """Builds a tree of a document without document type declaration."""
 
     def doctype(self, *_: Any) -> None:
-        raise InputError(
-            XML, "a document type declaration, in which entities are declared", "none: FMI has no use of it"
-        )
+        raise InputError(XML, "a document type declaration, in which entities are declared", "none")
 
 
 def read_description(path: str, shown: str) -> dict[str, Any]:
@@ -252,9 +250,9 @@ class _Described:
         return {
             "identifier": identifier,
             "directional": can("providesDirectionalDerivatives" if self.three else "providesDirectionalDerivative"),
-            "every_step_told": not can("completedIntegratorStepNotNeeded")
-            and not self.three
-            or can("needsCompletedIntegratorStep"),
+            "every_step_told": can("needsCompletedIntegratorStep")
+            if self.three
+            else not can("completedIntegratorStepNotNeeded"),
             "variable_step": can("canHandleVariableCommunicationStepSize"),
             "needs_tool": can("needsExecutionTool"),
         }

@@ -43,7 +43,7 @@ def started(unit: NativeUnit, values: Mapping[str, float]) -> list[Array]:
 def evaluated(
     unit: NativeUnit, values: Mapping[str, float], x: Array, u: Array, derivatives: str
 ) -> tuple[dict[str, Any], list[Array]]:
-    """Rates (n, n_x), outputs (n, n_y) and, unless ``derivatives`` is empty, [[A, B], [C, D]] (n, n_x + n_y, n_x + n_u).
+    """Rates (n, n_x), outputs (n, n_y), and [[A, B], [C, D]] (n, n_x + n_y, n_x + n_u) unless ``derivatives`` is empty.
 
     ``derivatives`` is "directional" or "differences". A unit with events is begun anew at every point and takes there
     the mode that its event iteration finds, so that no point depends on another.
@@ -256,9 +256,8 @@ class _Run:
                 self.event(end, self.x, k)
             return end
         first = min(self.length or 1e-2 * (end - time), end - time)
-        solver: Any = DOP853(
-            lambda at, x: self.rates(at, x, k), time, self.x, end, rtol=self.rtol, atol=self.atol, first_step=first
-        )
+        options: dict[str, Any] = {"rtol": self.rtol, "atol": self.atol, "first_step": first}
+        solver: Any = DOP853(lambda at, x: self.rates(at, x, k), time, self.x, end, **options)
         if not np.isfinite(solver.f).all():
             _require_finite(self.unit, solver.f, np.zeros(self.unit.outputs.n), f"at t = {time:.9g} s")
         before = self._indicators(time, self.x, k)

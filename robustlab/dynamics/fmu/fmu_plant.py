@@ -1,4 +1,4 @@
-r"""A model-exchange unit as a nonlinear plant: :math:`\dot x = f(x, u)`, :math:`y = h(x, u)` evaluated by its program."""
+r"""A model-exchange unit as a nonlinear plant: its program evaluates :math:`f(x, u)` and :math:`h(x, u)`."""
 
 from __future__ import annotations
 
@@ -215,22 +215,26 @@ class FmuPlant(NonlinearPlant):
 
     # --- motions -----------------------------------------------------------------------------------------------------
 
-    def response(self, signal: InputSignal, x0: Array, rtol: float) -> tuple[Array, Array]:
+    def response(self, signal: InputSignal, x0: Array, **options: float) -> tuple[Array, Array]:
         """States (n, n_x) and outputs (n, n_y) at the times of the signal, by DOP853 with events, in the child.
 
         Raises
         ------
+        InputError
+            Fixed steps.
         NoTrustworthyNumber
             Rates or outputs that are not finite, a unit that ended the simulation, events without end; with the time.
         """
-        request = {"op": "integrate", "rtol": rtol, "values": self.values}
+        if "step" in options:
+            raise InputError(f"simulate {self.name}", "step", "rtol: its steps are chosen so that the error is held")
+        request = {"op": "integrate", **options, "values": self.values}
         arrays = [signal.t, signal.coefficients, signal.broken.astype(float), x0]
         _, (states, outputs) = self.process.ask(request, arrays)
         return states, outputs
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
         """States of `response`."""
-        return self.response(signal, x0, rtol)[0]
+        return self.response(signal, x0, rtol=rtol)[0]
 
     def equilibrium(self, **where: Any) -> Trim:
         """The rest nearest to the unit's initial state, see `robustlab.dynamics.symbolic.rest`.

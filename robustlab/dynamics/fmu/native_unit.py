@@ -90,7 +90,7 @@ class NativeUnit:
         self.said.clear()
         try:
             self._instantiate()
-        except Exception as error:  # FMPy has no type of its own for this
+        except Exception as error:  # noqa: BLE001  FMPy has no type of its own for this
             raise self.failed(f"cannot be instantiated ({error})") from None
         self.live = True
         changed = {self.parameters[n]["reference"]: v for n, v in values.items() if v != self.parameters[n]["start"]}
@@ -128,7 +128,7 @@ class NativeUnit:
         maker = getattr(module, f"FMU{number}{'Model' if self.kind == MODEL_EXCHANGE else 'Slave'}")
         try:
             return maker(**arguments)
-        except Exception as error:  # FMPy has no type of its own for this
+        except Exception as error:  # noqa: BLE001  FMPy has no type of its own for this
             from fmpy import platform_tuple
 
             reason = str(error).replace(folder, "")

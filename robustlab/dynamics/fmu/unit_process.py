@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, child_environment
@@ -21,6 +21,9 @@ from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, Na
 from robustlab.provenance import file_sha256
 
 __all__ = ["UnitProcess"]
+
+# Seconds at least for what is not the unit's own work: starting an interpreter, reading and unpacking the archive.
+START_LIMIT, STARTING = 60.0, ("describe", "load")
 
 
 class UnitProcess:
@@ -129,20 +132,19 @@ class UnitProcess:
     def _exchange(self, request: dict[str, Any], arrays: Sequence[Array]) -> tuple[dict[str, Any], list[Array]]:
         child = self._child
         assert child is not None
-        assert child.stdin is not None
-        assert child.stdout is not None
-        budget = Budget(time_limit=self.time_limit)
+        limit = max(START_LIMIT, self.time_limit) if request["op"] in STARTING else self.time_limit
+        budget = Budget(time_limit=limit)
 
         def strike() -> None:
             budget.strike()
             child.kill()
 
-        clock = threading.Timer(self.time_limit, strike)
+        clock = threading.Timer(limit, strike)
         clock.daemon = True
         clock.start()
         try:
-            send(child.stdin, request, arrays)
-            header, found = receive(child.stdout)
+            send(cast(BinaryIO, child.stdin), request, arrays)
+            header, found = receive(cast(BinaryIO, child.stdout))
         except (EOFError, OSError, ValueError, KeyError, TypeError):
             raise self._gone(request["op"], budget) from None
         except BaseException:  # Ctrl-C: an answer that comes later must not be taken for another one's

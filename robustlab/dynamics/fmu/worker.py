@@ -73,13 +73,15 @@ class _Session:
         if op == "start":
             return {}, exchange_runs.started(self.unit, values)
         if op == "evaluate":
-            return exchange_runs.evaluated(self.unit, values, *arrays, request["derivatives"])
+            x, u = arrays
+            return exchange_runs.evaluated(self.unit, values, x, u, request["derivatives"])
         if op == "integrate":
             t, coefficients, broken, *x0 = arrays
             start = x0[0] if x0 else None
             return {}, exchange_runs.integrated(self.unit, values, request["rtol"], t, coefficients, broken, start)
         if op == "step":
-            return {}, co_simulation_runs.stepped(self.unit, values, *arrays, request["longest"])
+            t, u = arrays
+            return {}, co_simulation_runs.stepped(self.unit, values, t, u, request["longest"])
         if op == "linear":
             return {}, co_simulation_runs.linear_matrices(self.unit, values, *arrays)
         raise InputError(self.shown, f"request {op!r}", None)

@@ -28,7 +28,7 @@ JOINT = '<Joint velocity="v" position="q" input="F"/>'
 
 
 def description(version: int, *, directional: bool = True, events: bool = False, joint: bool = False) -> str:
-    """modelDescription.xml of mass_on_spring.c; value references are the places in its enumeration."""
+    """modelDescription.xml of fmu_mass_on_spring.c; value references are the places in its enumeration."""
     can = "true" if directional else "false"
     if version == 2:
         real = [
@@ -41,12 +41,13 @@ def description(version: int, *, directional: bool = True, events: bool = False,
         ]
         real += [(n, "parameter", "fixed", f'start="{v}" unit="{u}" {more}') for n, (u, v, more) in PARAMETERS.items()]
         variables = "".join(
-            f'<ScalarVariable name="{n}" valueReference="{k}" causality="{c}" variability="{v}"><Real {r}/></ScalarVariable>'
+            f'<ScalarVariable name="{n}" valueReference="{k}" causality="{c}" variability="{v}"><Real {r}/>'
+            "</ScalarVariable>"
             for k, (n, c, v, r) in enumerate(real)
         )
         variables += (
-            '<ScalarVariable name="on" valueReference="0" causality="input" variability="discrete"><Boolean start="true"/>'
-            "</ScalarVariable>"
+            '<ScalarVariable name="on" valueReference="0" causality="input" variability="discrete">'
+            '<Boolean start="true"/></ScalarVariable>'
         )
         note = f'<VendorAnnotations><Tool name="robustlab">{JOINT}</Tool></VendorAnnotations>' if joint else ""
         return (
@@ -75,7 +76,8 @@ def description(version: int, *, directional: bool = True, events: bool = False,
     note = f'<Annotations><Annotation type="org.robustlab">{JOINT}</Annotation></Annotations>' if joint else ""
     return (
         '<fmiModelDescription fmiVersion="3.0" modelName="mass-on-spring" instantiationToken="mass-on-spring">'
-        f'<ModelExchange modelIdentifier="unit" providesDirectionalDerivatives="{can}" needsCompletedIntegratorStep="true"/>'
+        f'<ModelExchange modelIdentifier="unit" providesDirectionalDerivatives="{can}" '
+        'needsCompletedIntegratorStep="true"/>'
         f'<CoSimulation modelIdentifier="unit" providesDirectionalDerivatives="{can}"/>'
         f"<ModelVariables>{variables}</ModelVariables><ModelStructure>"
         '<Output valueReference="0"/><Output valueReference="5"/>'
@@ -92,7 +94,7 @@ def library(version: int, folder: Path) -> Path:
 
     module = {2: fmi2, 3: fmi3}[version]
     kinds = getattr(module, f"FMU{version}Model"), getattr(module, f"FMU{version}Slave")
-    source = (HERE / "mass_on_spring.c").read_text()
+    source = (HERE / "fmu_mass_on_spring.c").read_text()
     names = {n for kind in kinds for n in dir(kind) if n.startswith(f"fmi{version}")}
     missing = sorted(n for n in names if f"{n}(" not in source)
     text = source + "".join(f"\nint {n}(void) {{ return 3; }}" for n in missing)
