@@ -92,6 +92,7 @@ static int set_states(Unit *u, const double *x) { u->x[Q] = x[0]; u->x[V] = x[1]
 static int set_time(Unit *u, double t) { u->time = t; return 0; }
 static int get_rates(Unit *u, double *f) { int bad = rates(u); f[0] = u->x[DQ]; f[1] = u->x[DV]; return bad; }
 static int indicators(Unit *u, double *z) { z[0] = u->x[WALL] - u->x[Q]; return 0; }
+
 static int do_step(Unit *u, double h) {
   int n = 1 + (int)(h / 1e-3);
   for (int k = 0; k < n; k++) classical_step(u, h / n);
@@ -134,6 +135,8 @@ int fmi2GetContinuousStates(Unit *u, double *x, size_t n) { return get_states(u,
 int fmi2SetContinuousStates(Unit *u, const double *x, size_t n) { return set_states(u, x); }
 int fmi2GetDerivatives(Unit *u, double *f, size_t n) { return get_rates(u, f); }
 int fmi2GetEventIndicators(Unit *u, double *z, size_t n) { return indicators(u, z); }
+int fmi2GetNominalsOfContinuousStates(Unit *u, double *x, size_t n) { x[0] = x[1] = 1; return 0; }
+int fmi2Terminate(Unit *u) { return 0; }
 int fmi2EnterEventMode(Unit *u) { return 0; }
 int fmi2EnterContinuousTimeMode(Unit *u) { return 0; }
 int fmi2NewDiscreteStates(Unit *u, EventInfo *e) {

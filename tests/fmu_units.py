@@ -22,8 +22,11 @@ PARAMETERS = {
     "k3": ("N/m3", 0.0, ""),
     "wall": ("m", 1e9, ""),
     "kick_time": ("s", 1e9, ""),
-    "fault": ("", 0.0, ""),
+    "fault": ("1", 0.0, ""),
 }
+DEFINED = "".join(f'<Unit name="{u}"/>' for u in ("m", "m/s", "m/s2", "N", "kg", "N.s/m", "N/m", "N/m3", "s", "1"))
+DEFINED = f"<UnitDefinitions>{DEFINED}</UnitDefinitions>"
+EXACT = dict.fromkeys("qv", ' initial="exact"')
 JOINT = '<Joint velocity="v" position="q" input="F"/>'
 
 
@@ -41,8 +44,8 @@ def description(version: int, *, directional: bool = True, events: bool = False,
         ]
         real += [(n, "parameter", "fixed", f'start="{v}" unit="{u}" {more}') for n, (u, v, more) in PARAMETERS.items()]
         variables = "".join(
-            f'<ScalarVariable name="{n}" valueReference="{k}" causality="{c}" variability="{v}"><Real {r}/>'
-            "</ScalarVariable>"
+            f'<ScalarVariable name="{n}" valueReference="{k}" causality="{c}" variability="{v}"{EXACT.get(n, "")}>'
+            f"<Real {r}/></ScalarVariable>"
             for k, (n, c, v, r) in enumerate(real)
         )
         variables += (
@@ -56,14 +59,14 @@ def description(version: int, *, directional: bool = True, events: bool = False,
             f'<ModelExchange modelIdentifier="unit" providesDirectionalDerivative="{can}"/>'
             f'<CoSimulation modelIdentifier="unit" providesDirectionalDerivative="{can}" '
             'canHandleVariableCommunicationStepSize="true"/>'
-            f"{note}<ModelVariables>{variables}</ModelVariables><ModelStructure>"
+            f"{DEFINED}{note}<ModelVariables>{variables}</ModelVariables><ModelStructure>"
             '<Outputs><Unknown index="1"/><Unknown index="6"/></Outputs>'
             '<Derivatives><Unknown index="3"/><Unknown index="4"/></Derivatives>'
             "</ModelStructure></fmiModelDescription>"
         )
     real = [
-        ("q", 'causality="output" start="0.5" unit="m"'),
-        ("v", 'start="0" unit="m/s"'),
+        ("q", 'causality="output" initial="exact" start="0.5" unit="m"'),
+        ("v", 'initial="exact" start="0" unit="m/s"'),
         ("der(q)", 'derivative="0"'),
         ("der(v)", 'derivative="1"'),
         ("F", 'causality="input" start="0" unit="N"'),
@@ -73,13 +76,14 @@ def description(version: int, *, directional: bool = True, events: bool = False,
              for n, (u, v, more) in PARAMETERS.items()]  # fmt: skip
     variables = "".join(f'<Float64 name="{n}" valueReference="{k}" {r}/>' for k, (n, r) in enumerate(real))
     variables += '<Float64 name="z" valueReference="99"/>'
+    variables += '<Float64 name="time" valueReference="98" causality="independent" variability="continuous"/>'
     note = f'<Annotations><Annotation type="org.robustlab">{JOINT}</Annotation></Annotations>' if joint else ""
     return (
         '<fmiModelDescription fmiVersion="3.0" modelName="mass-on-spring" instantiationToken="mass-on-spring">'
         f'<ModelExchange modelIdentifier="unit" providesDirectionalDerivatives="{can}" '
         'needsCompletedIntegratorStep="true"/>'
         f'<CoSimulation modelIdentifier="unit" providesDirectionalDerivatives="{can}"/>'
-        f"<ModelVariables>{variables}</ModelVariables><ModelStructure>"
+        f"{DEFINED}<ModelVariables>{variables}</ModelVariables><ModelStructure>"
         '<Output valueReference="0"/><Output valueReference="5"/>'
         '<ContinuousStateDerivative valueReference="2"/><ContinuousStateDerivative valueReference="3"/>'
         f"{'<EventIndicator valueReference=' + chr(34) + '99' + chr(34) + '/>' if events else ''}"

@@ -204,6 +204,7 @@ class _Run:
 
     def __init__(self, unit: NativeUnit, rtol: float, t: Array, coefficients: Array) -> None:
         self.unit, self.rtol, self.t, self.coefficients = unit, max(rtol, 3e-14), t, coefficients
+        self.constant = ~coefficients[:, 1:].any(axis=(1, 2))
         nominal = np.array([v["nominal"] for v in unit.description["states"]])
         self.atol = 1e-2 * rtol * np.minimum(nominal, 1.0)
         self.next_event, self.x, self.length = math.inf, np.zeros(0), 0.0
@@ -211,6 +212,8 @@ class _Run:
 
     def input(self, time: float, k: int) -> Array:
         """Inputs at a time of interval k."""
+        if self.constant[k]:
+            return self.coefficients[k, 0]
         h = time - self.t[k]
         value = self.coefficients[k, 5]
         for j in range(4, -1, -1):
@@ -267,7 +270,7 @@ class _Run:
                 f = self.rates(solver.t, solver.y, k)
                 bad = "" if np.isfinite(f).all() else "; its rates are not finite there"
                 raise self.unit.failed(f"no solution beyond t = {solver.t:.9g} s{bad}")
-            self.length = solver.step_size
+            self.length = solver.h_abs  # what the error asks for next, which the end of a sample does not shorten
             after = self._indicators(solver.t, solver.y, k)
             if ((before > 0) != (after > 0)).any():
                 at, x = self._crossing(solver, before, k)

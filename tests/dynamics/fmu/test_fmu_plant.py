@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -236,3 +239,31 @@ def test_a_file_that_has_changed_is_not_run_again(unit, tmp_path):
     path.write_bytes(Path(unit(3)).read_bytes())
     with pytest.raises(rl.InputError, match="is not the file that it was"):
         plant.derivative([0, 0], [0])
+
+
+def test_another_integrator_finds_the_same_motion(unit, plant_of):
+    """FMPy's own simulation, by CVODE, in a process of its own: a hardening spring that hits a wall."""
+    values = {"k3": 40.0, "wall": 0.6, "kick_time": 0.31}
+    program = (
+        "import json, sys, fmpy\n"
+        "found = fmpy.simulate_fmu(sys.argv[1], start_values=json.loads(sys.argv[2]),\n"
+        "    fmi_type='ModelExchange', relative_tolerance=1e-8, output_interval=0.02, output=['q'], stop_time=2.0)\n"
+        "print(json.dumps([found['time'].tolist(), found['q'].tolist()]))\n"
+    )
+    command = [sys.executable, "-c", program, unit(2, events=True), json.dumps({**values, "F": 1.5})]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    time, theirs = json.loads(done.stdout.splitlines()[-1])
+    ours = rl.simulate(plant_of(events=True).with_parameters(**values), T, np.full(101, 1.5))["q"]
+    assert np.abs(ours).max() < 0.601
+    np.testing.assert_allclose(ours, np.interp(T, time, theirs), atol=2e-6)
+
+
+def test_without_the_package_the_extra_is_named(unit, monkeypatch):
+    from robustlab.dynamics.fmu import unit_process
+    from robustlab.errors import DependencyMissing
+
+    monkeypatch.setattr(unit_process, "find_spec", lambda _: None)
+    with pytest.raises(DependencyMissing, match="fmpy") as caught:
+        rl.plant(unit(2))
+    assert "robustlab[fmi]" in caught.value.hint
