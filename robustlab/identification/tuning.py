@@ -31,6 +31,9 @@ class NamingTuning:
     # its start is told by the fit and not by it.
     start_inflation: float = 30.0
     most_growth: float = 20.0  # of what an unstable nonlinear plant deviates by, over a window
+    # RMS deviation of a nonlinear plant as given from the recorded motion, over that motion's range, in a window: about
+    # the motion it is linear, right to the square of this.
+    most_deviation: float = 0.03
     most_windows: int = 24  # that the search fits: more tell weaker effects and take more time
     most_held: int = 12  # that it judges on
     held_out_every: int = 4  # without a held-out record, every so manieth window is kept from the fit
