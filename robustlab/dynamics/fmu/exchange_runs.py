@@ -204,7 +204,7 @@ class _Run:
 
     def __init__(self, unit: NativeUnit, rtol: float, t: Array, coefficients: Array) -> None:
         self.unit, self.rtol, self.t, self.coefficients = unit, max(rtol, 3e-14), t, coefficients
-        self.constant: Mask = ~coefficients[:, 1:].any(axis=(1, 2))
+        self.constant: Mask = np.asarray(~coefficients[:, 1:].any(axis=(1, 2)))
         nominal = np.array([v["nominal"] for v in unit.description["states"]])
         self.atol = 1e-2 * rtol * np.minimum(nominal, 1.0)
         self.next_event, self.x, self.length = math.inf, np.zeros(0), 0.0
