@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -64,6 +63,7 @@ class FreeRun:
         return {"record": self.record.name, "model": self.simulated.name, "gaps": gaps, "status": self.status}
 
 
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class FmuCoSimulation(SteppedPlant):
     """A functional mock-up unit for co-simulation (FMI 2.0 or 3.0) as a plant without states of ours.
 
@@ -88,32 +88,33 @@ class FmuCoSimulation(SteppedPlant):
 
     process: UnitProcess
     unused_signals: tuple[str, ...]
-    _about: dict[str, Any]
+    about: dict[str, Any]
 
-    def __init__(self, path: str | Path | OpenedUnit, *, time_limit: float = 60.0, **parameters: Any) -> None:
-        unit = path if isinstance(path, OpenedUnit) else opened(path, CO_SIMULATION, time_limit)
-        process, about = unit.process, unit.about
-        put = object.__setattr__  # plants are frozen
-        for key, value in {**described(about, parameters), "states": ()}.items():
-            put(self, key, value)
-        put(self, "process", process)
-        put(self, "unused_signals", tuple(about["left_out"]))
-        put(self, "_about", about)
+    def __init__(
+        self, path: str | Path | OpenedUnit | None = None, *, time_limit: float = 60.0, **parameters: Any
+    ) -> None:
+        if path is None and "process" in parameters:  # dataclasses.replace, which hands over the fields
+            fields = parameters
+        else:
+            unit = path if isinstance(path, OpenedUnit) else opened(path, CO_SIMULATION, time_limit)
+            fields = {**described(unit.about, parameters), "states": (), "process": unit.process, "about": unit.about}
+            fields["unused_signals"] = tuple(unit.about["left_out"])
+        for key, value in fields.items():
+            object.__setattr__(self, key, value)  # plants are frozen
         self.__post_init__()
-        process.load(CO_SIMULATION)
-        self.traced(unit_provenance(process, by_differences=False))
+        if path is not None:
+            self.process.load(CO_SIMULATION)
+        self.traced(unit_provenance(self.process, by_differences=False))
 
     def with_parameters(self, **given: Any) -> FmuCoSimulation:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
-        other = copy.copy(self)
-        object.__setattr__(other, "parameters", overridden(self.parameters.values(), given, self.name))
-        return other
+        return replace(self, parameters=overridden(self.parameters.values(), given, self.name))
 
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
         """No states (n, 0), and outputs (n, n_y), at the times t for inputs (n, n_u) held between them."""
         steps = np.diff(t)
         even = not len(steps) or np.ptp(steps) <= TUNING.clock_jitter * steps.mean()
-        if not even and not self._about["kinds"][CO_SIMULATION]["variable_step"]:
+        if not even and not self.about["kinds"][CO_SIMULATION]["variable_step"]:
             raise InputError(f"simulate {self.name}", "steps that differ", "equal ones: the unit takes no others")
         longest = np.inf if step is None else step
         request = {"op": "step", "longest": min(longest, 1e300), "values": self.values}
@@ -164,15 +165,15 @@ class FmuCoSimulation(SteppedPlant):
         where = f"linearise {self.name}"
         if amplitude or pade:
             raise InputError(where, "amplitude or pade for a plant without effects", "neither")
-        if not self._about["kinds"][CO_SIMULATION]["directional"]:
+        if not self.about["kinds"][CO_SIMULATION]["directional"]:
             hint = "export the unit for model exchange, or identify a model from rl.simulate"
             raise InputError(where, f"{SHOWS_NONE}; and it offers no directional derivatives", None, hint)
         if at is not None:
             raise InputError(where, "an operating point", "none: a co-simulation unit is at its own initial state")
-        u = np.array([v["start"] or 0.0 for v in self._about["inputs"]])
+        u = np.array([v["start"] or 0.0 for v in self.about["inputs"]])
         _, (slopes, x, y) = self.process.ask({"op": "linear", "values": self.values}, [u])
         n = len(x)
-        states = tuple(Signal(v["name"], v["unit"]) for v in self._about["states"])
+        states = tuple(Signal(v["name"], v["unit"]) for v in self.about["states"])
         matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
         point = OperatingPoint(x, u, y)
         model = StateSpaceModel(*matrices, 0.0, self.inputs, self.outputs, states, point, self.name)

@@ -2,8 +2,8 @@ r"""A model-exchange unit as a nonlinear plant: its program evaluates :math:`f(x
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ def fmu(path: str | Path, *, interface: str | None = None, **options: Any) -> Fm
     return made(unit, **options)
 
 
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class FmuPlant(NonlinearPlant):
     r"""A functional mock-up unit for model exchange (FMI 2.0 or 3.0) as a nonlinear plant.
 
@@ -95,22 +96,34 @@ class FmuPlant(NonlinearPlant):
     ``axis = rl.FmuPlant("axis.fmu", mass=(1.2, 0.1))``, then as any plant: ``rl.linearise(axis)``.
     """
 
+    process: UnitProcess
+    derivatives: str
+    unused_signals: tuple[str, ...]
+    joints: dict[str, dict[str, str]]
+    joints_source: str
+
     def __init__(
         self,
-        path: str | Path | OpenedUnit,
+        path: str | Path | OpenedUnit | None = None,
         *,
         joints: Mapping[str, Mapping[str, str]] | None = None,
         derivatives: str | None = None,
         time_limit: float = TIME_LIMIT,
         **parameters: Any,
     ) -> None:
+        put = object.__setattr__  # plants are frozen
+        if path is None and "process" in parameters:  # dataclasses.replace, which hands over the fields
+            for key, value in {"joints": joints, "derivatives": derivatives, **parameters}.items():
+                put(self, key, value)
+            self.__post_init__()
+            self.traced(unit_provenance(self.process, self.derivatives == "differences"))
+            return
         unit = path if isinstance(path, OpenedUnit) else opened(path, MODEL_EXCHANGE, time_limit)
         process, about = unit.process, unit.about
         own = about["kinds"][MODEL_EXCHANGE]["directional"]
         if derivatives not in (None, "differences") and not (derivatives == "directional" and own):
             expected = "'directional' or 'differences'" if own else "'differences': the unit has no directional ones"
             raise InputError(f"{process.shown}: derivatives", f"{derivatives!r}", expected)
-        put = object.__setattr__  # plants are frozen
         for key, value in described(about, parameters).items():
             put(self, key, value)
         put(self, "derivatives", derivatives or ("directional" if own else "differences"))
@@ -122,18 +135,9 @@ class FmuPlant(NonlinearPlant):
         process.load(MODEL_EXCHANGE)
         self.traced(unit_provenance(process, self.derivatives == "differences"))
 
-    process: UnitProcess
-    derivatives: str
-    unused_signals: tuple[str, ...]
-    joints: dict[str, dict[str, str]]
-    joints_source: str
-
     def with_parameters(self, **given: Any) -> FmuPlant:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
-        other = copy.copy(self)
-        vars(other).pop("_start", None)
-        object.__setattr__(other, "parameters", overridden(self.parameters.values(), given, self.name))
-        return other
+        return replace(self, parameters=overridden(self.parameters.values(), given, self.name))
 
     # --- points ------------------------------------------------------------------------------------------------------
 

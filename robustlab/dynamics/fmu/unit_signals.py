@@ -32,7 +32,7 @@ class OpenedUnit:
     kind: str
 
 
-def opened(path: str | Path, kind: str | None, time_limit: float) -> OpenedUnit:
+def opened(path: str | Path | None, kind: str | None, time_limit: float) -> OpenedUnit:
     """The unit's process, its description, and the interface: the one asked for, or model exchange where there is one.
 
     Raises
@@ -42,6 +42,8 @@ def opened(path: str | Path, kind: str | None, time_limit: float) -> OpenedUnit:
     """
     if kind not in (None, MODEL_EXCHANGE, CO_SIMULATION):
         raise InputError(f"{path}: interface", f"{kind!r}", f"{MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+    if path is None:
+        raise InputError("functional mock-up unit", "no file", "a file ending .fmu")
     process = UnitProcess(path, time_limit)
     about = process.describe()
     kinds = about["kinds"]

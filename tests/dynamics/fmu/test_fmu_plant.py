@@ -267,3 +267,15 @@ def test_without_the_package_the_extra_is_named(unit, monkeypatch):
     with pytest.raises(DependencyMissing, match="fmpy") as caught:
         rl.plant(unit(2))
     assert "robustlab[fmi]" in caught.value.hint
+
+
+def test_a_record_is_compared_with_a_unit_as_with_any_nonlinear_plant(plant_of):
+    t = np.arange(0, 3, 0.01)
+    u = 3 * np.sin(2 * np.pi * (0.2 + 0.3 * t) * t)
+    truth = rl.simulate(same_machine(), t, u, [0.5, 0.0])
+    noise = 1e-5 * np.random.default_rng(1).normal(size=len(t))
+    record = rl.Record(t, {"F": u}, {"q": truth["q"] + noise}, {"F": "N", "q": "m"}, "run")
+    found = rl.compare(plant_of(2, joint=True), record)
+    assert found.outputs["q"].rms < 2e-5
+    heavier = rl.compare(plant_of(2, joint=True).with_parameters(m=2.2), record)
+    assert heavier.outputs["q"].rms > 1e-3
