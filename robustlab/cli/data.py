@@ -349,7 +349,13 @@ def compare(
     repeat = windows.repeat or []
     inputs = options.inputs or ",".join(_input_names(system))
     first, *others = (options.read(file, inputs) for file in (data, *repeat))
-    found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
+    if hasattr(system, "compare"):  # a co-simulation unit: a free run from its own initial state is all there is
+        if figures or others or windows.window is not None or windows.period is not None:
+            found = f"options for the windows of {system.name}"
+            raise UsageError(model, found, "none: a co-simulation unit runs from its own initial state only")
+        found = system.compare(first)
+    else:
+        found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
     if figures:
         from robustlab.report.comparison_figures import comparison_figures

@@ -57,10 +57,12 @@ class FreeRun:
             lines.append(f"  {name}: rms {rms}, peak {peak}, fit {gap['fit']:.4g} %")
         return "\n".join(lines)
 
-    def to_json(self) -> dict[str, Any]:
-        """The gaps, and the names of both."""
+    def to_json(self, *, series: bool = True) -> dict[str, Any]:
+        """The gaps and the names of both; with ``series`` the simulated outputs over time."""
         gaps = {name: dict(gap) for name, gap in self.gaps.items()}
-        return {"record": self.record.name, "model": self.simulated.name, "gaps": gaps, "status": self.status}
+        found = {"record": self.record.name, "model": self.simulated.name, "gaps": gaps, "status": self.status}
+        over_time = {"t": self.simulated.t, "simulated": dict(self.simulated.outputs)}
+        return {**found, **over_time} if series else found
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
