@@ -23,7 +23,7 @@ def blocks(language):
 
 @needs_compiler
 def test_the_page_runs(unit, folder, tmp_path, monkeypatch, capsys):
-    shutil.copy(unit(2), tmp_path / "machine.fmu")
+    shutil.copy(unit(2, joint=True), tmp_path / "machine.fmu")
     shutil.copy(units.python_motor(folder), tmp_path / "motor.fmu")
     monkeypatch.chdir(tmp_path)
     names = {}
