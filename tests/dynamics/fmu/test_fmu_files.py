@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 import signal
 import stat
 import subprocess
@@ -184,3 +186,17 @@ def test_a_data_file_never_runs_a_unit(unit, tmp_path):
         file["plant"].attrs["name"] = unit(2)
     with pytest.raises(rl.InputError):
         rl.load(path)
+
+
+@needs_compiler
+def test_a_recipe_names_a_unit_and_keeps_its_hash(unit, tmp_path):
+    shutil.copy(unit(2), tmp_path / "machine.fmu")
+    steps = '[step.axis]\ndo = "plant"\nplant = "machine.fmu"\nparameters = { m = 4.0 }\n'
+    steps += '[step.model]\ndo = "linearise"\nof = "axis"\n'
+    (tmp_path / "axis.toml").write_text(f'schema = "robustlab.recipe/1"\nname = "axis"\n{steps}')
+    command = [*COMMAND, "run", "axis.toml", "--out", "out"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    digest = hashlib.sha256((tmp_path / "machine.fmu").read_bytes()).hexdigest()
+    results = "".join(f.read_text() for f in (tmp_path / "out").rglob("*.json"))
+    assert digest in results

@@ -279,3 +279,15 @@ def test_a_record_is_compared_with_a_unit_as_with_any_nonlinear_plant(plant_of):
     assert found.outputs["q"].rms < 2e-5
     heavier = rl.compare(plant_of(2, joint=True).with_parameters(m=2.2), record)
     assert heavier.outputs["q"].rms > 1e-3
+
+
+@pytest.mark.slow
+def test_a_hidden_friction_is_named_at_the_joint(plant_of):
+    t = np.arange(0, 4, 0.005)
+    u = 6 * np.sin(2 * np.pi * (0.2 + 0.3 * t) * t)
+    truth = rl.simulate(rl.with_effects(same_machine(), {"coulomb-friction": {"Fc": 0.5}}), t, u, [0.5, 0.0])
+    noise = 1e-6 * np.random.default_rng(0).normal(size=len(t))
+    record = rl.Record(t, {"F": u}, {"q": truth["q"] + noise}, {"F": "N", "q": "m"}, "run")
+    found = rl.discover(plant_of(2, joint=True), [record])
+    assert found.verdict == "named"
+    assert "coulomb-friction at v" in found.summary()
