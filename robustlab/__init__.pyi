@@ -5,6 +5,7 @@ from robustlab.dynamics import simulate as simulate
 from robustlab.dynamics import trim as trim
 from robustlab.dynamics.effects.catalogue import effect_names as effect_names
 from robustlab.dynamics.extended.extended_plant import with_effects as with_effects
+from robustlab.dynamics.fmu import FmuPlant as FmuPlant
 from robustlab.dynamics.symbolic.equations import PlantEquations as PlantEquations
 from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
@@ -102,6 +103,7 @@ __all__ = [
     "save",
     "export_controller",
     "plant",
+    "FmuPlant",
     "PlantEquations",
     "trim",
     "linearise",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim
+from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
@@ -73,6 +74,7 @@ def linearise(
               C = \partial h / \partial x, \quad D = \partial h / \partial u
 
     Exact: linear plants have the same matrices everywhere, nonlinear ones bring exact derivatives of their equations.
+    Only a functional mock-up unit without derivatives of its own has them by differences: ``.provenance.note`` says so.
 
     Parameters
     ----------
@@ -117,7 +119,10 @@ def linearise(
             matrices, point = plant.jacobians(x, u), OperatingPoint(x, u, plant.output(x, u))
         else:
             matrices, point = plant.jacobians_at(trimmed), trimmed.operating_point
-        return StateSpaceModel(*matrices, 0.0, plant.inputs, plant.outputs, plant.states, point, plant.name)
+        model = StateSpaceModel(*matrices, 0.0, plant.inputs, plant.outputs, plant.states, point, plant.name)
+        if plant.provenance is not None and code_of(plant):
+            model.traced(plant.provenance)
+        return model
     if not isinstance(plant, LinearPlant):
         raise InputError(
             "linearise", f"{type(plant).__name__}", "a linear plant or a nonlinear one, as from plant(name)"

@@ -56,6 +56,11 @@ class InputSignal:
     coefficients: Array
     broken: NDArray[np.bool_]
 
+    @property
+    def samples(self) -> Array:
+        """Inputs (n, n_u) at the times."""
+        return np.vstack([self.coefficients[:, 0], self.at(self.t[-1], len(self.t) - 2)[None]])
+
     def at(self, time: float, interval: int) -> Array:
         """Input (n_u,) at a time, by the polynomial of the given interval."""
         return np.polynomial.polynomial.polyval(time - self.t[interval], self.coefficients[interval])
@@ -300,6 +305,16 @@ class NonlinearPlant(Plant):
     @abstractmethod
     def equilibrium(self, **where: Any) -> Trim:
         """State and input at which the plant stays; what it may be asked for is the plant's own matter."""
+
+    @property
+    def start(self) -> Array:
+        """State (n_x,) from which a simulation begins where none is given."""
+        return np.zeros(len(self.states))
+
+    def response(self, signal: InputSignal, x0: Array, **options: float) -> tuple[Array, Array]:
+        """States (n, n_x) and outputs (n, n_y) at the times of the signal; ``options`` as `trajectory` takes them."""
+        x = self.trajectory(signal, x0, **options)
+        return x, self.outputs_along(x, signal.samples)
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""

@@ -50,8 +50,8 @@ def simulate(
     u
         Name of input -> samples of shape (n,), for every input; or an array (n,) for a single input, or (n, n_u).
     x0
-        State at t[0], shape (n_x,); zero where left out. States that effects have added start at zero and may be left
-        out.
+        State at t[0], shape (n_x,); zero where left out, of a functional mock-up unit its own. States that effects have
+        added start at zero and may be left out.
     name
         Name of the record; the plant's own, or "simulation", where left out.
     hold
@@ -123,7 +123,7 @@ def _simulate_nonlinear(
 ) -> Record:
     clock = Record(t, name="simulate").t
     signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)
-    start = np.zeros(len(plant.states)) if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
+    start = plant.start if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
     if isinstance(plant, SteppedPlant):
         start = plant.whole_state(start)
     start, _ = plant.point(start, np.zeros(len(plant.inputs)))
@@ -136,9 +136,8 @@ def _simulate_nonlinear(
     if isinstance(plant, SteppedPlant):
         x, force, y = _stepped(plant, clock, sampled_inputs(plant.inputs, u, len(clock)), start, hold, options)
     else:
-        x = plant.trajectory(signal, start, **(options or {"rtol": TUNING.rtol}))
-        force = np.vstack([signal.coefficients[:, 0], signal.at(clock[-1], len(clock) - 2)[None]])
-        y = plant.outputs_along(x, force)
+        x, y = plant.response(signal, start, **(options or {"rtol": TUNING.rtol}))
+        force = signal.samples
     _check_finite(np.hstack([x, y]), clock, plant.name)
     return recorded(plant, clock, force, y, name or plant.name)
 
@@ -148,9 +147,9 @@ def _stepped(
 ) -> tuple[Array, Array, Array]:
     """States, inputs and outputs of a plant that makes its own steps."""
     if hold != "zoh":
-        raise InputError("simulate: hold", f"{hold!r} for a plant with effects", "'zoh': its steps hold the input")
+        raise InputError("simulate: hold", f"{hold!r} for a plant that steps itself", "'zoh': its steps hold the input")
     if "rtol" in options:
-        raise InputError("simulate", "rtol for a plant with effects", "step: its steps have no error control")
+        raise InputError("simulate", "rtol for a plant that steps itself", "step: its steps have no error control")
     x, y = plant.stepped(t, u, x0, options.get("step"))
     return x, u, y
 

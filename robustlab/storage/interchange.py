@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
@@ -16,7 +17,7 @@ from robustlab.files.record_layout import decode_record, encode_record
 from robustlab.files.records import CLOCK_NAMES, RecordOptions, read_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
-from robustlab.provenance import NOT_VERIFIED, Provenance, Traced
+from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
@@ -275,7 +276,7 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or
         one of the user's own, whose equations are stored as coefficients (`LinearPlant`) or tapes (`PlantEquations`).
     provenance
-        Where it comes from; time and versions of now where left out.
+        Where it comes from; where left out, time and versions of now, and the code of a plant file (its SHA-256).
 
     Returns
     -------
@@ -296,16 +297,19 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ".h5, .hdf5 or .mat")
     tree = Tree(file=str(path))
     kind = _encode(tree, obj)
-    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save")))
+    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save", code_of(obj))))
     return write_tree(path, tree)
 
 
 def _origin(obj: Any, given: Provenance) -> Provenance:
-    """The provenance to write: what came from a file that nothing verified says so in every file made of it."""
+    """The provenance to write: what nothing verified, and what is not exact, says so in every file made of it."""
     source = getattr(obj, "provenance", None)
-    if not isinstance(source, Provenance) or NOT_VERIFIED not in source.note or NOT_VERIFIED in given.note:
+    if not isinstance(source, Provenance):
         return given
-    return replace(given, note=f"{given.note}; made from a file {NOT_VERIFIED}".removeprefix("; "))
+    for remark, text in ((NOT_VERIFIED, f"made from a file {NOT_VERIFIED}"), (BY_DIFFERENCES, BY_DIFFERENCES)):
+        if remark in source.note and remark not in given.note:
+            given = replace(given, note=f"{given.note}; {text}".removeprefix("; "))
+    return given
 
 
 def _encode(tree: Tree, obj: Any) -> str:

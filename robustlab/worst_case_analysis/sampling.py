@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
+from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
@@ -24,7 +28,7 @@ from robustlab.worst_case_analysis.streaming import (
 )
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["Responses", "Samples", "StreamedResponses", "sample"]
+__all__ = ["PlantSamples", "Responses", "Samples", "StreamedResponses", "sample"]
 
 
 # A response is kept whole: samples x times x outputs.
@@ -131,6 +135,75 @@ class Samples:
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
 
 
+@dataclass(frozen=True, eq=False)
+class PlantSamples:
+    """Members of a nonlinear plant whose parameters have tolerances: seeded random ones first, then vertices.
+
+    Attributes
+    ----------
+    plant
+        The plant that was sampled.
+    deltas, seed, vertices
+        As of `Samples`; a block for each parameter with a tolerance.
+    """
+
+    plant: NonlinearPlant
+    deltas: Deltas
+    seed: int
+    vertices: int
+
+    def __len__(self) -> int:
+        return len(self.deltas)
+
+    def plants(self) -> Iterator[Any]:
+        """The sampled members, one after the other."""
+        plant: Any = self.plant
+        ranges = {name: p.range for name, p in plant.parameters.items()}
+        for delta in self.deltas:
+            yield plant.with_parameters(**{name: (ranges[name].value(d), 0.0) for name, d in delta.items()})
+
+    def respond(
+        self,
+        t: ArrayLike,
+        u: Mapping[str, ArrayLike] | ArrayLike | None = None,
+        x0: ArrayLike | None = None,
+        hold: Literal["zoh", "foh", "spline"] = "zoh",
+    ) -> Responses:
+        """Time responses of all samples and of the nominal plant to one input; stability is not judged.
+
+        Parameters
+        ----------
+        t, u
+            As of `Samples.respond`.
+        x0, hold
+            As of `robustlab.dynamics.simulation.simulate`.
+
+        Raises
+        ------
+        InputError, NoTrustworthyNumber
+            As of `robustlab.dynamics.simulation.simulate`, for any of them.
+        """
+        drive = excitation(self.plant.inputs, 0.0, t, u, "respond")
+        count = len(self) * len(drive.t) * len(self.plant.outputs)
+        if count > MAX_NUMBERS:
+            raise InputError("respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}")
+
+        def response(plant: Any) -> Array:
+            record = simulate(plant, drive.t, drive.u, x0, hold=hold)
+            return np.column_stack([record.outputs[s.name] for s in plant.outputs])
+
+        nominal = response(self.plant)
+        y = np.array([response(plant) for plant in self.plants()])
+        lower, upper, deviation, _ = _envelope(y, nominal)
+        worst = tuple(int(i) for i in deviation.argmax(axis=0))
+        sides = self.plant.inputs, self.plant.outputs
+        return Responses(drive.t, drive.u, y, nominal, lower, upper, worst, self.deltas, *sides, (), Status.CONVERGED)
+
+    def to_json(self) -> dict[str, object]:
+        """Deltas, seed and number of vertices."""
+        return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
+
+
 @dataclass(frozen=True)
 class Responses:
     """Time responses of samples, and the envelope of them and the nominal response.
@@ -188,9 +261,15 @@ class Responses:
         return {**data, "peak_deviation": self.peak_deviation}
 
 
+@overload
+def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples: ...
+@overload
+def sample(uncertain: Plant, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> PlantSamples: ...
 @told_as("sample")
-def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples:
-    """Draw members of an uncertain model.
+def sample(
+    uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: int | Literal["all"] = 0
+) -> Samples | PlantSamples:
+    """Draw members of an uncertain model, or of a nonlinear plant whose parameters have tolerances.
 
     Real parameters are uniform in their ranges (deltas in [-1, 1] where nominal is the middle), complex deltas in the
     unit disc, full blocks random with ``sigma_max <= 1``.
@@ -198,7 +277,7 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
     Parameters
     ----------
     uncertain
-        The set.
+        The set; or a nonlinear plant, a functional mock-up unit for example.
     n
         Number of random samples.
     seed
@@ -209,13 +288,14 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
 
     Returns
     -------
-    Samples
+    Samples or PlantSamples
         The random samples first, then the vertices; their models and responses are made when they are asked for.
 
     Raises
     ------
     InputError
-        Nothing is asked for, or all vertices of more than 16 real deltas.
+        Nothing is asked for, or all vertices of more than 16 real deltas; a linear plant, which has an exact set
+        (``plant.uncertain()``), or one without tolerances.
 
     Examples
     --------
@@ -225,16 +305,32 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
     >>> [delta["pole"] for delta in sample(lag, 0, vertices="all").deltas]
     [-1.0, 1.0]
     """
-    if not isinstance(uncertain, UncertainModel):
-        raise InputError("sample", type(uncertain).__name__, "an UncertainModel")
+    if isinstance(uncertain, LinearPlant):
+        raise InputError(
+            "sample", f"the linear plant {uncertain.name}", "an UncertainModel", "plant.uncertain() is one"
+        )
+    if not isinstance(uncertain, (NonlinearPlant, UncertainModel)):
+        raise InputError("sample", type(uncertain).__name__, "an UncertainModel or a nonlinear plant")
     for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
         if not is_count(count, 0):
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    reals = sum(b.interval is not None for b in uncertain.blocks)
-    signs = vertex_signs(reals, vertices, seed)
-    return Samples(uncertain, Deltas(uncertain.blocks, int(n), int(seed), signs), int(seed), len(signs))
+    blocks = uncertain.blocks if isinstance(uncertain, UncertainModel) else tuple(_varied(uncertain))
+    signs = vertex_signs(sum(b.interval is not None for b in blocks), vertices, seed)
+    deltas = Deltas(blocks, int(n), int(seed), signs)
+    kind: Any = Samples if isinstance(uncertain, UncertainModel) else PlantSamples
+    return kind(uncertain, deltas, int(seed), len(signs))
+
+
+def _varied(plant: NonlinearPlant) -> Iterator[RealScalar]:
+    """A scalar for every parameter with a tolerance."""
+    for name, p in plant.parameters.items():
+        if p.radius:
+            yield RealScalar(name, 1, p.range)
+    if not any(p.radius for p in plant.parameters.values()):
+        known = ", ".join(plant.parameters) or "none"
+        raise InputError("sample", f"no parameter of {plant.name} has a tolerance", f"one of {known} with (value, 0.1)")
 
 
 def _asked(
