@@ -255,7 +255,7 @@ def test_the_nearest_name_is_asked_for(folder):
     with pytest.raises(InputError, match=r"did you mean axis\.py\?"):
         rl.plant("axsi.py:axis")
     with pytest.raises(InputError, match=r"no such parameter.*\n.*did you mean Fv\?") as told:
-        rl.plant("axis.py:axis", fv=3.0)
+        rl.plant("axis.py:axis", Fvv=3.0)
     assert told.value.line.startswith("axis.py, line ")
 
 
