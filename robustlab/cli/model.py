@@ -76,7 +76,7 @@ def build(
     ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", help="Rest of a plant with effects: input, output or state, NAME=VALUE; repeatable."),
+        typer.Option("--at", help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
     ] = None,
     amplitude: Annotated[
         list[str] | None,
@@ -98,8 +98,8 @@ def build(
     made = read_plant(plant, parameters)
     if pose is not None and at:
         raise UsageError("model build", "--pose and --at", "one of them")
-    if at and not isinstance(made, SteppedPlant):
-        raise UsageError("--at", f"{made.name} has no effects", "--pose for a platform; nothing for a linear plant")
+    if at and not isinstance(made, dynamics.NonlinearPlant):
+        raise UsageError("--at", f"{made.name} is linear", "no --at: its model is the same everywhere")
     point: Any = dynamics.trim(made, **assignments("--at", at)) if at else None if pose is None else _pose(pose)
     sectors = assignments("--amplitude", amplitude)
     model = dynamics.linearise(made, at=point, amplitude=sectors, pade=pade)

@@ -77,23 +77,29 @@ class LineariseStep(Step):
     gives: ClassVar[str] = "model"
     do: Literal["linearise"]
     of: ToPlant
-    at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
-        None, description="Pose of a mechanism: tx, ty, tz in m, ax, ay, az in rad; home where left out."
+    at: Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float] | None = Field(
+        None,
+        description="Pose of a mechanism: tx, ty, tz in m, ax, ay, az in rad; or where another plant that is not linear"
+        " rests: states, inputs and outputs by name. Home, or the rest nearest to zero, where left out.",
     )
     outputs: list[str] | None = None
 
     def run(self, work: Workspace) -> Outcome:
         """The state-space model of a plant."""
-        from robustlab.dynamics import LinearPlant
+        from robustlab.dynamics import LinearPlant, trim
         from robustlab.structural import drop_unconnected
 
         given = work.values[self.of]
         if self.at is not None and isinstance(given, LinearPlant):
-            raise InputError("at", f"a pose of {self.of}, which is linear", "no pose: the model is the same everywhere")
-        model = rl.linearise(given, at=self.at)
+            raise InputError("at", f"a rest of {self.of}, which is linear", "none: the model is the same everywhere")
+        model = rl.linearise(given, at=trim(given, **self.at) if isinstance(self.at, dict) else self.at)
         if self.outputs is not None:
             model = drop_unconnected(model.select(outputs=self.outputs))
-        where = "" if self.at is None else f" at the pose {', '.join(f'{value:g}' for value in self.at)}"
+        where = ""
+        if isinstance(self.at, dict):
+            where = f" at {', '.join(f'{name} = {value:g}' for name, value in self.at.items())}"
+        elif self.at is not None:
+            where = f" at the pose {', '.join(f'{value:g}' for value in self.at)}"
         return Outcome(model, f"State-space model of {self.of}{where}.", _model_numbers(model), _model_facts(model))
 
 
@@ -144,15 +150,15 @@ class SaveStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """An object to an HDF5 file in the output folder, with its provenance."""
-        from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+        from robustlab.dynamics import NonlinearPlant
         from robustlab.provenance import file_sha256
 
         path = work.folder / self.file
         given = work.values[self.of]
         if hasattr(given, "to_uncertain"):  # a tracking problem is kept as its generalised plant
             given = given.to_uncertain()
-        if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
-            given = given.to_model()  # a plant without effects is kept as its linear model
+        if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, NonlinearPlant)):
+            given = given.to_model()  # a linear plant without effects is kept as its linear model
         rl.save(path, given, work.provenance())
         work.files.append(self.file)
         digest = file_sha256(path)
