@@ -30,6 +30,7 @@ class NamingTuning:
     # Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
     # its start is told by the fit and not by it.
     start_inflation: float = 30.0
+    most_growth: float = 20.0  # of what an unstable nonlinear plant deviates by, over a window
     most_windows: int = 24  # that the search fits: more tell weaker effects and take more time
     most_held: int = 12  # that it judges on
     held_out_every: int = 4  # without a held-out record, every so manieth window is kept from the fit

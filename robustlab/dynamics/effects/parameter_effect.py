@@ -12,7 +12,8 @@ import numpy as np
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Prior, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups, port_model
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
 
 __all__ = ["ParameterEffect", "has_ground_term"]
@@ -44,7 +45,7 @@ class ParameterEffect(Effect):
         """One above and one below the nominal value."""
         return ({"s": math.exp(self.spread)}, {"s": math.exp(-self.spread)})
 
-    def factors(self, plant: LinearPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
+    def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         """Factor s for each parameter of the group."""
         if site.kind != "parameter":
             return {}
@@ -60,8 +61,11 @@ def has_ground_term(plant: LinearPlant, port: Port, role: str, rows: tuple[Port,
 
     They do where the force that they give is not zero in a motion that all joints ``rows`` share; ``of`` says whether
     the motion is that of the ``"velocity"`` or of the ``"position"``. (A spring between two masses is none to ground.)
-    A parameter of the value 0 with a tolerance gives one too.
+    A parameter of the value 0 with a tolerance gives one too. (In a nonlinear plant only these do: its equations do not
+    say at which joint a damping acts.)
     """
+    if isinstance(plant, NonlinearPlant):
+        return any(p.role == role and not p.value for p in plant.parameters.values())
     directions = [getattr(r, of) for r in rows if getattr(r, of) is not None]
     together = np.sum(directions, axis=0)
     nominal = port_model(plant).A
@@ -103,9 +107,10 @@ class GroundedEffect(ParameterEffect):
         prior = self.at_joint(scales).prior
         return ({self.symbol: prior.value(0.0)}, {self.symbol: prior.value(-1.5)})
 
-    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         joints = tuple(p for p in model.ports.values() if p.kind == "joint" and getattr(p, self.of) is not None)
-        own = tuple(p for p in port_model(plant).ports.values() if p.kind == "joint")
+        whole = model if isinstance(plant, NonlinearPlant) else port_model(plant)
+        own = tuple(p for p in whole.ports.values() if p.kind == "joint" and "." not in p.name)
         nominal = {p.name: p for p in own}
         missing = tuple(
             Site("joint", p.name)

@@ -171,7 +171,7 @@ CONSTANTS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Geometry:
     """Points and axes, in m; arrays are read-only.
 

@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import InputSignal, NonlinearPlant, Trim
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
+from robustlab.dynamics.stewart.along_motion import accelerations, derivatives, places, torques
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
@@ -188,7 +189,7 @@ class StewartPlatform(NonlinearPlant):
         state, _ = self.point(x, u)
         return state[:12].copy()
 
-    def outputs_along(self, x: Array, u: Array) -> Array:
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         """Nut angles and rates (n, 12) along a trajectory."""
         return x[:, :12]
 
@@ -212,6 +213,45 @@ class StewartPlatform(NonlinearPlant):
             raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
         a, b = _assembled(stiffness, damping, gain, self._numbers, self.motors)
         return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
+
+    # --- about points of a motion ------------------------------------------------------------------------------------
+
+    @property
+    def port_places(self) -> tuple[PortPlace, ...]:
+        """The six nuts, with motors also the six currents."""
+        return places(self.motors)
+
+    def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
+        """The plant about points x (n, 12 or 18), u (n, 6), at the parameter values."""
+        shape, numbers, p = self._at(values)
+        torque = torques(p, x, u)
+        parts = derivatives(shape, numbers, x, torque)
+        a, b = _assembled(*parts, np.broadcast_to(numbers, (len(x), len(numbers))), self.motors)
+        n, size = len(x), len(self.states)
+        push = np.zeros((n, size, len(self.port_places)))
+        push[:, 6:12, :6] = parts[2] / p["ratio"]
+        if self.motors:
+            push[:, 12:, 6:] = np.eye(6) / p["L"]
+        c = np.broadcast_to(np.eye(12, size), (n, 12, size))
+        d = np.zeros((n, 12, 6))
+        return LocalModels(self.rates_along(x, u, values), self.outputs_along(x, u), a, b, c, d, push)
+
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """Rates (n, 12 or 18) of the states."""
+        shape, numbers, p = self._at(values)
+        found = accelerations(shape, numbers, x, torques(p, x, u))
+        if not self.motors:
+            return np.hstack([x[:, 6:12], found])
+        current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
+        return np.hstack([x[:, 6:12], found, current])
+
+    def _at(self, values: Mapping[str, float] | None) -> tuple[Geometry, Array, Mapping[str, float]]:
+        """Geometry, constants and values at parameter values; the geometry is made anew only where it changes."""
+        if values is None:
+            return self.geometry, self.constants, self.values
+        own = self.values
+        same = all(values[name] == own[name] for name in _SHAPE)
+        return self.geometry if same else geometry(values), constants(values), values
 
     def equilibrium(self, pose: ArrayLike | None = None, phi: ArrayLike | None = None, **unknown: Any) -> Trim:
         """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given.

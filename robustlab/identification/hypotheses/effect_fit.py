@@ -37,7 +37,7 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
 from robustlab.identification.hypotheses.nuisance import Nuisance
@@ -227,7 +227,7 @@ class Problem:
 
     def __init__(
         self,
-        plant: LinearPlant,
+        plant: AnyPlant,
         records: Sequence[PreparedRecord],
         nuisances: Sequence[Nuisance],
         chosen: Sequence[Indices] | None = None,
@@ -285,7 +285,10 @@ class Problem:
         """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
         sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
-        return [Simulator(self.plant, effects, r.u, r.record.dt, sub=sub, hold=hold, rough=rough) for r in self.records]
+        return [
+            Simulator(self.plant, effects, r.u, r.record.dt, sub=sub, hold=hold, rough=rough, motion=r.motion)
+            for r in self.records
+        ]
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
