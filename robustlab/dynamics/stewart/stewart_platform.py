@@ -4,7 +4,8 @@ r"""The Stewart platform as a plant: six motors turn six nuts, the nuts move the
     M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,\tau, \qquad
     \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
 
-States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home and grow with extension.
+States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home (but for the
+parameters ``offset_1..6``) and grow with extension.
 
 References
 ----------
@@ -46,7 +47,10 @@ _NUMBERS = range(1, 7)
 # A trim's residual beyond this share of what gravity alone would do is more than rounding.
 ROUNDING = 1e-9
 # Parameters that shape the legs; the others enter the equations of motion through `constants` alone.
-_SHAPE = ("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead")
+_SHAPE = (
+    *("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead"),
+    *(f"offset_{i}" for i in _NUMBERS),
+)
 
 
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
@@ -93,7 +97,7 @@ class StewartPlatform(NonlinearPlant):
     geometry
         Points, axes and lengths.
     constants
-        The numbers of the equations of motion, (28,).
+        The numbers of the equations of motion, (34,).
     """
 
     preset: str

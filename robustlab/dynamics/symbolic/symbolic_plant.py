@@ -98,9 +98,13 @@ class SymbolicPlant(NonlinearPlant):
         state, force = self.point(x, u)
         return self.outputs_along(state[None], force[None])[0]
 
-    def outputs_along(self, x: Array, u: Array) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
-        return self._evaluated(self.equations.outputs, x, u, first=len(self.states))
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
+        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
+        return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
+
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
+        """Rates (n, n_x) along a trajectory, at the parameter values of `local_models`."""
+        return self._evaluated(self.equations.rates, x, u, values)
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Exact A, B, C, D at (x, u), at rest or moving."""

@@ -263,7 +263,8 @@ class Problem:
 
     def _moving(self, hypothesis: Hypothesis) -> list[bool]:
         """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
-        wrong = {c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"}
+        sites = [c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"]
+        wrong = {*sites, *(name for site in sites for name in site.split("+"))}
         return [n.label not in wrong for n in self.nuisances]
 
     def shift(self, z: Array) -> tuple[float, ...] | None:
@@ -317,10 +318,18 @@ class Problem:
         x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
+        simulator = self._about_what_happened(k, simulator, values)
         self.work.append(len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
         motion = simulator.run(factors, values, x0[used], windows, shift)
         outputs = motion.outputs[:, :, list(record.columns)]
         return outputs[chosen] if everything else outputs
+
+    def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
+        """Of a nonlinear plant whose sensors are scaled or biased: the simulator about the motion as it was."""
+        shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
+        if self.records[k].motion is None or not (shown or biased):
+            return simulator
+        return simulator.about(self.records[k].motion_seen(shown, biased))
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""

@@ -107,12 +107,27 @@ class PreparedRecord:
             The same -> what is recorded where nothing is there.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
-        for j, column in enumerate(self.columns):
-            if (gain := shown.get(column, 1.0)) != 1.0:
-                x0 += (1.0 / gain - 1.0) * self._at(self.told[j], lag)
-            if bias := biased.get(column, 0.0):
-                x0 -= bias / gain * self._at(self.constant[j], lag)
+        for j, share, unit in self._corrections(shown, biased):
+            x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
         return x0
+
+    def motion_seen(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> Array | None:
+        """The motion of a nonlinear plant, (n, n_x), where sensors show it scaled or biased."""
+        if self.motion is None or not (shown or biased):
+            return self.motion
+        x = self.motion.copy()
+        for j, share, unit in self._corrections(shown, biased):
+            x += share * self.told[j] - unit * self.constant[j]
+        return x
+
+    def _corrections(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> list[tuple[int, float, float]]:
+        """Of each measured output, by what factor of its share and of its unit the states are off."""
+        found = []
+        for j, column in enumerate(self.columns):
+            gain, bias = shown.get(column, 1.0), biased.get(column, 0.0)
+            if gain != 1.0 or bias:
+                found.append((j, 1.0 / gain - 1.0, bias / gain))
+        return found
 
     def _at(self, x: Array, lag: float) -> Array:
         """Samples of x (n, n_x) at the window starts, ``lag`` seconds later."""
