@@ -141,7 +141,8 @@ class SymbolicPlant(NonlinearPlant):
         """State and input at which the plant stays, with the given states, inputs and outputs held by name.
 
         What is left open is found by Newton's method from zero, or from the state and input in ``start=(x, u)``; of
-        many points at which the plant may rest, the one nearest to there (each number in its own unit).
+        many points at which the plant may rest, the one nearest to there (each number in its own unit). A name that a
+        state or input has holds that, not an output of the same name.
 
         Raises
         ------
@@ -179,12 +180,12 @@ class SymbolicPlant(NonlinearPlant):
         )
         if outcome == code.DONE:
             return states
-        words = "too many steps"
+        words, hint = "too many steps", "a force that jumps with a velocity is dry friction: add it by with_effects"
         if outcome == code.NOT_FINITE:
-            words = "the step became too small"
+            words, hint = "the step became too small", None
             if culprit >= 0:
                 words = f"the rate of {self.states[culprit].name} has no finite value there"
-        raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
+        raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}", None, hint)
 
     # --- evaluation --------------------------------------------------------------------------------------------------
 
