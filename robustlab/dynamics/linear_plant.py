@@ -210,7 +210,9 @@ class LinearPlant(Plant):
 
     def with_parameters(self, **given: Any) -> LinearPlant:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
-        return replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made.traced(self.provenance)
+        return made
 
     # --- uncertainty -------------------------------------------------------------------------------------------------
 

@@ -308,6 +308,23 @@ def test_show_lists_the_plants_of_a_file_and_takes_built_in_ones_and_files(folde
     assert told(capsys, "plant", "show", "dc-mtor")[0] == 3
 
 
+def test_show_without_a_point_of_rest_prints_the_rest_and_ends_with_4(folder, capsys):
+    """x' = 1 + x^2 stands nowhere."""
+    (folder / "runaway.py").write_text(
+        "import robustlab as rl\np = rl.PlantEquations('runaway')\nx, u = p.state('x', 'm'), p.input('u', 'N')\n"
+        "p.rate(x, 1 + x**2 + u**2)\np.output('x', x, 'm')\nrunaway = p.plant()\n"
+    )
+    code, out, err = told(capsys, "plant", "show", "runaway.py:runaway")
+    assert code == 4
+    assert "operating point: none found" in out
+    assert "no operating point: runaway: no rest was found" in err
+    shown = json.loads(told(capsys, "plant", "show", "runaway.py:runaway", "--json")[1])
+    assert (shown["operating_point"], shown["poles"], shown["outputs"]) == (None, None, [{"name": "x", "unit": "m"}])
+    code, out, err = told(capsys, "plant", "show", "runaway.py:runaway", "--at", "y=0")
+    assert (code, out) == (3, "")
+    assert "'y': no state, input or output" in err
+
+
 def test_new_writes_a_plant_and_never_over_a_file(folder, capsys):
     code, out, _ = told(capsys, "plant", "new", "mymachine")
     assert (code, out) == (0, "mymachine.py\nlook at it with: robustlab plant show mymachine.py:axis\n")
