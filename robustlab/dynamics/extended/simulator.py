@@ -129,6 +129,7 @@ class Simulator:
             if motion is None:
                 raise InputError("simulation", f"the nonlinear plant {plant.name}", "a motion about which it is linear")
             self._course = _course(plant, motion, u, dt)
+            sub = LEAST_STEPS if sub is None else sub
         self.sub = stepping(plant, dt) if sub is None else sub
         if self.sub < 1:
             raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
