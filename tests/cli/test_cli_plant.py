@@ -160,6 +160,50 @@ def test_a_recipe_runs_a_file_beside_it(folder, capsys, tmp_path_factory, monkey
     assert str(folder) not in report.replace(str(elsewhere), "")
 
 
+NONLINEAR = """
+schema = "robustlab.recipe/1"
+name = "slope"
+title = "A carriage on an incline"
+
+[step.axis]
+do = "plant"
+plant = "slope.py:axis"
+parameters = { m = 10.0 }
+
+[step.model]
+do = "linearise"
+of = "axis"
+at = { F = 0.0 }
+
+[step.kept]
+do = "save"
+of = "axis"
+file = "axis.h5"
+
+[[require]]
+text = "Half the damping over the mass"
+that = "model.spectral_abscissa"
+within = [-3.000001, -2.999999]
+"""
+
+
+def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(folder, capsys):
+    assert told(capsys, "plant", "new", "slope")[0] == 0
+    (folder / "slope.toml").write_text(NONLINEAR)
+    code, out, err = told(capsys, "run", "slope.toml", "--json", "--out", "out")
+    assert code == 0, err
+    assert "at F = 0" in json.loads(out)["steps"][1]["summary"]
+    kept = rl.load("out/axis.h5")
+    assert kept.parameters["m"].value == 10.0
+    assert kept.provenance.inputs["axis: slope.py"] == digest("slope.py")
+    x = rl.trim(kept, F=0.0).x[0]
+    assert 800 * x + 2e5 * x**3 == pytest.approx(-10.0 * 9.81 * np.sin(0.35), rel=1e-9)
+    for wrong, expected in (("{ G = 0.0 }", "'G': no state, input or output"), ("[0, 0, 0, 0, 0, 0]", "pose")):
+        (folder / "slope.toml").write_text(NONLINEAR.replace("{ F = 0.0 }", wrong))
+        code, _, err = told(capsys, "run", "slope.toml")
+        assert (code, expected in err) == (3, True), err
+
+
 @pytest.mark.parametrize(
     ("plant", "expected"),
     [
