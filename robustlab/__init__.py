@@ -19,6 +19,7 @@ _PUBLIC = {
     "export_controller": "storage.controller_export",
     # plants from physics
     "plant": "dynamics",
+    "PlantEquations": "dynamics.symbolic.equations",
     "trim": "dynamics",
     "linearise": "dynamics",
     "simulate": "dynamics",

@@ -5,6 +5,7 @@ from robustlab.dynamics import simulate as simulate
 from robustlab.dynamics import trim as trim
 from robustlab.dynamics.effects.catalogue import effect_names as effect_names
 from robustlab.dynamics.extended.extended_plant import with_effects as with_effects
+from robustlab.dynamics.symbolic.equations import PlantEquations as PlantEquations
 from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
 from robustlab.errors import RobustlabError as RobustlabError
@@ -101,6 +102,7 @@ __all__ = [
     "save",
     "export_controller",
     "plant",
+    "PlantEquations",
     "trim",
     "linearise",
     "simulate",

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate._ivp import dop853_coefficients
 
-from robustlab.dynamics.stewart import dop853
-from robustlab.dynamics.stewart.dop853 import E3, E5, A, B, C, D
+from robustlab.dynamics.integrator import dop853
+from robustlab.dynamics.integrator.dop853 import E3, E5, A, B, C, D
 from robustlab.errors import EnvironmentFault
 
 # Hairer, Norsett, Wanner 1993, section II.10: nodes and weights with a closed form.
@@ -72,7 +72,7 @@ def test_the_error_estimates_are_blind_to_what_lower_orders_have():
 
 
 def test_the_dense_output_integrates_polynomials():
-    # With y' = t^k the coefficients of `_polynomial` in motion_kernels give t^(k + 1) / (k + 1) all the way.
+    # With y' = t^k the coefficients of `polynomial` in steps.py give t^(k + 1) / (k + 1) all the way.
     for k in range(7):
         rate, share = C**k, np.linspace(0.0, 1.0, 11)
         change = 1 / (k + 1)

@@ -1,47 +1,30 @@
-"""The compiled kernels, loaded on first use; the first time on a machine they are compiled, which is said on stderr."""
+"""The compiled kernels of the platform, loaded on first use."""
 
 from __future__ import annotations
 
-import sys
-import threading
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+from robustlab.dynamics.integrator.compilation import compiled
+
 __all__ = ["kernels", "motion_kernels"]
 
-# Kernels kept on disk load within this time; what takes longer is being compiled.
-PATIENCE = 6.0
+HERE = Path(__file__).parent
+TEXT = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
 
 
 @cache
 def kernels() -> ModuleType:
     """Module of the compiled kinematics and dynamics."""
-    return _load("kernels")
+    return compiled(HERE / "kernels.py", "robustlab.dynamics.stewart.kernels", (), TEXT)
 
 
 @cache
 def motion_kernels() -> ModuleType:
     """Module of the compiled integrators."""
-    from robustlab.dynamics.stewart.dop853 import TABLE
+    from robustlab.dynamics.integrator.dop853 import TABLE
 
-    folder = Path(__file__).parent
-    # The compiler looks only at a function's own file for changes; these functions are built from those of kernels.py,
-    # and hold the coefficients of scipy's file.
-    leaves = max(Path(file).stat().st_mtime for file in (folder / "kernels.py", TABLE))
-    for index in (folder / "__pycache__").glob("motion_kernels.*.nbi"):
-        if index.stat().st_mtime < leaves:
-            index.unlink(missing_ok=True)
-    return _load("motion_kernels")
-
-
-def _load(name: str) -> ModuleType:
-    text = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
-    timer = threading.Timer(PATIENCE, lambda: print(text, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        return import_module(f"robustlab.dynamics.stewart.{name}")
-    finally:
-        timer.cancel()
+    steps = HERE.parent / "integrator" / "steps.py"
+    leaves = (HERE / "kernels.py", steps, TABLE)
+    return compiled(HERE / "motion_kernels.py", "robustlab.dynamics.stewart.motion_kernels", leaves, TEXT)

@@ -28,7 +28,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from robustlab.dynamics.integrator.jit import entry, leaf
 
 # Columns of a leg's row; the order of `robustlab.dynamics.stewart.geometry.Geometry.legs`.
 HOME, MOUNT_Z, MOUNT_N = 9, 10, 11
@@ -49,15 +50,6 @@ class Motion(NamedTuple):
     jacobian: Any
     bias: Any
     phi: Any
-
-
-_options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
-leaf = njit(**_options)
-
-
-def entry(*signatures):
-    """Compile for the given signatures, and keep the code on disk."""
-    return njit(list(signatures), cache=True, **_options)
 
 
 # --- small linear algebra --------------------------------------------------------------------------------------------

@@ -18,7 +18,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.stewart.dop853 import E3, E5, STAGES_EXTENDED, A, B, C, D
+from robustlab.dynamics.integrator.dop853 import C
+from robustlab.dynamics.integrator.jit import entry, leaf
+from robustlab.dynamics.integrator.steps import (
+    EXPONENT,
+    LARGEST,
+    MAX_STEPS,
+    SAFETY,
+    SMALLEST,
+    Inputs,
+    dense,
+    error_of,
+    input_between,
+    input_within,
+    norm,
+    polynomial,
+    stage_point,
+    step_end,
+)
 from robustlab.dynamics.stewart.kernels import (
     HOME,
     KB,
@@ -30,9 +47,7 @@ from robustlab.dynamics.stewart.kernels import (
     TURNS,
     Motion,
     angle_rates,
-    entry,
     equations_of_motion,
-    leaf,
     lengths_and_jacobian,
     platform_acceleration,
 )
@@ -40,20 +55,9 @@ from robustlab.dynamics.stewart.kernels import C as JOINT
 
 DONE, LEFT_WORKSPACE, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3
 
-SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
-EXPONENT = -1.0 / 8.0
-MAX_STEPS = 1_000_000
 # The local error is held at rtol times these, for (T, angles, v, w, currents) in m, rad, m/s, rad/s, A: 10 mm,
 # 0.05 rad of travel, and what is slow at a nut (16 rad/s) and small at a motor.
 SCALE = np.array([1e-2] * 3 + [5e-2] * 3 + [1e-2] * 3 + [5e-2] * 3 + [1e-1] * 6)
-
-
-class Inputs(NamedTuple):
-    """Inputs as functions of time: times (n,), polynomials (n - 1, 6, 6) between two, and before which they break."""
-
-    clock: Any
-    polynomials: Any
-    broken: Any
 
 
 class Machine(NamedTuple):
@@ -76,28 +80,6 @@ class Step(NamedTuple):
     u: Any
     torque: Any
     motion: Any
-
-
-@leaf
-def _input_within(t, k, inputs, u):
-    s = t - inputs.clock[k]
-    for i in range(6):
-        value = 0.0
-        for j in range(5, -1, -1):
-            value = value * s + inputs.polynomials[k, j, i]
-        u[i] = value
-
-
-@leaf
-def _input_between(t, span, k, inputs, u):
-    """Input at t, read from the intervals of the span (first, one past the last): at a break the near side counts."""
-    first, following = span
-    while k > first and t < inputs.clock[k]:
-        k -= 1
-    while k < following - 1 and t > inputs.clock[k + 1]:
-        k += 1
-    _input_within(t, k, inputs, u)
-    return k
 
 
 @leaf
@@ -145,86 +127,20 @@ def _observe(z, machine, step, x):
 
 
 @leaf
-def _norm(a, scale):
-    total = 0.0
-    for i in range(a.shape[0]):
-        total += (a[i] / scale[i]) ** 2
-    return np.sqrt(total / a.shape[0])
-
-
-@leaf
-def _stage(s, z, h, stages, at):
-    """Point z + h sum_j A[s, j] stages[j] into at."""
-    n = z.shape[0]
-    for i in range(n):
-        at[i] = 0.0
-    for j in range(s):
-        weight = A[s, j]
-        if weight != 0.0:
-            for i in range(n):
-                at[i] += weight * stages[j, i]
-    for i in range(n):
-        at[i] = z[i] + h * at[i]
-
-
-@leaf
-def _stage_end(z, h, stages, end):
-    for i in range(z.shape[0]):
-        total = 0.0
-        for j in range(12):
-            total += B[j] * stages[j, i]
-        end[i] = z[i] + h * total
-
-
-@leaf
-def _polynomial(z, end, h, stages, f):
-    """Coefficients (7, n) of the dense output of a step."""
-    for i in range(z.shape[0]):
-        change = end[i] - z[i]
-        f[0, i] = change
-        f[1, i] = h * stages[0, i] - change
-        f[2, i] = 2.0 * change - h * (stages[12, i] + stages[0, i])
-        for row in range(4):
-            total = 0.0
-            for j in range(STAGES_EXTENDED):
-                total += D[row, j] * stages[j, i]
-            f[3 + row, i] = h * total
-
-
-@leaf
-def _dense(z, f, share, out):
-    for i in range(z.shape[0]):
-        value = 0.0
-        for row in range(6, -1, -1):
-            value += f[row, i]
-            value *= share if row % 2 == 0 else 1.0 - share
-        out[i] = z[i] + value
-
-
-@leaf
 def _attempt(z, t, h, span, inputs, machine, rtol, step):
     """One step of length h from z at t: its end, its 13 stages, and its error (below 1: accepted)."""
     stages, at, end, scale = step.stages, step.at, step.end, step.scale
     n, k = z.shape[0], span[0]
     for s in range(1, 12):
-        _stage(s, z, h, stages, at)
-        k = _input_between(t + C[s] * h, span, k, inputs, step.u)
+        stage_point(s, z, h, stages, at)
+        k = input_between(t + C[s] * h, span, k, inputs, step.u)
         _rates(at, machine, step, stages[s])
-    _stage_end(z, h, stages, end)
-    _input_between(t + h, span, k, inputs, step.u)
+    step_end(z, h, stages, end)
+    input_between(t + h, span, k, inputs, step.u)
     _rates(end, machine, step, stages[12])
-    e5, e3 = 0.0, 0.0
     for i in range(n):
         scale[i] = rtol * (SCALE[i] if i < 6 else max(SCALE[i], abs(z[i]), abs(end[i])))
-        error5, error3 = 0.0, 0.0
-        for j in range(13):
-            error5 += E5[j] * stages[j, i]
-            error3 += E3[j] * stages[j, i]
-        e5 += (error5 / scale[i]) ** 2 / n
-        e3 += (error3 / scale[i]) ** 2 / n
-    if e5 == 0.0 and e3 == 0.0:
-        return 0.0
-    return h * e5 / np.sqrt(e5 + 0.01 * e3)
+    return error_of(h, stages, scale)
 
 
 @leaf
@@ -232,8 +148,8 @@ def _extend(z, t, h, span, inputs, machine, step):
     """The three more stages that the dense output asks for."""
     k = span[0]
     for s in range(13, 16):
-        _stage(s, z, h, step.stages, step.at)
-        k = _input_between(t + C[s] * h, span, k, inputs, step.u)
+        stage_point(s, z, h, step.stages, step.at)
+        k = input_between(t + C[s] * h, span, k, inputs, step.u)
         _rates(step.at, machine, step, step.stages[s])
 
 
@@ -272,13 +188,13 @@ def integrate(start, inputs, machine, rtol, z_at, x_at):
             following += 1
         stop = clock[following]
         span = (piece, following)
-        _input_within(t, piece, inputs, work.u)
+        input_within(t, piece, inputs, work.u)
         _rates(z, machine, work, stages[0])
         evaluations += 1
         if h == 0.0:
             for i in range(n):
                 scale[i] = rtol * SCALE[i]
-            h = 0.01 * _norm(z, scale) / max(_norm(stages[0], scale), 1e-12)
+            h = 0.01 * norm(z, scale) / max(norm(stages[0], scale), 1e-12)
             h = min(max(h, 1e-6), 1e-2)
         while t < stop:
             if evaluations > 12 * MAX_STEPS:
@@ -299,9 +215,9 @@ def integrate(start, inputs, machine, rtol, z_at, x_at):
             if sample <= last and clock[sample] < t_end:
                 _extend(z, t, step, span, inputs, machine, work)
                 evaluations += 3
-                _polynomial(z, end, step, stages, f)
+                polynomial(z, end, step, stages, f)
                 while sample <= last and clock[sample] < t_end:
-                    _dense(z, f, (clock[sample] - t) / step, z_at[sample])
+                    dense(z, f, (clock[sample] - t) / step, z_at[sample])
                     if not _observe(z_at[sample], machine, work, x_at[sample]):
                         return LEFT_WORKSPACE, clock[sample], evaluations
                     sample += 1
@@ -346,7 +262,7 @@ def integrate_fixed(start, inputs, machine, step, z_at, x_at):
                 share = 0.0 if s == 0 else (1.0 if s == 3 else 0.5)
                 for i in range(n):
                     at[i] = z[i] if s == 0 else z[i] + share * h * dz[i]
-                _input_within(t + share * h, k, inputs, work.u)
+                input_within(t + share * h, k, inputs, work.u)
                 _rates(at, machine, work, dz)
                 weight = 1.0 if s in (0, 3) else 2.0
                 for i in range(n):

@@ -13,7 +13,7 @@ try:
     from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D
 except ImportError as error:
     raise EnvironmentFault(
-        "stewart-platform: DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
+        "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
     ) from error
 
 __all__ = ["E3", "E5", "STAGES_EXTENDED", "TABLE", "A", "B", "C", "D"]
@@ -25,6 +25,4 @@ SHAPES = {"A": (16, 16), "B": (12,), "C": (16,), "D": (4, 16), "E3": (13,), "E5"
 
 for name, shape in SHAPES.items():
     if getattr(table, name).shape != shape:
-        raise EnvironmentFault(
-            "stewart-platform: DOP853", f"scipy's {name} has the shape {getattr(table, name).shape}", f"{shape}"
-        )
+        raise EnvironmentFault("DOP853", f"scipy's {name} has the shape {getattr(table, name).shape}", f"{shape}")

@@ -1,0 +1,38 @@
+"""Modules of compiled kernels, loaded on first use; the first time on a machine they are compiled, which is said."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+__all__ = ["compiled"]
+
+# Kernels kept on disk load within this time; what takes longer is being compiled.
+PATIENCE = 6.0
+
+
+def compiled(module: Path, name: str, leaves: tuple[str | Path, ...], text: str) -> ModuleType:
+    """The module of kernels in the file ``module`` with the dotted ``name``.
+
+    Parameters
+    ----------
+    leaves
+        Files of the functions and coefficients that its kernels are built from. The compiler looks only at a kernel's
+        own file for changes: where a leaf is newer, what it has kept is thrown away.
+    text
+        Said on stderr while it compiles.
+    """
+    newest = max((Path(leaf).stat().st_mtime for leaf in leaves), default=0.0)
+    for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
+        if index.stat().st_mtime < newest:
+            index.unlink(missing_ok=True)
+    timer = threading.Timer(PATIENCE, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        return import_module(name)
+    finally:
+        timer.cancel()

@@ -1,0 +1,510 @@
+r"""Equations of a plant of one's own, written with CasADi.
+
+.. math:: M(q)\, \ddot q = f(q, \dot q, u, p) \qquad\text{or}\qquad \dot x = f(x, u, p), \qquad y = h(x, u, p)
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from robustlab.dynamics.parameters import Parameter, Role, Sign, overridden
+from robustlab.dynamics.plant_contract import PortPlace
+from robustlab.dynamics.symbolic.labels import labels
+from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant
+from robustlab.dynamics.symbolic.tape import tape_of
+from robustlab.errors import DependencyMissing, InputError, did_you_mean
+from robustlab.statespace import MAX_NAME, Signal
+
+__all__ = ["PlantEquations"]
+
+NONE = "none"
+ROLES = (*(role for role in get_args(Role) if role), NONE)
+# What physics allows of a parameter with a role, where the user states no sign.
+SIGNS: dict[str, Sign] = {
+    "inertia": "positive",
+    "viscous-friction": "nonnegative",
+    "torque-constant": "either",
+    "resistance": "positive",
+    "inductance": "positive",
+    "stiffness": "nonnegative",
+    "input-gain": "either",
+}
+# Unit of a joint's coordinate -> units of its velocity and of the force that acts along it.
+JOINT_UNITS = {"m": ("m/s", "N"), "rad": ("rad/s", "N m")}
+# Mass matrices are looked at at this many states, and are symmetric to this share of their largest entry.
+PROBES = 5
+SYMMETRIC = 1e-9
+
+
+class PlantEquations:
+    r"""Collects parameters, signals and equations of a plant, and makes the plant of them.
+
+    The expressions are those of CasADi (``pip install 'robustlab[casadi]'``), in the symbols that the methods return.
+    Values and exact Jacobians are made of them once; the plant that comes out needs no CasADi and can be stored.
+
+    Parameters
+    ----------
+    name
+        Name of the plant.
+
+    Raises
+    ------
+    DependencyMissing
+        CasADi is not installed.
+
+    Examples
+    --------
+    A mass on a spring:
+
+    >>> p = PlantEquations("spring")
+    >>> m = p.parameter("m", 2.0, "kg", tolerance=0.1, role="inertia", meaning="mass", source="assumed")
+    >>> k = p.parameter("k", 50.0, "N/m", meaning="stiffness", source="assumed")
+    >>> F = p.input("F", "N")
+    >>> x, v = p.joint("x", "v", "m")
+    >>> p.motion(m, F - k * x)
+    >>> p.output("x", x, "m")
+    >>> p.plant(m=5.0).derivative([0.1, 0.0], [0.0])
+    array([ 0., -1.])
+    """
+
+    def __init__(self, name: str) -> None:
+        self._where = _title(name, "PlantEquations", "name of the plant")
+        self._ca = _casadi(self._where)
+        self._parameters: dict[str, Parameter] = {}
+        self._without_role: set[str] = set()
+        self._inputs: list[Signal] = []
+        self._states: list[Signal] = []
+        self._outputs: dict[str, tuple[Any, str]] = {}
+        self._symbols: dict[str, Any] = {}
+        self._joints: list[tuple[str, str, str]] = []
+        self._currents: list[str] = []
+        self._pushes: dict[str, Any] = {}
+        self._rates: dict[str, Any] = {}
+        self._motion: tuple[Any, Any] | None = None
+
+    # --- what there is -----------------------------------------------------------------------------------------------
+
+    def parameter(
+        self,
+        name: str,
+        value: float,
+        unit: str = "",
+        *,
+        tolerance: float = 0.0,
+        role: str | None = None,
+        meaning: str = "",
+        source: str = "",
+        sign: Sign | None = None,
+    ) -> Any:
+        """A physical parameter; returns its symbol.
+
+        Parameters
+        ----------
+        name, value, unit, tolerance, source, meaning
+            As of `robustlab.dynamics.parameters.Parameter`.
+        role
+            What effects may act on it: an inertia that is wrong, a torque constant that is wrong. ``"none"``: none
+            does. It must be said where a tolerance is stated.
+        sign
+            What physics allows; left out, what the role says: an inertia is ``"positive"``.
+
+        Raises
+        ------
+        InputError
+            A tolerance without a role, an unknown role or sign, and everything that `Parameter` refuses.
+        """
+        where = f"{self._where}: parameter {name!r}"
+        if role is None and tolerance:
+            raise InputError(where, "a tolerance, but no role", f"role= one of {_listed(ROLES)}")
+        if role is not None and role not in ROLES:
+            raise InputError(where, f"role {role!r}", f"one of {_listed(ROLES)}", did_you_mean(str(role), ROLES))
+        if sign is not None and sign not in get_args(Sign):
+            choices = get_args(Sign)
+            raise InputError(where, f"sign {sign!r}", f"one of {_listed(choices)}", did_you_mean(str(sign), choices))
+        kept: Any = "" if role in (None, NONE) else role
+        sign = sign or SIGNS.get(kept, "any")
+        symbol = self._new(name, "parameter")
+        self._parameters[name] = Parameter(name, value, unit, tolerance, source, meaning, sign, kept)
+        if role is None:
+            self._without_role.add(name)
+        return symbol
+
+    def input(self, name: str, unit: str = "") -> Any:
+        """An input; returns its symbol."""
+        symbol = self._new(name, "input")
+        self._inputs.append(Signal(name, unit))
+        return symbol
+
+    def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
+        """A coordinate along which forces can act, and its velocity, as two states; returns their symbols.
+
+        Parameters
+        ----------
+        unit
+            Of the coordinate: ``"m"`` (forces in N) or ``"rad"`` (torques in N m).
+        """
+        if unit not in JOINT_UNITS:
+            hint = "write the coordinate in SI units: forces at it are in N or N m"
+            raise InputError(f"{self._where}: joint {position!r}", f"unit {unit!r}", 'one of "m", "rad"', hint)
+        q, v = self._new(position, "joint"), self._new(velocity, "joint")
+        self._states += [Signal(position, unit), Signal(velocity, JOINT_UNITS[unit][0])]
+        self._joints.append((position, velocity, unit))
+        return q, v
+
+    def state(self, name: str, unit: str = "", *, current: bool = False) -> Any:
+        """A further state; returns its symbol.
+
+        Parameters
+        ----------
+        current
+            True: a current in A, at which a voltage can act: `voltage` must stand in its rate.
+        """
+        if current and unit != "A":
+            raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
+        symbol = self._new(name, "state")
+        self._states.append(Signal(name, unit))
+        if current:
+            self._currents.append(name)
+        return symbol
+
+    def force(self, velocity: str) -> Any:
+        """Symbol of the force or torque that acts at a joint, for a plant whose rates are given one by one.
+
+        Parameters
+        ----------
+        velocity
+            Name of the joint's velocity. The force accelerates the joint: ``(... + p.force("v")) / m``.
+        """
+        return self._push(velocity, [v for _, v, _ in self._joints], "velocity of a joint")
+
+    def voltage(self, current: str) -> Any:
+        """Symbol of the voltage that acts at a current: ``(u - R * i + p.voltage("i")) / L``."""
+        return self._push(current, self._currents, "current")
+
+    # --- equations ---------------------------------------------------------------------------------------------------
+
+    def motion(self, mass_matrix: Any, forces: Any) -> None:
+        r"""Equations of motion :math:`M(q) \ddot q = f(q, \dot q, u, p)` of all joints.
+
+        Parameters
+        ----------
+        mass_matrix
+            M, shape (n_joints, n_joints), symmetric; an expression, a list of rows, or an array.
+        forces
+            f, shape (n_joints,): all forces, those of inertia that come with velocities too; rows in the order of the
+            joints. Forces of effects at the joints come on top by themselves.
+        """
+        n = len(self._joints)
+        if not n:
+            raise InputError(f"{self._where}: motion", "no joint", "p.joint(...) before it")
+        if self._motion is not None:
+            raise InputError(f"{self._where}: motion", "said twice", "all joints in one p.motion(...)")
+        matrix = self._matrix(mass_matrix, (n, n), "motion: mass matrix")
+        self._motion = matrix, self._matrix(forces, (n, 1), "motion: forces")
+
+    def rate(self, state: Any, expression: Any) -> None:
+        """The rate of a state, given by its symbol or name; that of a joint's position is its velocity."""
+        name = state if isinstance(state, str) else self._name_of(state)
+        names = [s.name for s in self._states]
+        place = f"{self._where}: rate"
+        if name not in names:
+            raise InputError(place, f"{name!r} is no state", f"one of {_listed(names)}", did_you_mean(name, names))
+        positions = {q: v for q, v, _ in self._joints}
+        if name in positions:
+            raise InputError(place, f"a rate of the position {name!r}", f"none: it is {positions[name]!r}")
+        if name in self._rates:
+            raise InputError(place, f"{name!r} has two rates", "one")
+        self._rates[name] = self._matrix(expression, (1, 1), f"rate of {name}")
+
+    def output(self, name: str, expression: Any, unit: str = "") -> None:
+        """An output: an expression in states, inputs and parameters."""
+        _title(name, self._where, "output")
+        if name in self._outputs:
+            raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
+        self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), str(unit)
+
+    def plant(self, **given: Any) -> SymbolicPlant:
+        """The plant.
+
+        Parameters
+        ----------
+        given
+            Parameters, each as a value or ``(value, relative tolerance)``.
+
+        Raises
+        ------
+        InputError
+            A state without a rate, a joint that nothing accelerates, an expression with symbols that are no part of
+            the plant (an algebraic loop is one), NaN, a mass matrix that is none, an unknown parameter.
+        """
+        parameters = overridden(self._parameters.values(), given, self._where)
+        for name in self._without_role & given.keys():
+            if parameters[name].tolerance:
+                found = "a tolerance, but no role"
+                raise InputError(f"{self._where}: parameter {name!r}", found, f"role= one of {_listed(ROLES)}")
+        if not self._states:
+            raise InputError(self._where, "no state", "p.joint(...) or p.state(...)")
+        if not self._outputs:
+            raise InputError(self._where, "no output", "p.output(name, expression, unit)")
+        return SymbolicPlant(
+            self._where,
+            parameters,
+            tuple(self._inputs),
+            tuple(Signal(name, unit) for name, (_, unit) in self._outputs.items()),
+            tuple(self._states),
+            self._equations(parameters),
+        )
+
+    # --- building ----------------------------------------------------------------------------------------------------
+
+    def _equations(self, parameters: dict[str, Parameter]) -> Equations:
+        """Tapes of rates, outputs and local models, with the places where forces act."""
+        ca, name = self._ca, self._where
+        x, u, p = (
+            ca.vertcat(*(self._symbols[s] for s in names)) if names else ca.SX(0, 1)
+            for names in ([s.name for s in self._states], [s.name for s in self._inputs], list(parameters))
+        )
+        places = self._places()
+        pushes = [self._pushes.setdefault(place.name, ca.SX.sym(f"push {place.name}")) for place in places]
+        force = ca.vertcat(*pushes) if pushes else ca.SX(0, 1)
+        outputs = ca.vertcat(*(e for e, _ in self._outputs.values()))
+        self._check_symbols(pushes)
+        rates, jacobian, push = self._differentiated(x, u, force, parameters)
+        zero = ca.SX.zeros(len(pushes))
+        rates, jacobian, push = (ca.substitute(e, force, zero) if pushes else e for e in (rates, jacobian, push))
+        self._check_affine(rates, push, force)
+        c, d = ca.jacobian(outputs, x), ca.jacobian(outputs, u)
+        a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
+        blocks = (rates, outputs, a, b, c, d, push)
+        rows = ca.vertcat(*(ca.vec(ca.densify(block).T) for block in blocks))
+        titles = labels(self._states, self._inputs, [Signal(*o) for o in _pairs(self._outputs)], places)
+        rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
+        return Equations(
+            tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
+            tape_of(everything, ca.cse(outputs), len(parameters), name, titles[len(self._states) :].__getitem__),
+            tape_of(everything, rows, len(parameters), name, titles.__getitem__),
+            places,
+        )
+
+    def _places(self) -> tuple[PortPlace, ...]:
+        """Where forces and voltages act; each must be able to."""
+        for _, velocity, _ in self._joints if self._motion is None else ():
+            if velocity in self._rates and velocity not in self._pushes:
+                raise InputError(
+                    f"{self._where}: joint velocity {velocity!r}",
+                    "no force can act there: its rate is without p.force",
+                    f'(... + p.force("{velocity}")) / mass',
+                    "or make the coordinate two plain states with p.state",
+                )
+        for current in self._currents:
+            if current not in self._pushes:
+                raise InputError(
+                    f"{self._where}: current {current!r}",
+                    "no voltage can act there: its rate is without p.voltage",
+                    f'(... + p.voltage("{current}")) / L',
+                )
+        joints = tuple(PortPlace(v, "joint", JOINT_UNITS[unit][1], q) for q, v, unit in self._joints)
+        return joints + tuple(PortPlace(i, "current", "V") for i in self._currents)
+
+    def _differentiated(self, x: Any, u: Any, force: Any, parameters: dict[str, Parameter]) -> tuple[Any, Any, Any]:
+        """Rates (n_x), their Jacobian by x and u (n_x, n_x + n_u) and by the forces (n_x, n_ports).
+
+        The accelerations a of M a = f have the derivatives M^-1 (f' - M' a): so M is factorised once.
+        """
+        ca = self._ca
+        rates = dict(self._rates)
+        for position, velocity, _ in self._joints:
+            rates[position] = self._symbols[velocity]
+        missing = [s.name for s in self._states if s.name not in rates and not self._moved(s.name)]
+        if missing:
+            joints = [v for _, v, _ in self._joints]
+            kind = "the velocity of a joint" if missing[0] in joints else "a state"
+            raise InputError(
+                f"{self._where}: {missing[0]!r}",
+                f"{kind} without a rate",
+                f"p.rate({missing[0]!r}, expression)" + (" or p.motion(M, f)" if missing[0] in joints else ""),
+            )
+        z = ca.vertcat(x, u, force)
+        rows = {name: (expression, ca.jacobian(expression, z)) for name, expression in rates.items()}
+        if self._motion is not None:
+            matrix, forces = self._motion
+            both = next((v for _, v, _ in self._joints if v in self._rates), None)
+            if both is not None:
+                raise InputError(f"{self._where}: {both!r}", "p.rate and p.motion for one joint", "one of them")
+            self._check_mass_matrix(matrix, parameters)
+            n = len(self._joints)
+            forces = forces + force[:n]
+            factor = _factorised(ca, matrix)
+            a = _solved(ca, factor, forces)
+            held = ca.SX.sym("a", n)
+            rest = ca.jacobian(forces - ca.mtimes(matrix, held), z)
+            slopes = _solved(ca, factor, ca.substitute(rest, held, a))
+            rows |= {v: (a[k], slopes[k, :]) for k, (_, v, _) in enumerate(self._joints)}
+        found = [rows[s.name] for s in self._states]
+        jacobian = ca.vertcat(*(slope for _, slope in found))
+        split = x.numel() + u.numel()
+        return ca.vertcat(*(rate for rate, _ in found)), jacobian[:, :split], jacobian[:, split:]
+
+    def _moved(self, name: str) -> bool:
+        return self._motion is not None and any(name == v for _, v, _ in self._joints)
+
+    def _check_symbols(self, pushes: list[Any]) -> None:
+        """Every expression is in symbols of the plant; outputs and masses are in no forces."""
+        ca = self._ca
+        known = {s.element_hash() for s in self._symbols.values()}
+        forces = {s.element_hash() for s in pushes}
+        expressions = {f"rate of {name}": e for name, e in self._rates.items()}
+        if self._motion is not None:
+            expressions |= {"motion: mass matrix": self._motion[0], "motion: forces": self._motion[1]}
+        expressions |= {f"output {name}": e for name, (e, _) in self._outputs.items()}
+        for title, expression in expressions.items():
+            for symbol in ca.symvar(expression):
+                key = symbol.element_hash()
+                if key in known or (key in forces and title.startswith("rate of ")):
+                    continue
+                where = f"{self._where}: {title}"
+                if key in forces:
+                    raise InputError(where, f"it depends on {symbol.name()!r}", "forces in rates of states only")
+                raise InputError(
+                    where,
+                    f"the symbol {symbol.name()!r} is no part of the plant",
+                    f"symbols of {_listed(self._symbols)}",
+                    did_you_mean(symbol.name(), tuple(self._symbols))
+                    or "an unknown that depends on itself is an algebraic loop: solve for it, or make it a state",
+                )
+
+    def _check_affine(self, rates: Any, push: Any, force: Any) -> None:
+        ca = self._ca
+        if any(s.element_hash() in {f.element_hash() for f in self._pushes.values()} for s in ca.symvar(push)):
+            raise InputError(self._where, "a force that does not enter the rates linearly", "rates = ... + b * force")
+        nothing = [name for k, name in enumerate(self._pushes) if push[:, k].nnz() == 0]
+        if nothing and force.numel():
+            raise InputError(f"{self._where}: {nothing[0]!r}", "a force that moves nothing", "it in the state's rate")
+
+    def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
+        """Symmetric and positive definite at a few states, with the parameters as they are."""
+        ca = self._ca
+        symbols = list(self._symbols.items())
+        function = ca.Function("M", [ca.vertcat(*(s for _, s in symbols))], [matrix])
+        draw = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, len(symbols)))
+        draw[0] = 0.0
+        for row in draw:
+            point = [parameters[n].value if n in parameters else row[k] for k, (n, _) in enumerate(symbols)]
+            values = np.array(function(point).full())
+            where = f"{self._where}: motion: mass matrix"
+            if not np.isfinite(values).all():
+                continue  # a singular state, at which no plant is asked
+            gap = np.abs(values - values.T)
+            if gap.max() > SYMMETRIC * np.abs(values).max():
+                i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
+                raise InputError(where, f"entry [{i}, {j}] is not entry [{j}, {i}]", "a symmetric matrix")
+            smallest = float(np.linalg.eigvalsh(values)[0])
+            if smallest <= 0:
+                raise InputError(where, f"an eigenvalue of {smallest:.3g}", "a positive definite matrix")
+
+    # --- small things ------------------------------------------------------------------------------------------------
+
+    def _new(self, name: str, kind: str) -> Any:
+        _title(name, self._where, kind)
+        if name in self._symbols:
+            raise InputError(f"{self._where}: {kind} {name!r}", "a name that is used already", "unique names")
+        self._symbols[name] = self._ca.SX.sym(name)
+        return self._symbols[name]
+
+    def _push(self, name: str, known: Sequence[str], kind: str) -> Any:
+        if name not in known:
+            hint = did_you_mean(str(name), tuple(known))
+            raise InputError(f"{self._where}: {name!r}", f"no {kind}", f"one of {_listed(known)}", hint)
+        if self._motion is not None and name not in self._currents:
+            raise InputError(f"{self._where}: force at {name!r}", "in a plant with p.motion", "none: it acts by itself")
+        return self._pushes.setdefault(name, self._ca.SX.sym(f"push {name}"))
+
+    def _name_of(self, symbol: Any) -> str:
+        for name, known in self._symbols.items():
+            if isinstance(symbol, self._ca.SX) and known.element_hash() == symbol.element_hash():
+                return name
+        return str(symbol)
+
+    def _matrix(self, given: Any, shape: tuple[int, int], what: str) -> Any:
+        """``given`` as an expression of the shape; rows of lists are put together."""
+        ca = self._ca
+        where = f"{self._where}: {what}"
+        if isinstance(given, ca.MX):
+            raise InputError(where, "an MX expression", "SX: the symbols that p.parameter, p.joint ... return")
+        try:
+            if isinstance(given, (list, tuple)):
+                rows = [ca.horzcat(*row) if isinstance(row, (list, tuple)) else row for row in given]
+                found = ca.SX(ca.vertcat(*rows))
+            else:
+                found = ca.SX(given)
+        except (NotImplementedError, TypeError, ValueError, RuntimeError):
+            raise InputError(where, f"{type(given).__name__}", "numbers and expressions of CasADi (SX)") from None
+        if found.shape == (1, shape[0]) and shape[1] == 1:
+            found = found.T
+        if found.shape != shape:
+            size = "one expression" if shape == (1, 1) else f"shape {shape}"
+            raise InputError(where, f"shape {found.shape}", size)
+        return found
+
+
+# --- algebra ---------------------------------------------------------------------------------------------------------
+
+
+def _factorised(ca: Any, matrix: Any) -> tuple[list[list[Any]], list[Any]]:
+    """Rows of L and the pivots D of M = L D L^T; entries that are zero in every state are left out."""
+    n = matrix.shape[0]
+    lower = [[ca.SX(1, 1) for _ in range(n)] for _ in range(n)]
+    pivots: list[Any] = []
+    for j in range(n):
+        scaled = [lower[j][k] * pivots[k] for k in range(j)]
+        pivots.append(matrix[j, j] - sum((lower[j][k] * scaled[k] for k in range(j)), ca.SX(1, 1)))
+        for i in range(j + 1, n):
+            rest = matrix[i, j] - sum((lower[i][k] * scaled[k] for k in range(j)), ca.SX(1, 1))
+            lower[i][j] = ca.sparsify(rest) / pivots[j]
+    return lower, pivots
+
+
+def _solved(ca: Any, factor: tuple[list[list[Any]], list[Any]], right: Any) -> Any:
+    """M^-1 right by the factors of M, shape of right (n, m)."""
+    lower, pivots = factor
+    n, m = right.shape
+    solution = ca.SX(n, m)
+    for c in range(m):
+        b = [right[i, c] for i in range(n)]
+        for i in range(n):
+            b[i] = b[i] - sum((lower[i][k] * b[k] for k in range(i)), ca.SX(1, 1))
+        b = [ca.sparsify(b[i]) / pivots[i] for i in range(n)]
+        for i in range(n - 1, -1, -1):
+            b[i] = ca.sparsify(b[i] - sum((lower[k][i] * b[k] for k in range(i + 1, n)), ca.SX(1, 1)))
+            solution[i, c] = b[i]
+    return ca.sparsify(solution)
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+
+def _pairs(outputs: dict[str, tuple[Any, str]]) -> list[tuple[str, str]]:
+    return [(name, unit) for name, (_, unit) in outputs.items()]
+
+
+def _title(name: Any, where: str, kind: str) -> str:
+    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
+        raise InputError(where, f"{kind} {name!r}", f"a text of 1 to {MAX_NAME} characters")
+    return name
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(repr(n) for n in names) or "none"
+
+
+@functools.cache
+def _casadi(where: str) -> Any:
+    try:
+        import casadi
+    except ImportError:
+        raise DependencyMissing(f"{where}: its equations need CasADi", "pip install 'robustlab[casadi]'") from None
+    return casadi

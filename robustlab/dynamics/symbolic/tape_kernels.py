@@ -1,0 +1,314 @@
+# pyright: reportMissingParameterType=false
+# (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
+"""Compiled evaluation and simulation of tapes: one kernel for all plants, nothing is compiled for any of them.
+
+A tape fills one row w of numbers: inputs, then constants, then the result of one operation after the other, each on two
+entries before its own. Interpreting costs one jump for each operation, some 2 ns.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from robustlab.dynamics.integrator.dop853 import C
+from robustlab.dynamics.integrator.jit import entry, leaf
+from robustlab.dynamics.integrator.steps import (
+    EXPONENT,
+    LARGEST,
+    MAX_STEPS,
+    SAFETY,
+    SMALLEST,
+    Inputs,
+    dense,
+    error_of,
+    input_between,
+    input_within,
+    norm,
+    polynomial,
+    stage_point,
+    step_end,
+)
+
+DONE, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2
+# The local error of a state is held at rtol times the larger of this and its size, in the state's unit.
+LEAST_SCALE = 1e-2
+
+
+class Code(NamedTuple):
+    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,).
+
+    Of the inputs the first ``moving`` change from one evaluation to the next; so the first ``still`` operations need not
+    be done again.
+    """
+
+    operations: Any
+    left: Any
+    right: Any
+    constants: Any
+    outputs: Any
+    moving: Any
+    still: Any
+
+
+@leaf
+def _operate(op, a, b):
+    """One elementary operation; the numbers are places in `robustlab.dynamics.symbolic.tape.OPERATIONS`."""
+    if op == 0:
+        return a + b
+    elif op == 1:
+        return a - b
+    elif op == 2:
+        return a * b
+    elif op == 3:
+        return a / b
+    elif op == 4:
+        return -a
+    elif op == 5:
+        return a * a
+    elif op == 6:
+        return a + a
+    elif op == 7:
+        return 1.0 / a
+    elif op == 8:
+        return math.sqrt(a) if a >= 0.0 else math.nan
+    elif op == 9:
+        return math.sin(a)
+    elif op == 10:
+        return math.cos(a)
+    elif op == 11:
+        return math.tan(a)
+    elif op == 12:
+        return np.arcsin(a)
+    elif op == 13:
+        return np.arccos(a)
+    elif op == 14:
+        return math.atan(a)
+    elif op == 15:
+        return math.atan2(a, b)
+    elif op == 16:
+        return np.exp(a)
+    elif op == 17:
+        return np.log(a)
+    elif op == 18:
+        return a**b
+    elif op == 19:
+        return np.sinh(a)
+    elif op == 20:
+        return np.cosh(a)
+    elif op == 21:
+        return math.tanh(a)
+    elif op == 22:
+        return math.asinh(a)
+    elif op == 23:
+        return np.arccosh(a)
+    elif op == 24:
+        return np.arctanh(a)
+    elif op == 25:
+        return np.expm1(a)
+    elif op == 26:
+        return np.log1p(a)
+    elif op == 27:
+        return math.hypot(a, b)
+    elif op == 28:
+        return abs(a)
+    elif op == 29:
+        return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)
+    elif op == 30:
+        return min(a, b)
+    elif op == 31:
+        return max(a, b)
+    elif op == 32:
+        return 1.0 if a < b else 0.0
+    elif op == 33:
+        return 1.0 if a <= b else 0.0
+    elif op == 34:
+        return 1.0 if a == b else 0.0
+    elif op == 35:
+        return 1.0 if a != b else 0.0
+    elif op == 36:
+        return 1.0 if a == 0.0 else 0.0
+    elif op == 37:
+        return 1.0 if a != 0.0 and b != 0.0 else 0.0
+    elif op == 38:
+        return 1.0 if a != 0.0 or b != 0.0 else 0.0
+    elif op == 39:
+        return b if a != 0.0 else 0.0
+    elif op == 40:
+        return math.erf(a)
+    elif op == 41:
+        return math.copysign(a, b)
+    return math.nan
+
+
+@leaf
+def _run(code, start, stop, first, w):
+    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all.
+
+    Equal ones stand in runs: one jump for a run, and loops of their own for what there is most of.
+    """
+    operations, left, right = code.operations, code.left, code.right
+    k = start
+    while k < stop:
+        op, end = operations[k], k + 1
+        while end < stop and operations[end] == op:
+            end += 1
+        if op == 0:
+            for i in range(k, end):
+                w[first + i] = w[left[i]] + w[right[i]]
+        elif op == 1:
+            for i in range(k, end):
+                w[first + i] = w[left[i]] - w[right[i]]
+        elif op == 2:
+            for i in range(k, end):
+                w[first + i] = w[left[i]] * w[right[i]]
+        else:
+            for i in range(k, end):
+                w[first + i] = _operate(op, w[left[i]], w[right[i]])
+        k = end
+
+
+@leaf
+def _row(code, n_in):
+    """A row for a tape of n_in inputs, with the constants in their places."""
+    w = np.empty(n_in + code.constants.shape[0] + code.operations.shape[0])
+    for k in range(code.constants.shape[0]):
+        w[n_in + k] = code.constants[k]
+    return w
+
+
+_VECTOR, _MATRIX, _PLACES = types.float64[::1], types.float64[:, ::1], types.uint32[::1]
+_CODE = types.NamedTuple((_PLACES, _PLACES, _PLACES, _VECTOR, _PLACES, types.int64, types.int64), Code)
+_INPUTS = types.NamedTuple((_VECTOR, types.float64[:, :, ::1], types.boolean[::1]), Inputs)
+
+
+@entry(types.void(_CODE, _MATRIX, _MATRIX))
+def evaluate(code, points, results):
+    """Outputs (n, n_out) of a tape at the points (n, n_in)."""
+    n, n_in = points.shape
+    first = n_in + code.constants.shape[0]
+    w = _row(code, n_in)
+    for p in range(n):
+        same = p > 0
+        for i in range(n_in):
+            same = same and (i < code.moving or w[i] == points[p, i])
+            w[i] = points[p, i]
+        if not same:
+            _run(code, 0, code.still, first, w)
+        _run(code, code.still, code.operations.shape[0], first, w)
+        for j in range(code.outputs.shape[0]):
+            results[p, j] = w[code.outputs[j]]
+
+
+@leaf
+def _rates(code, first, w, x, u, dx):
+    n = x.shape[0]
+    for i in range(n):
+        w[i] = x[i]
+    for i in range(u.shape[0]):
+        w[n + i] = u[i]
+    _run(code, code.still, code.operations.shape[0], first, w)
+    for i in range(n):
+        dx[i] = w[code.outputs[i]]
+
+
+@leaf
+def _culprit(stages, found):
+    """The first state whose rate is not finite in one of the 13 stages; ``found`` where all are."""
+    for s in range(13):
+        for i in range(stages.shape[1]):
+            if not np.isfinite(stages[s, i]):
+                return i
+    return found
+
+
+@entry(
+    types.Tuple((types.int64, types.float64, types.int64, types.int64))(
+        _CODE, _VECTOR, _VECTOR, _INPUTS, types.float64, _MATRIX
+    )
+)
+def integrate(code, start, values, inputs, rtol, x_at):
+    """States (n, n_x) at the times of the inputs (n,) under the tape of (x, u, values) -> rates.
+
+    Returns (outcome, time reached, evaluations, state whose rate is not finite or -1). The integrator restarts where
+    the inputs break.
+    """
+    clock, polynomials, broken = inputs
+    n, n_u, last = start.shape[0], polynomials.shape[2], clock.shape[0] - 1
+    n_in = n + n_u + values.shape[0]
+    w, first = _row(code, n_in), n_in + code.constants.shape[0]
+    for i in range(values.shape[0]):
+        w[n + n_u + i] = values[i]
+    _run(code, 0, code.still, first, w)
+    stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n_u)
+    z, f = start.copy(), np.empty((7, n))
+    t, sample, evaluations, h, culprit = clock[0], 1, 0, 0.0, -1
+    x_at[0] = z
+    piece = 0
+    while piece < last:
+        following = piece + 1
+        while following < last and not broken[following]:
+            following += 1
+        stop = clock[following]
+        span = (piece, following)
+        input_within(t, piece, inputs, u)
+        _rates(code, first, w, z, u, stages[0])
+        evaluations += 1
+        if h == 0.0:
+            for i in range(n):
+                scale[i] = rtol * max(LEAST_SCALE, abs(z[i]))
+            h = 0.01 * norm(z, scale) / max(norm(stages[0], scale), 1e-12)
+            h = min(max(h, 1e-6), 1e-2)
+        while t < stop:
+            if evaluations > 12 * MAX_STEPS:
+                return TOO_MANY_STEPS, t, evaluations, culprit
+            step, ends = h, False
+            if t + 1.001 * step >= stop:
+                step, ends = stop - t, True
+            k = piece
+            for s in range(1, 12):
+                stage_point(s, z, step, stages, at)
+                k = input_between(t + C[s] * step, span, k, inputs, u)
+                _rates(code, first, w, at, u, stages[s])
+            step_end(z, step, stages, end)
+            k = input_between(t + step, span, k, inputs, u)
+            _rates(code, first, w, end, u, stages[12])
+            evaluations += 12
+            for i in range(n):
+                scale[i] = rtol * max(LEAST_SCALE, abs(z[i]), abs(end[i]))
+            error = error_of(step, stages, scale)
+            if not error < 1.0:
+                if not np.isfinite(error):
+                    error, culprit = 1e12, _culprit(stages, culprit)
+                h = step * max(SMALLEST, SAFETY * error**EXPONENT)
+                if h < 1e-14 * max(1.0, abs(t)):
+                    return NOT_FINITE, t, evaluations, culprit
+                continue
+            t_end = stop if ends else t + step
+            if sample <= last and clock[sample] < t_end:
+                k = piece
+                for s in range(13, 16):
+                    stage_point(s, z, step, stages, at)
+                    k = input_between(t + C[s] * step, span, k, inputs, u)
+                    _rates(code, first, w, at, u, stages[s])
+                evaluations += 3
+                polynomial(z, end, step, stages, f)
+                while sample <= last and clock[sample] < t_end:
+                    dense(z, f, (clock[sample] - t) / step, x_at[sample])
+                    sample += 1
+            if sample <= last and clock[sample] == t_end:
+                x_at[sample] = end
+                sample += 1
+            for i in range(n):
+                z[i], stages[0, i] = end[i], stages[12, i]
+            t = t_end
+            growth = LARGEST
+            if error > 0.0:
+                growth = min(LARGEST, SAFETY * error**EXPONENT)
+            if not ends or growth * step < h:
+                h = step * max(growth, SMALLEST)
+        piece = following
+    return DONE, t, evaluations, culprit
