@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ __all__ = [
     "note",
     "progress",
     "require_trust",
+    "result_alone",
     "save_drawing",
     "save_figures",
     "status_line",
@@ -35,8 +37,40 @@ __all__ = [
 SCHEMA = "robustlab.result/1"
 
 
+class _Aside:
+    """Stands in the place of stdout and writes to stderr, until `emit` takes the place back."""
+
+    def __init__(self, stdout: Any) -> None:
+        self.stdout = stdout
+        try:
+            is_first = stdout.fileno() == 1
+        except (OSError, ValueError, AttributeError):  # a stream in memory has no number
+            is_first = False
+        self.number = os.dup(1) if is_first else None
+        if is_first:  # what a compiled library or a child process writes, too
+            stdout.flush()
+            os.dup2(2, 1)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)
+
+    def give_back(self) -> None:
+        if self.number is not None:
+            os.dup2(self.number, 1)
+            os.close(self.number)
+        sys.stdout = self.stdout
+
+
+def result_alone() -> None:
+    """From now on what is printed goes to stderr, and `emit` prints on stdout: for commands that run a user's code."""
+    if not isinstance(sys.stdout, _Aside):
+        sys.stdout = _Aside(sys.stdout)
+
+
 def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> None:
     """Print the result, and nothing but the result, on stdout: ``text``, or one JSON object with ``--json``."""
+    if isinstance(sys.stdout, _Aside):
+        sys.stdout.give_back()
     if as_json:
         from robustlab.result import plain
 

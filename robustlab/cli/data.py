@@ -18,17 +18,15 @@ from robustlab.cli.options import (
     assignments,
     grouped,
     names,
-    plant_settings,
     shares,
 )
+from robustlab.cli.plant import plant_or_model, uncertain_or_plant
 from robustlab.errors import (
     EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
-    InputError,
     NoTrustworthyNumber,
     UsageError,
-    did_you_mean,
 )
 from robustlab.units import same_unit
 
@@ -45,7 +43,7 @@ PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 app = typer.Typer(help="Check, convert and compare measured records; name what a model lacks.", no_args_is_help=True)
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="FILE")]
-ModelArgument = Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")]
+ModelArgument = Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")]
 DataArgument = Annotated[str, typer.Argument(help="Record: HDF5, MATLAB, CSV or TXT file.", metavar="DATA")]
 SettingsOption = Annotated[
     list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
@@ -187,7 +185,9 @@ class DiscoveryFiles:
         typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.", show_default=False),
     ] = None
 
-    def write(self, found: Discovery, result: Mapping[str, Any], sources: Sequence[str]) -> list[str]:
+    def write(
+        self, found: Discovery, result: Mapping[str, Any], sources: Sequence[str], code: Mapping[str, str]
+    ) -> list[str]:
         """Write what was asked for, with a note for each file; the paths.
 
         Parameters
@@ -196,8 +196,10 @@ class DiscoveryFiles:
             What ``--json`` prints, for ``result.json``.
         sources
             What was read; names that are no files, such as a plant's, are left out of the provenance.
+        code
+            Files of code that made the plant, with their hashes.
         """
-        provenance = _provenance("data discover", sources)
+        provenance = _provenance("data discover", sources, code)
         files: list[str] = []
         if self.figures:
             from robustlab.report.discovery_figures import discovery_figures
@@ -265,7 +267,9 @@ def check(
     file: FileArgument,
     model: Annotated[
         str | None,
-        typer.Option("--model", help="Model file or plant: is the record fit for naming?", show_default=False),
+        typer.Option(
+            "--model", help="Model file, plant, file.py:name: is the record fit for naming?", show_default=False
+        ),
     ] = None,
     settings: SettingsOption = None,
     options: RecordOptions,
@@ -280,7 +284,7 @@ def check(
 
     if settings and not model:
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
-    system = _plant_or_model(model, settings or []) if model else None
+    system = plant_or_model(model, settings or []) if model else None
     inputs = options.inputs or (",".join(_input_names(system)) if system is not None else None)
     record = options.read(file, inputs)
     found = check_record(record)
@@ -336,11 +340,13 @@ def compare(
     """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
+    Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
+    from robustlab.dynamics.plant_file import code_of
     from robustlab.identification.comparison.comparison import compare as compare_with
     from robustlab.statespace import as_model
 
-    system = _plant_or_model(model, settings or [])
+    system = plant_or_model(model, settings or [])
     repeat = windows.repeat or []
     inputs = options.inputs or ",".join(as_model(system, model).input_names)
     first, *others = (options.read(file, inputs) for file in (data, *repeat))
@@ -350,7 +356,7 @@ def compare(
         from robustlab.report.comparison_figures import comparison_figures
 
         files += save_figures(comparison_figures(found), figures)
-    files += _keep(found, output.out, "data compare", (model, data, *repeat))
+    files += _keep(found, output.out, "data compare", (model, data, *repeat), code_of(system))
     _tell(files)
     emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), output.as_json)
     require_trust(found.status)
@@ -381,9 +387,10 @@ def discover(
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """
     from robustlab.dynamics.effects.catalogue import effect
+    from robustlab.dynamics.plant_file import code_of
     from robustlab.identification.naming.discovery import discover as discover_in
 
-    system = _plant_or_model(model, settings or [])
+    system = plant_or_model(model, settings or [])
     inputs = options.inputs or ",".join(_input_names(system))
 
     def records(files: list[str] | None) -> list[Record]:
@@ -402,7 +409,7 @@ def discover(
     )
     read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
-    files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)])
+    files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)], code_of(system))
     emit("data discover", {**result, "files": files}, found.summary(details), as_json)
     if found.interrupted:
         note("interrupted: what was known by then is told")
@@ -416,7 +423,9 @@ def discover(
 @grouped
 def validate(
     *,
-    uncertain: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="UNCERTAIN")],
+    uncertain: Annotated[
+        str, typer.Argument(help="Uncertain model: HDF5 file, or a plant with tolerances.", metavar="UNCERTAIN")
+    ],
     data: DataArgument,
     asked: ExplanationOptions,
     effort: EffortOptions,
@@ -432,12 +441,8 @@ def validate(
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
     from robustlab.identification.validation import validate as validate_with
-    from robustlab.storage import load
-    from robustlab.uncertainty.lft import UncertainModel
 
-    model = load(uncertain)
-    if not isinstance(model, UncertainModel):
-        raise InputError(uncertain, f"a {type(model).__name__}", "an uncertain model", "robustlab uncertain build")
+    model, code = uncertain_or_plant(uncertain)
     record = options.read(data, ",".join(s.name for s in model.inputs))
     units = {s.name: s.unit for s in model.outputs}
     words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
@@ -460,7 +465,7 @@ def validate(
         from robustlab.report.validation_figures import validation_figures
 
         files += save_figures(validation_figures(found), figures, "validation-")
-    files += _keep(found, output.out, "data validate", (uncertain, data))
+    files += _keep(found, output.out, "data validate", (uncertain, data), code)
     _tell(files)
     result: dict[str, Any] = {**found.to_json(series=False), "files": files}
     text = found.summary()
@@ -483,21 +488,6 @@ def _file_and_group(text: str) -> tuple[str, str | None]:
     return (file, group) if mark and not Path(text).exists() else (text, None)
 
 
-def _plant_or_model(name: str, settings: list[str]) -> Any:
-    """The plant of that name, or the model in that file."""
-    from robustlab.dynamics import plant, plant_names
-    from robustlab.storage import load
-
-    if name in plant_names():
-        return plant(name, **plant_settings(settings))
-    if settings:
-        known = ", ".join(plant_names())
-        raise UsageError(
-            f"--set {settings[0]}", f"{name} is no plant", f"one of {known}", did_you_mean(name, plant_names())
-        )
-    return load(name)
-
-
 def _input_names(system: Any) -> list[str]:
     from robustlab.dynamics import Plant
     from robustlab.statespace import as_model
@@ -518,11 +508,11 @@ def _units(settings: list[str]) -> dict[str, str]:
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
-def _provenance(command: str, sources: Sequence[str]) -> Provenance:
+def _provenance(command: str, sources: Sequence[str], code: Mapping[str, str] | None = None) -> Provenance:
     from robustlab.provenance import Provenance, file_sha256
 
     used = {source: file_sha256(source) for source in sources if Path(source).is_file()}
-    return Provenance.now(command, inputs=used)
+    return Provenance.now(command, inputs={**used, **(code or {})})
 
 
 def _tell(files: Sequence[str]) -> None:
@@ -530,11 +520,11 @@ def _tell(files: Sequence[str]) -> None:
         note(f"wrote {file}")
 
 
-def _keep(found: Any, out: str | None, command: str, sources: Sequence[str]) -> list[str]:
+def _keep(found: Any, out: str | None, command: str, sources: Sequence[str], code: Mapping[str, str]) -> list[str]:
     """Write a result where a file was named; its path."""
     from robustlab.storage import save
 
-    return [str(save(out, found, _provenance(command, sources)))] if out else []
+    return [str(save(out, found, _provenance(command, sources, code)))] if out else []
 
 
 def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:

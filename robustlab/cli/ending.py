@@ -6,6 +6,7 @@ Ctrl-C, SIGTERM                                    130, after the same cleaning 
 the reader of stdout went away (``| head -1``)     141, as for a program that SIGPIPE ends; nothing is said
 stdout closed or full, no working directory,       5
 not enough memory or address space
+the code of a plant file of the user's raised      3, with its file and line
 anything else                                      70: a bug of ours, with a report file
 =================================================  ====================================================================
 
@@ -153,7 +154,7 @@ def _code_of(error: BaseException) -> int:
         return EXIT_INTERRUPTED
     if isinstance(error, BrokenPipeError):
         return EXIT_READER_GONE
-    fault = _machine_fault(error)
+    fault = _user_fault(error) or _machine_fault(error)
     if fault is not None:
         _say(f"error: {fault}")
         return fault.exit_code
@@ -163,6 +164,14 @@ def _code_of(error: BaseException) -> int:
         return code
     _say(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}")
     return EXIT_BUG
+
+
+def _user_fault(error: BaseException) -> RobustlabError | None:
+    """What a plant file of the user's did wrong while the command worked with its plant."""
+    loader = sys.modules.get("robustlab.dynamics.plant_file")  # no such file was run where it is not loaded
+    if loader is None or not isinstance(error, Exception) or isinstance(error, MemoryError):
+        return None
+    return loader.fault_of_user_code(error)
 
 
 def _machine_fault(error: BaseException) -> EnvironmentFault | None:

@@ -15,6 +15,7 @@ __all__ = ["GROUPS", "help_text", "main"]
 
 # Command -> (module that holds its `app`, one line of help).
 GROUPS = {
+    "plant": ("robustlab.cli.plant", "Start a plant of your own in a file; show a plant."),
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
     "uncertain": ("robustlab.cli.uncertain", "Build, show and sample uncertain models."),
     "worst-case": ("robustlab.cli.worst_case", "Search the worst member of an uncertain model."),

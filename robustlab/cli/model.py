@@ -20,6 +20,7 @@ from robustlab.cli.options import (
     grouped,
     plant_settings,
 )
+from robustlab.cli.plant import made_of, read_plant
 from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ class ReadOptions:
 @app.command()
 def build(
     plant: Annotated[
-        str, typer.Argument(help="Name of the plant, for example dc-motor; or an HDF5 file with one.", metavar="PLANT")
+        str,
+        typer.Argument(help="Name of the plant (dc-motor), file.py:name, or an HDF5 file with one.", metavar="PLANT"),
     ],
     out: Annotated[str, typer.Option("--out", "-o", help="HDF5 or MATLAB file to write.")],
     settings: Annotated[
@@ -89,15 +91,11 @@ def build(
     """
     from robustlab import dynamics
     from robustlab.dynamics.plant_contract import SteppedPlant
-    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.provenance import Provenance
     from robustlab.storage import save
-    from robustlab.storage.interchange import is_plant_file, load_plant
 
     parameters = plant_settings(settings)
-    from_file = is_plant_file(plant)
-    made = load_plant(plant) if from_file else dynamics.plant(plant, **parameters)
-    if from_file and parameters:
-        made = made.with_parameters(**parameters)
+    made = read_plant(plant, parameters)
     if pose is not None and at:
         raise UsageError("model build", "--pose and --at", "one of them")
     if at and not isinstance(made, SteppedPlant):
@@ -107,8 +105,7 @@ def build(
     model = dynamics.linearise(made, at=point, amplitude=sectors, pade=pade)
     given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
     where = f" at {pose}" if pose else f" at {', '.join(at)}" if at else ""
-    inputs = {plant: file_sha256(plant)} if from_file else None
-    save(out, model, Provenance.now("model build", inputs, note=f"{plant} {given}".strip() + where))
+    save(out, model, Provenance.now("model build", made_of(plant, made), note=f"{plant} {given}".strip() + where))
     missing = made.left_out(point, sectors, pade) if isinstance(made, SteppedPlant) else ()
     lines = [
         f"{out}: {model!r}",

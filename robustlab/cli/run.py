@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robustlab.cli.console import emit, note, progress, table
+from robustlab.cli.console import emit, note, progress, result_alone, table
 from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def run(
             if not sys.stderr.isatty():
                 note(f"[{done + 1}/{len(loaded.recipe.step)}] {name} ({kind})")
 
+        result_alone()  # a plant of the recipe may be code of the user's
         result = run_recipe(loaded, folder, begin)
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)

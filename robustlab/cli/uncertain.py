@@ -20,6 +20,7 @@ from robustlab.cli.options import (
     grouped,
     shares,
 )
+from robustlab.cli.plant import made_of, read_plant
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class PlantRanges:
 
     plant: Annotated[
         str | None,
-        typer.Option("--plant", help="Instead of models: a plant with uncertain parameters, or its file."),
+        typer.Option("--plant", help="Instead of models: an uncertain plant: its name, file.py:name, or HDF5 file."),
     ] = None
     tolerance: Annotated[
         list[str] | None,
@@ -101,13 +102,11 @@ class PlantRanges:
 
     def build(self, name: str, outputs: list[str] | None) -> tuple[UncertainModel, Provenance]:
         """The exact set of a plant of that name, or in that file."""
-        from robustlab.dynamics import plant
-        from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage.interchange import is_plant_file, load_plant
+        from robustlab.provenance import Provenance
 
         tolerances = shares("--tolerance", self.tolerance)
-        from_file = is_plant_file(name)
-        made = load_plant(name) if from_file else plant(name)
+        made = read_plant(name, {})
+        files = made_of(name, made)
         if not hasattr(made, "uncertain"):
             raise InputError(name, f"{made.name} is not linear", "a linear plant, with or without effects")
         nominal = made.values
@@ -127,8 +126,7 @@ class PlantRanges:
             [f"{key} +-{100 * value:g} %" for key, value in tolerances.items()]
             + [f"{key} {low:g} .. {high:g}" for key, (low, high) in ranges.items()]
         )
-        inputs = {name: file_sha256(name)} if from_file else None
-        return model, Provenance.now("uncertain build", inputs, note=f"{name} {said}".strip())
+        return model, Provenance.now("uncertain build", files, note=f"{name} {said}".strip())
 
 
 @dataclass(frozen=True)

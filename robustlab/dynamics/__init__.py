@@ -10,6 +10,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
+from robustlab.dynamics.plant_file import plant_from_file, plant_reference
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, did_you_mean
 
@@ -21,6 +22,7 @@ __all__ = [
     "Parameter",
     "Plant",
     "Trim",
+    "builtin_plant",
     "linearise",
     "overridden",
     "plant",
@@ -48,7 +50,8 @@ def plant(name: str, **parameters: Any) -> Any:
     Parameters
     ----------
     name
-        One of `plant_names`.
+        One of `plant_names`; or ``"path/to/file.py:name"``, a plant of your own or a function that returns one: that
+        file is run.
     parameters
         Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform
         also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``.
@@ -56,12 +59,13 @@ def plant(name: str, **parameters: Any) -> Any:
     Returns
     -------
     Plant
-        A `LinearPlant`, or a `NonlinearPlant`.
+        A `LinearPlant`, or a `NonlinearPlant`; from a file, with the file's SHA-256 in its ``provenance``.
 
     Raises
     ------
     InputError
-        Unknown plant or parameter (with the closest known name), NaN, a mass or resistance that is not positive.
+        Unknown plant or parameter (with the closest known name), NaN, a mass or resistance that is not positive; a file
+        that raises, or in which no plant of that name is (`robustlab.dynamics.plant_file`).
 
     Examples
     --------
@@ -69,9 +73,22 @@ def plant(name: str, **parameters: Any) -> Any:
     >>> motor.parameters["R"].value, motor.parameters["R"].unit
     (2.07, 'ohm')
     """
+    if isinstance(name, str) and plant_reference(name):
+        return plant_from_file(name, parameters)
+    return builtin_plant(name, **parameters)
+
+
+def builtin_plant(name: str, **parameters: Any) -> Any:
+    """The same of a plant that comes with robustlab, and of no other: for names out of data files, which run no code.
+
+    Raises
+    ------
+    InputError
+        As `plant`.
+    """
     if not isinstance(name, str) or name not in _PLANTS:
-        known = ", ".join(_PLANTS)
-        raise InputError(f"plant {name!r}", "no such plant", f"one of {known}", did_you_mean(str(name), plant_names()))
+        known = f"one of {', '.join(_PLANTS)}, or path/to/file.py:name"
+        raise InputError(f"plant {name!r}", "no such plant", known, did_you_mean(str(name), plant_names()))
     module = _PLANTS[name]
     return getattr(import_module(f"robustlab.dynamics.{module}"), module.rpartition(".")[2])(**parameters)
 

@@ -161,12 +161,17 @@ class LinearPlant(Plant):
                 "matrices that are affine in the parameters",
                 "bring the quotient to the left-hand side (into E)",
             ) from None
+        if not isinstance(form, Descriptor):
+            raise InputError(f"{self.name}: equations", f"returned a {type(form).__name__}", "a Descriptor")
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         shapes = {"E": (n, n), "F": (n, n), "G": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
         matrices = []
         for name, shape in shapes.items():
             given = getattr(form, name)
-            matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
+            try:
+                matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
+            except (TypeError, ValueError):  # rows of several lengths, a text, a complex number
+                raise InputError(f"{self.name}: equations", f"{name} is no matrix of numbers", f"{shape}") from None
             if matrix.shape != shape:
                 raise InputError(f"{self.name}: equations", f"{name} is {matrix.shape}", f"{shape}")
             if not np.isfinite(matrix).all():

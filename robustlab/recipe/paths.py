@@ -9,7 +9,8 @@ import robustlab
 from robustlab.errors import EnvironmentFault, InputError, UsageError, did_you_mean
 from robustlab.files.atomic import atomic_write
 from robustlab.recipe.load import LoadedRecipe
-from robustlab.recipe.steps.models import LoadStep
+from robustlab.recipe.steps.contract import Step
+from robustlab.recipe.steps.models import LoadStep, PlantStep
 from robustlab.recipe.steps.records import RecordStep
 
 __all__ = ["STARTER", "find_files", "recipe_path", "shipped_recipes", "write_starter"]
@@ -19,8 +20,8 @@ def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
     """Step name -> the file it reads, for every step that reads one; asked for before anything runs.
 
     A path is looked for beside the recipe, in the folder above it, and in the working directory; one given with
-    ``--set`` in the working directory first. Models must lie in the recipe's folder or the folder above it, unless
-    ``--set`` says otherwise.
+    ``--set`` in the working directory first. Models, and plants in a file of Python, must lie in the recipe's folder or
+    the folder above it, unless ``--set`` says otherwise.
 
     Raises
     ------
@@ -29,14 +30,26 @@ def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     for name, step in loaded.recipe.step.items():
-        if isinstance(step, (LoadStep, RecordStep)) and step.path is not None:
-            typed = any(key.removeprefix("step.") == f"{name}.path" for key in loaded.overrides)
-            about = step.about if isinstance(step, RecordStep) else ""
-            path = _find(f"{loaded.path.name}: step.{name}.path", step.path, loaded.path.parent, typed, about)
-            if isinstance(step, LoadStep) and not typed:
-                _check_inside(loaded.path, f"step.{name}.path", step.path, path)
-            found[name] = path
+        key, given = _named_file(step)
+        if given is None:
+            continue
+        typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
+        about = step.about if isinstance(step, RecordStep) else ""
+        path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
+        if not isinstance(step, RecordStep) and not typed:
+            _check_inside(loaded.path, f"step.{name}.{key}", given, path)
+        found[name] = path
     return found
+
+
+def _named_file(step: Step) -> tuple[str, str | None]:
+    """Key of the step that names a file, and the file; None without one."""
+    if isinstance(step, PlantStep):
+        from robustlab.dynamics.plant_file import plant_reference
+
+        parts = plant_reference(step.plant)
+        return "plant", parts and parts[0]
+    return "path", step.path if isinstance(step, (LoadStep, RecordStep)) else None
 
 
 def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path:
@@ -48,11 +61,14 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
     candidates = list(
         dict.fromkeys((place / given).resolve() for place in places)
     )  # an absolute path gives one candidate
-    for path in candidates:
-        if path.is_file():
-            return path
-        if path.exists():
-            raise InputError(where, f"{path} is not a regular file", "a file")
+    try:
+        for path in candidates:
+            if path.is_file():
+                return path
+            if path.exists():
+                raise InputError(where, f"{path} is not a regular file", "a file")
+    except OSError as error:  # a name too long, a folder that may not be read
+        raise InputError(where, f"{given}: {error.strerror}", "a file") from None
     siblings = sorted({p.name for c in candidates if c.parent.is_dir() for p in c.parent.iterdir()})
     step = where.rpartition("step.")[2]
     hint = " or ".join(

@@ -115,13 +115,13 @@ def _is_linear(base: Plant) -> TypeGuard[LinearPlant]:
 
 def _is_rebuilt(base: Plant) -> bool:
     """True where name, options and parameters make the same plant again."""
-    from robustlab.dynamics import plant, plant_names
+    from robustlab.dynamics import builtin_plant, plant_names
     from robustlab.dynamics.linear_plant import LinearPlant
 
     if base.name == BARE and isinstance(base, LinearPlant):
         again: Any = _with_parameters(_bare_plant(_bare_model(base)), base.parameters)
     elif base.name in plant_names():
-        again = plant(base.name, **_options(base))
+        again = builtin_plant(base.name, **_options(base))
         if list(again.parameters) != list(base.parameters) or type(again) is not type(base):
             return False
         again = _with_parameters(again, base.parameters)
@@ -213,7 +213,7 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
 
 
 def _from_name(group: Tree, problems: Problems) -> Plant:
-    from robustlab.dynamics import plant
+    from robustlab.dynamics import builtin_plant
 
     name = text_attr(group.attrs, "name")
     if name is None:
@@ -231,7 +231,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
         base = _bare_plant(model)
         made = base.with_parameters(**{n: v for n, (v, _) in given.items()})
     else:
-        made = plant(name, **options, **given)
+        made = builtin_plant(name, **options, **given)
     missing = [n for n in made.parameters if n not in given]
     if missing:
         raise InputError(problems.file, f"{group.path}/parameters: no {missing[0]!r}", "all parameters of the plant")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -28,7 +29,9 @@ class PlantStep(Step):
 
     gives: ClassVar[str] = "plant"
     do: Literal["plant"]
-    plant: str = Field(description='Name of the plant, for example "dc-motor".')
+    plant: str = Field(
+        description='Name of the plant, for example "dc-motor"; or "file.py:name", beside the recipe: that file is run.'
+    )
     parameters: dict[str, NumberOrPair] = Field(
         {}, description='Values in SI units, [value, relative tolerance], or texts: "0.5 mH", "10%".'
     )
@@ -45,17 +48,26 @@ class PlantStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """A plant from physics, with its parameters and where they come from."""
+        from robustlab.dynamics.plant_file import code_of, plant_from_file
+
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
-        made = rl.plant(self.plant, **given, **self.choices)
-        facts = []
+        facts: list[Fact] = []
+        numbers: dict[str, Any] = {}
+        if work.step in work.sources:
+            made: Any = plant_from_file(self.plant, {**given, **self.choices}, work.sources[work.step])
+            numbers["code"] = code_of(made)
+            facts = [Fact(f"Code of {self.plant}", f"SHA-256 {sha}", file) for file, sha in numbers["code"].items()]
+            work.inputs.update({f"{work.step}: {Path(file).name}": sha for file, sha in numbers["code"].items()})
+        else:
+            made = rl.plant(self.plant, **given, **self.choices)
         for p in made.parameters.values():
             spread = f" ± {p.tolerance_text}" if p.tolerance else ""
             facts.append(Fact(f"{p.name}, {p.meaning}", f"{quantity(p.value, p.unit)}{spread}", p.source))
-        numbers = {
+        numbers["parameters"] = {
             name: {"value": p.value, "unit": p.unit, "tolerance": p.tolerance} for name, p in made.parameters.items()
         }
         signals = " → ".join(", ".join(f"{s.name} [{s.unit}]" for s in side) for side in (made.inputs, made.outputs))
-        return Outcome(made, f"Plant {self.plant}: {signals}.", {"parameters": numbers}, tuple(facts))
+        return Outcome(made, f"Plant {self.plant}: {signals}.", numbers, tuple(facts))
 
 
 @step

@@ -1,0 +1,243 @@
+"""``robustlab plant``: start a plant of your own, show one; and how all commands read the plant that they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, note, result_alone, table
+from robustlab.cli.members import named
+from robustlab.cli.options import JsonOption, assignments, plant_settings
+from robustlab.errors import InputError, RobustlabError, UsageError, did_you_mean
+
+__all__ = ["app", "made_of", "plant_or_model", "read_plant", "uncertain_or_plant"]
+
+app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_args_is_help=True)
+
+
+# --- what other commands read ----------------------------------------------------------------------------------------
+
+
+def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
+    """The plant of that name, in that file of Python (``file.py:name``: it is run), or in that HDF5 file."""
+    from robustlab.dynamics import plant
+    from robustlab.dynamics.plant_file import plant_reference
+    from robustlab.storage.interchange import is_plant_file, load_plant
+
+    if plant_reference(name):
+        result_alone()
+        return plant(name, **parameters)
+    if not is_plant_file(name):
+        return plant(name, **parameters)
+    made = load_plant(name)
+    return made.with_parameters(**parameters) if parameters else made
+
+
+def plant_or_model(name: str, settings: list[str]) -> Any:
+    """The same, or the model in a file."""
+    from robustlab.dynamics import plant_names
+    from robustlab.dynamics.plant_file import plant_reference
+    from robustlab.storage import load
+
+    if name in plant_names() or plant_reference(name):
+        return read_plant(name, plant_settings(settings))
+    if settings:
+        known = f"one of {', '.join(plant_names())}, or path/to/file.py:name"
+        raise UsageError(f"--set {settings[0]}", f"{name} is no plant", known, did_you_mean(name, plant_names()))
+    return load(name)
+
+
+def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
+    """The uncertain model in a file, or the set of a plant whose parameters have tolerances; the code that made it."""
+    from robustlab.dynamics.plant_contract import Plant
+    from robustlab.dynamics.plant_file import code_of
+    from robustlab.uncertainty.lft import UncertainModel
+
+    model = plant_or_model(name, [])
+    if isinstance(model, Plant):
+        uncertain = getattr(model, "uncertain", None)
+        if uncertain is None:
+            raise InputError(name, f"{model.name} is not linear", "a linear plant, with or without effects")
+        if not any(p.tolerance for p in model.parameters.values()):
+            raise InputError(name, "no parameter has a tolerance", "a plant whose parameters may vary")
+        return uncertain(), code_of(model)
+    if not isinstance(model, UncertainModel):
+        raise InputError(name, f"a {type(model).__name__}", "an uncertain model", "robustlab uncertain build")
+    return model, {}
+
+
+def made_of(name: str, thing: Any) -> dict[str, str]:
+    """File -> SHA-256 of what was read for a plant or model; empty for a plant that comes with robustlab."""
+    from robustlab.dynamics.plant_file import code_of
+    from robustlab.provenance import file_sha256
+
+    return code_of(thing) or ({name: file_sha256(name)} if Path(name).is_file() else {})
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the machine; the file is NAME.py.", show_default=False)],
+    as_json: JsonOption = False,
+) -> None:
+    """Write a small commented plant to start from, NAME.py in the working directory; never over a file.
+
+    Example: robustlab plant new mymachine && robustlab plant show mymachine.py:axis
+    """
+    from robustlab.dynamics.plant_template import PLANT, write_template
+
+    path = write_template(name)
+    text = f"{path}\nlook at it with: robustlab plant show {path}:{PLANT}"
+    emit("plant new", {"file": str(path), "plant": f"{path}:{PLANT}"}, text, as_json)
+
+
+@app.command()
+def show(
+    plant: Annotated[
+        str,
+        typer.Argument(
+            help="file.py:name (the file is run), file.py for the names in it, an HDF5 file, or a plant's name.",
+            metavar="PLANT",
+        ),
+    ],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.", show_default=False)
+    ] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", help="Operating point: input, output or state, NAME=VALUE; repeatable."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print a plant's signals, joints, parameters, operating point, and the poles of its linear model there.
+
+    Exit code 4: no operating point was found; all else is printed.
+
+    Example: robustlab plant show servo-axis
+    """
+    from robustlab.dynamics.plant_file import plant_reference, plants_in_file
+
+    if plant_reference(plant) == (plant, ""):
+        result_alone()
+        names = plants_in_file(plant)
+        text = "\n".join(f"{plant}:{name}" for name in names) or f"{plant}: no plant in it"
+        emit("plant show", {"file": plant, "plants": list(names)}, text, as_json)
+        return
+    made = read_plant(plant, plant_settings(settings))
+    rest = _Rest(made, assignments("--at", at))
+    sides = {kind: [{"name": s.name, "unit": s.unit} for s in getattr(made, kind)] for kind in SIDES}
+    parameters = [{**p.to_json(), "sign": p.sign, "role": p.role} for p in made.parameters.values()]
+    result = {
+        "plant": plant, "name": made.name, "made_of": made_of(plant, made), **sides, "joints": _joints(made),
+        "parameters": parameters, **rest.to_json(),
+    }  # fmt: skip
+    emit("plant show", result, "\n".join(_text(plant, made, rest)), as_json)
+    if rest.problem is not None:
+        if at:
+            raise rest.problem
+        note(f"no operating point: {rest.problem}")
+        raise typer.Exit(rest.problem.exit_code)
+
+
+# --- printing --------------------------------------------------------------------------------------------------------
+
+SIDES = ("inputs", "outputs", "states")
+
+
+class _Rest:
+    """Where a plant stays, and its poles there; or why there is no such point."""
+
+    def __init__(self, plant: Any, at: Mapping[str, float]) -> None:
+        from robustlab.dynamics import LinearPlant, linearise, trim
+
+        self.plant, self.trim, self.model, self.problem = plant, None, None, None
+        if isinstance(plant, LinearPlant):
+            if at:
+                raise UsageError("--at", f"{plant.name} is linear", "no --at: its poles are the same everywhere")
+            self.model = linearise(plant)
+            return
+        try:
+            self.trim = trim(plant, **at)
+            self.model = linearise(plant, at=self.trim)
+        except RobustlabError as error:
+            self.problem = error
+
+    def to_json(self) -> dict[str, Any]:
+        """The operating point by the names of its signals, None at zero; the poles."""
+        point = self.trim and {
+            "residual": self.trim.residual,
+            **{
+                key: {s.name: float(value) for s, value in zip(getattr(self.plant, side), values, strict=True)}
+                for key, side, values in self._vectors()
+            },
+        }
+        poles = None if self.model is None else self.model.poles()
+        stable = None if self.model is None else self.model.is_stable()
+        return {"operating_point": point, "poles": poles, "stable": stable}
+
+    def lines(self) -> list[str]:
+        """The same for reading."""
+        if self.model is None:
+            return [f"operating point: none found ({self.problem.line if self.problem else ''})"]
+        lines = ["operating point: rest at zero"] if self.trim is None else [
+            "operating point: " + ", ".join(
+                f"{s.name} = {value:.6g} {s.unit}".rstrip()
+                for _, side, values in self._vectors()[:2]
+                for s, value in zip(getattr(self.plant, side), values, strict=True)
+            )
+        ]  # fmt: skip
+        poles = sorted(self.model.poles(), key=lambda p: (-p.real, p.imag))
+        rows = [
+            (f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""), f"{abs(p):.6g}", f"{-p.real / (abs(p) or 1):.3g}")
+            for p in poles
+        ]
+        if rows:
+            lines += ["", *table(rows, ("pole [1/s]", "frequency [rad/s]", "damping")).splitlines()]
+        return [*lines, "stable" if self.model.is_stable() else "NOT stable"]
+
+    def _vectors(self) -> list[tuple[str, str, Any]]:
+        assert self.trim is not None
+        return [("x", "states", self.trim.x), ("u", "inputs", self.trim.u), ("y", "outputs", self.trim.y)]
+
+
+def _joints(plant: Any) -> list[dict[str, str]]:
+    """Where forces and voltages can act: what an effect may be attached to."""
+    import numpy as np
+
+    from robustlab.dynamics import LinearPlant, NonlinearPlant
+    from robustlab.dynamics.ports.port_model import port_model
+
+    base = getattr(plant, "plant", plant)  # beneath its effects
+    if isinstance(base, LinearPlant):
+        ports = port_model(base).ports.values()
+        at = [None if p.position is None else int(np.argmax(p.position)) for p in ports]
+        return [
+            {"name": p.name, "kind": p.kind, "unit": p.unit, "position": "" if k is None else base.states[k].name}
+            for p, k in zip(ports, at, strict=True)
+        ]
+    return [dict(vars(place)) for place in base.port_places] if isinstance(base, NonlinearPlant) else []
+
+
+def _text(given: str, plant: Any, rest: _Rest) -> list[str]:
+    lines = [
+        f"plant {plant.name}",
+        *(f"  made of {file}, SHA-256 {sha}" for file, sha in made_of(given, plant).items()),
+    ]
+    lines += [f"  {side}: {', '.join(named(getattr(plant, side))) or 'none'}" for side in SIDES]
+    joints = [(j["name"], j["unit"], j["position"] or "-") for j in _joints(plant)]
+    lines += ["", *table(joints, ("joint", "acts there", "position")).splitlines()] if joints else ["", "no joints"]
+    rows = [
+        (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.role or "-",
+         p.meaning or "-", p.source or "-")
+        for p in plant.parameters.values()
+    ]  # fmt: skip
+    header = ("parameter", "value", "tolerance", "role", "meaning", "source")
+    lines += ["", *table(rows, header).splitlines()] if rows else []
+    for e in getattr(plant, "effects", ()):
+        lines.append(f"effect {e.effect.title} at {e.site}")
+    return [*lines, "", *rest.lines()]

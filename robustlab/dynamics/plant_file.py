@@ -1,0 +1,299 @@
+"""Plants of the user's own, by the name ``path/to/file.py:name``: a plant, or a function that returns one.
+
+Such a file is a program, and it is run: where the user named it, in a call, on the command line or in a recipe, and
+never because a data file says so (`robustlab.storage` knows the names of built-in plants only). What it does wrong is
+told in one line with the file and the line in it. It may import modules that lie beside it. What it prints goes where
+Python's own output goes; an endless loop in it is ended by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+import types
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from inspect import Parameter, signature
+from pathlib import Path
+from traceback import walk_tb
+from typing import Any
+
+import numpy as np
+
+from robustlab.dynamics.plant_contract import Plant
+from robustlab.errors import (
+    DependencyMissing,
+    InputError,
+    NoTrustworthyNumber,
+    RobustlabError,
+    UsageError,
+    did_you_mean,
+)
+from robustlab.files.signature import require_file
+from robustlab.provenance import Provenance, file_sha256
+
+__all__ = ["code_of", "fault_of_user_code", "plant_from_file", "plant_reference", "plants_in_file"]
+
+MADE_BY = "plant file"
+# In the globals of a plant file: what messages call it.
+MARK = "__plant_file__"
+# Package that plant files import -> extra of robustlab that installs it.
+EXTRAS = {"casadi": "casadi", "fmpy": "fmu"}
+
+# Modules that plant files imported from beside them: two machines may each have a `parameters.py`.
+_neighbours: dict[str, types.ModuleType] = {}
+
+
+def plant_reference(text: str) -> tuple[str, str] | None:
+    """File and name of a plant in a file of Python, the name empty where there is none; None for any other text.
+
+    Examples
+    --------
+    >>> plant_reference("machines/axis.py:axis"), plant_reference("axis.py"), plant_reference("servo-axis")
+    (('machines/axis.py', 'axis'), ('axis.py', ''), None)
+    """
+    found = re.fullmatch(r"(.+\.py)(?::(.*))?", text, re.DOTALL)
+    return (found[1], found[2] or "") if found else None
+
+
+def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
+    """The plant that ``file.py:name`` means, with these parameters in the places of its own.
+
+    Parameters
+    ----------
+    parameters
+        Handed to the function; those that it does not name, and all of a plant that is no function, go to the plant's
+        ``with_parameters``.
+    path
+        Where the file was found, if not at the place that the reference says.
+
+    Returns
+    -------
+    Plant
+        Its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
+
+    Raises
+    ------
+    InputError
+        No such file or name (with the closest one), no Python, code that raises or ends the program, anything that is
+        no plant, and all that a plant refuses; with file and line.
+    DependencyMissing
+        The file imports an optional package that is not installed.
+    """
+    file, name = plant_reference(reference) or ("", "")
+    if not file:
+        raise InputError(reference, "names no file of Python", "path/to/file.py:name")
+    module, hashes = _run(Path(file) if path is None else path, _shown(file, path))
+    shown = f"{vars(module)[MARK]}:{name}"
+    if name not in vars(module):
+        found = f"no plant {name!r} in it" if name else "which plant of it?"
+        raise InputError(vars(module)[MARK], found, _choice(module), did_you_mean(name, _plants(module)))
+    with _user_code(shown):
+        made = _made(vars(module)[name], dict(parameters or {}), shown)
+    _check_shapes(made, shown)
+    source = made.provenance
+    known, note = ({}, "") if source is None else (source.inputs, f"; {source.note}" if source.note else "")
+    made.traced(Provenance.now(MADE_BY, {**known, **hashes}, note=shown + note))
+    return made
+
+
+def plants_in_file(file: str) -> tuple[str, ...]:
+    """Names of the plants in a file: of `Plant` objects, and of functions that return one without any argument.
+
+    Raises
+    ------
+    InputError, DependencyMissing
+        As `plant_from_file`.
+    """
+    return _plants(_run(Path(file), _shown(file, None))[0])
+
+
+def code_of(thing: Any) -> dict[str, str]:
+    """File -> SHA-256 of the code that made a plant; empty for what no plant file made."""
+    origin = getattr(thing, "provenance", None)
+    return dict(origin.inputs) if isinstance(origin, Provenance) and origin.created_by == MADE_BY else {}
+
+
+def fault_of_user_code(error: Exception) -> RobustlabError | None:
+    """What an error that went through the code of a plant file is for its user; None where it went through none."""
+    place = _place(error)
+    return None if place is None else _told(error, place)
+
+
+def _place(error: BaseException) -> str | None:
+    """``"axis.py, line 12"``: the innermost line of a plant file, or of a module beside it, that an error went through;
+    None where it went through none.
+    """
+    place, folder = None, None
+    for frame, line in walk_tb(error.__traceback__):
+        file = Path(frame.f_code.co_filename)
+        if MARK in frame.f_globals:
+            place, folder = f"{frame.f_globals[MARK]}, line {line}", file.parent
+        elif file.parent == folder:
+            place = f"{file.name}, line {line}"
+    return place
+
+
+# --- running a file --------------------------------------------------------------------------------------------------
+
+
+def _shown(file: str, path: Path | None) -> str:
+    """What messages and provenances call the file: without folders of this machine, unless it lies elsewhere."""
+    given = Path(file)
+    if path is not None:  # of a recipe, whose paths count from the recipe on
+        return path.name if given.is_absolute() else given.as_posix()
+    there, here = given.resolve(), Path.cwd().resolve()
+    return there.relative_to(here).as_posix() if there.is_relative_to(here) else file
+
+
+def _run(path: Path, shown: str) -> tuple[types.ModuleType, dict[str, str]]:
+    """The module that a file makes, and file -> SHA-256 of all code of the user's that was run for it."""
+    raw, where = _text_of(path), path.resolve()
+    digest = hashlib.sha256(raw).hexdigest()
+    module = types.ModuleType(f"plant_file_{digest[:16]}")
+    vars(module).update({"__file__": str(where), MARK: shown})
+    for name, neighbour in _neighbours.items():
+        if sys.modules.get(name) is neighbour:
+            del sys.modules[name]
+    _neighbours.clear()
+    known = {*sys.modules, module.__name__}
+    sys.modules[module.__name__] = module  # dataclasses and pickles look their module up by its name
+    sys.path.append(str(where.parent))
+    try:
+        with _user_code(shown):
+            exec(_compiled(raw, str(where), shown), vars(module))  # noqa: S102  named by the user
+    finally:
+        sys.path.remove(str(where.parent))
+    hashes = {shown: digest}
+    for name in sys.modules.keys() - known:
+        file, package = Path(getattr(sys.modules[name], "__file__", None) or where.root), name.partition(".")[0]
+        if package == "robustlab" or not file.is_relative_to(where.parent):
+            continue
+        beside = file.relative_to(where.parent)
+        if beside.parts[0].removesuffix(".py") == package:  # and not what is installed in an environment in the folder
+            _neighbours[name] = sys.modules[name]
+            hashes[(Path(shown).parent / beside).as_posix()] = file_sha256(file)
+    return module, hashes
+
+
+def _text_of(path: Path) -> bytes:
+    try:
+        is_empty = path.is_file() and path.stat().st_size == 0
+    except (OSError, ValueError):  # a name too long, a NUL in it: told below
+        is_empty = False
+    if not is_empty:  # which is told by what it does not hold
+        require_file(path)
+    return path.read_bytes()
+
+
+def _compiled(raw: bytes, file: str, shown: str) -> types.CodeType:
+    try:
+        return compile(raw, file, "exec", dont_inherit=True)
+    except SyntaxError as error:
+        place = f"{shown}, line {error.lineno}" if error.lineno else shown
+        raise InputError(place, f"is no Python: {error.msg}") from None
+    except ValueError as error:  # a NUL
+        raise InputError(shown, f"is no Python: {error}") from None
+
+
+@contextmanager
+def _user_code(where: str) -> Iterator[None]:
+    """What the user's code raises, as an error of ours that names its line."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except RobustlabError as error:
+        place = _place(error)
+        if place is None:
+            raise
+        kind = InputError if isinstance(error, UsageError) else type(error)  # what is off is the file, not the call
+        raise kind(f"{place}: {error.where}", error.found, error.expected, error.hint, error.more) from error
+    except SystemExit as error:
+        found = "ends the program (sys.exit)" if error.code is None else f"ends the program (sys.exit({error.code!r}))"
+        raise InputError(_place(error) or where, found, "code that defines plants") from error
+    except Exception as error:
+        raise _told(error, _place(error) or where) from error
+
+
+def _told(error: Exception, place: str) -> RobustlabError:
+    if isinstance(error, SyntaxError) and error.filename and error.lineno:
+        return InputError(f"{Path(error.filename).name}, line {error.lineno}", f"is no Python: {error.msg}")
+    text = next(iter(str(error).strip().splitlines()), "")
+    package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if package in EXTRAS:
+        return DependencyMissing(place, f"needs {package}", None, f"pip install 'robustlab[{EXTRAS[package]}]'")
+    hint = f"install it, or put {package}.py beside the file" if package else None
+    return InputError(place, f"{type(error).__name__}: {text}".removesuffix(": "), None, hint)
+
+
+# --- plants in a module ----------------------------------------------------------------------------------------------
+
+
+def _made(target: Any, given: dict[str, Any], shown: str) -> Plant:
+    """The plant that an object of the file is, or returns."""
+    made = target
+    if not isinstance(target, Plant):
+        if not callable(target):
+            raise InputError(shown, f"a {type(target).__name__}", "a plant, or a function that returns one")
+        asked = _arguments(target)
+        takes_all = any(p.kind is Parameter.VAR_KEYWORD for p in asked.values())
+        made = target(**{key: given.pop(key) for key in list(given) if takes_all or key in asked})
+    if not isinstance(made, Plant):
+        found = "None" if made is None else f"a {type(made).__name__}"
+        hint = "return p.plant(**given)" if callable(getattr(made, "plant", None)) else None
+        raise InputError(shown, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
+    if not given:
+        return made
+    change = getattr(made, "with_parameters", None)
+    if change is None:
+        raise InputError(shown, f"{next(iter(given))}: takes no parameters", "none")
+    return change(**given)
+
+
+def _arguments(target: Callable[..., Any]) -> Mapping[str, Parameter]:
+    try:
+        return signature(target).parameters
+    except (TypeError, ValueError):  # of compiled code
+        return {}
+
+
+def _check_shapes(plant: Plant, shown: str) -> None:
+    """Equations that a user wrote as methods give as many numbers as there are states and outputs."""
+    if type(plant).__module__.startswith("robustlab."):
+        return  # checked where the plant is made
+    x, u = np.zeros(len(plant.states)), np.zeros(len(plant.inputs))
+    for word, function, n in (
+        ("derivative", plant.derivative, len(plant.states)),
+        ("output", plant.output, len(plant.outputs)),
+    ):
+        try:
+            with _user_code(shown), np.errstate(all="ignore"):
+                found = np.shape(function(x, u))
+        except NoTrustworthyNumber:
+            continue  # zero lies outside of what the machine can do
+        if found != (n,):
+            raise InputError(shown, f"{word}(x, u) has the shape {found}", f"({n},)")
+
+
+def _plants(module: types.ModuleType) -> tuple[str, ...]:
+    """Names of plants, and of the file's own functions that return one without any argument."""
+    return tuple(name for name, thing in list(vars(module).items()) if _is_plant(name, thing, module.__name__))
+
+
+def _is_plant(name: str, thing: Any, module: str) -> bool:
+    if not isinstance(thing, types.FunctionType) or thing.__module__ != module or name.startswith("_"):
+        return isinstance(thing, Plant)
+    optional = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+    if any(p.default is Parameter.empty and p.kind not in optional for p in _arguments(thing).values()):
+        return False
+    try:
+        return isinstance(thing(), Plant)
+    except (Exception, SystemExit):  # noqa: BLE001  one that does not work is named: it may be what is meant
+        return True
+
+
+def _choice(module: types.ModuleType) -> str:
+    shown, names = vars(module)[MARK], _plants(module)
+    return f"one of {', '.join(f'{shown}:{name}' for name in names)}" if names else "a file that defines a plant"

@@ -1,0 +1,79 @@
+"""A plant to start from: the file that ``robustlab plant new`` writes."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+from robustlab.errors import EnvironmentFault, UsageError
+from robustlab.files.atomic import atomic_write
+
+__all__ = ["PLANT", "TEMPLATE", "write_template"]
+
+# The plant in the template.
+PLANT = "axis"
+
+TEMPLATE = '''\
+"""{stem}: one axis that is pushed by a motor and sags under its own weight on a spring.
+
+Look at it:                robustlab plant show {file}:axis
+Against a measurement:     robustlab data compare {file}:axis run.csv --inputs F --outputs x
+What does the model lack:  robustlab data discover {file}:axis run.csv --inputs F --outputs x
+"""
+
+import casadi as ca  # ca.sin, ca.cos, ca.sqrt, ... of expressions
+
+import robustlab as rl
+
+
+def axis(**given):
+    p = rl.PlantEquations("{stem}")
+
+    # What you know about the machine: name, value, unit. tolerance=0.05: the true value is within 5 % of this one.
+    # role: what the parameter is to the equations; an effect "inertia wrong" scales those with the role "inertia".
+    # One of inertia, viscous-friction, torque-constant, resistance, inductance, stiffness, input-gain, none.
+    m = p.parameter("m", 12.0, "kg", tolerance=0.05, role="inertia", meaning="moving mass", source="weighed")
+    c = p.parameter("c", 30.0, "N s/m", tolerance=0.3, role="viscous-friction", meaning="grease", source="assumed")
+    k = p.parameter("k", 800.0, "N/m", tolerance=0.1, role="stiffness", meaning="spring", source="data sheet")
+    h = p.parameter("h", 2e5, "N/m3", role="none", meaning="how the spring stiffens", source="measured")
+    g = p.parameter("g", 9.81, "m/s2", role="none", meaning="gravity")
+
+    # What drives the machine.
+    F = p.input("F", "N")
+
+    # A joint: a coordinate and its velocity. Friction, backlash and other effects can act there.
+    x, v = p.joint("x", "v", "m")
+
+    # The equation of motion: mass matrix times acceleration = sum of the forces, one row a joint. Write it as on paper;
+    # robustlab finds the point of rest, the derivatives and the linear model from it.
+    p.motion([[m]], [F - m * g - k * x - h * x**3 - c * v])
+
+    # What is measured.
+    p.output("x", x, "m")
+    return p.plant(**given)
+'''
+
+
+def write_template(name: str) -> Path:
+    """Write ``NAME.py`` in the working directory; a file that is there stays.
+
+    Raises
+    ------
+    UsageError
+        A name that a module cannot have, or that Python knows as another module.
+    EnvironmentFault
+        The file exists already, or cannot be written.
+    """
+    stem = name.removesuffix(".py")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", stem) or keyword.iskeyword(stem):
+        raise UsageError(f"plant new {name}", "not a name", "letters, digits and _, with a letter first")
+    path = Path(f"{stem}.py")
+    if path.exists() or path.is_symlink():
+        raise EnvironmentFault(str(path), "exists already", "a new name")
+    if find_spec(stem) is not None:
+        raise UsageError(f"plant new {name}", "the name of a module that Python knows", "a name of your own")
+    text = TEMPLATE.format(stem=stem, file=path)
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return path
