@@ -41,12 +41,12 @@ from robustlab.dynamics.descriptor_lft import Channels, closed_descriptor, solve
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import SAMPLED, Block, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.matrix_polynomial import Exponents, MatrixPolynomial, polynomial_lft
 
-__all__ = ["REMAINDER", "SAMPLED", "TrimmedDescriptor", "uncertain_family"]
+__all__ = ["REMAINDER", "TrimmedDescriptor", "uncertain_family"]
 
 Values = Mapping[str, float]
 
@@ -54,8 +54,6 @@ Values = Mapping[str, float]
 SAME, ZERO = 1e-10, 1e-12
 # The uncertain model must give the plant's own linear models to this share of the largest entry of each row.
 EXACT = 1e-8
-# Origins of blocks that hold for samples only begin with this word.
-SAMPLED = "sampled"
 REMAINDER = "remainder"
 
 
@@ -205,13 +203,15 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
     factors: list[tuple[int, str | int]] = []
     for row in free if known else ():
         rows = {name: scan[:, row] for name, scan in known.items()}
-        best = _complexity(rows)
-        while best[0]:
-            tries = [(by, _times(rows, by, nodes, {**family.values, **base})) for by in (*known, *range(width))]
+        values = {**family.values, **base}
+        best, left = _complexity(rows), [tuple(known), tuple(range(width))]  # parameters come first
+        while best[0] and left:
+            tries = [(by, _times(rows, by, nodes, values)) for by in left[0]]
             judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries) if made is not None]
             least, k = min(judged, default=(best, 0))
             if least >= best:
-                break
+                left = left[1:]
+                continue
             best, (by, made) = least, tries[k]
             assert made is not None
             rows = made
@@ -252,7 +252,7 @@ def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
 
 
 def _degree(scan: Array) -> int | None:
-    """Least degree of a polynomial through values at Chebyshev nodes, (nodes, ...); None: of none that is looked for."""
+    """Least degree of a polynomial through values at Chebyshev nodes, (nodes, ...); None where there is no such."""
     flat = scan.reshape(len(scan), -1)
     basis = np.polynomial.chebyshev.chebvander(_chebyshev(len(scan)), TUNING.family_degree)
     for degree in range(TUNING.family_degree + 1):
@@ -265,13 +265,11 @@ def _degree(scan: Array) -> int | None:
 # --- the exact part --------------------------------------------------------------------------------------------------
 
 
-def _exact_part(
-    family: _Family, degrees: Mapping[str, int | None], scale: Array
-) -> MatrixPolynomial:
+def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array) -> MatrixPolynomial:
     """N as a polynomial of what stands in Delta, without the sampled parameters; checked at points of its own."""
     names = family.names
     exact = [k for k, name in enumerate(names) if degrees[name]]
-    zero = (0,) * len(names)
+    zero: Exponents = (0,) * len(names)
     centre = family.at({})
     if not exact:
         return MatrixPolynomial(names, {zero: centre})
@@ -287,7 +285,7 @@ def _exact_part(
     if len(monomials) > TUNING.family_monomials:
         found = f"{len(monomials)} products of {len(exact)} parameters"
         raise InputError(family.where, found, f"at most {TUNING.family_monomials}", "fewer tolerances at once")
-    points = rng.uniform(*spans.T, (2 * len(monomials) + TUNING.family_checks, len(exact)))
+    points = rng.uniform(spans[:, 0], spans[:, 1], (2 * len(monomials) + TUNING.family_checks, len(exact)))
     t = (points - nominal) / half
     basis = np.array([np.prod(t**e, axis=1) for e in monomials]).T
     off = (at(points) - centre) / scale
@@ -300,7 +298,7 @@ def _exact_part(
         raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
     coefficients[np.abs(coefficients) <= ZERO] = 0.0
     radius = np.array([family.ranges[k].radius for k in exact])
-    terms = {zero: centre}
+    terms: dict[Exponents, Array] = {zero: centre}
     for e, part in zip(monomials, coefficients, strict=True):
         if part.any():
             powers = dict(zip(exact, e, strict=True))
@@ -349,7 +347,7 @@ def _monomials(degrees: Sequence[int], meetings: set[tuple[int, int]]) -> list[E
 
 
 class _Remainder(NamedTuple):
-    """``left Delta right`` of the full block, and the evidence: sizes of Delta at most, of samples and of fresh ones."""
+    """``left Delta right`` of the full block; samples, fresh ones, and the largest Delta that these need."""
 
     left: Array
     right: Array
@@ -535,9 +533,7 @@ def _closed(
     return made if all(sum(powers) <= 1 for powers in polynomial.terms) else made.reduce()
 
 
-def _off(
-    family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None
-) -> float:
+def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None) -> float:
     """Largest difference of a member from the plant's own model, relative to the largest of the entry's row."""
     n, n_u = model.M.n_states, len(model.inputs)
     rng = np.random.default_rng(1)

@@ -32,6 +32,8 @@ __all__ = ["held_descriptor"]
 
 
 Values = Mapping[str, float]
+# A state or input below it, in its unit, counts as zero where the size of a rate's terms is taken.
+NONE = 1e-6
 
 
 class _Place(Protocol):
@@ -39,15 +41,19 @@ class _Place(Protocol):
     def name(self) -> str: ...
     @property
     def kind(self) -> Any: ...
+    @property
+    def position(self) -> str: ...
 
 
 class _LocallyLinear(Protocol):
     """What is asked of the plant: a `NonlinearPlant` that has `local_models`."""
 
-    name: str
-    inputs: tuple[Signal, ...]
-    states: tuple[Signal, ...]
-
+    @property
+    def name(self) -> str: ...
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def states(self) -> tuple[Signal, ...]: ...
     @property
     def port_places(self) -> Sequence[_Place]: ...
     @property
@@ -65,7 +71,8 @@ def held_descriptor(
         Rest at the nominal parameters, (n_x,) and (n_u,).
     hold
         Names of states and inputs that are held, besides the velocities of the joints, which stay zero. Where left out,
-        all states but currents if the inputs can follow at all ``tried`` values of the parameters, else the inputs.
+        the first of these with which there is rest at all ``tried`` values of the parameters: all states but currents,
+        the positions of the joints, the inputs.
 
     Raises
     ------
@@ -83,7 +90,9 @@ def held_descriptor(
         if name not in names:
             expected = f"of {', '.join(names)}"
             raise InputError(f"{plant.name}: hold", f"no state or input {name!r}", expected, did_you_mean(name, names))
-    choices = [set(hold)] if hold is not None else [set(states) - currents, set(inputs)]
+    positions = {place.position for place in places if place.kind == "joint" and place.position}
+    choices = [set(states) - currents, *([positions] if positions else []), set(inputs)]
+    choices = [set(hold)] if hold is not None else choices
     refused: NoTrustworthyNumber | None = None
     for choice in choices:
         held = choice | {place.name for place in places if place.kind == "joint"}
@@ -126,26 +135,41 @@ class _Rest:
         return f"held: {held}" + (f"; what follows: {', '.join(follow)}" if follow else "")
 
     def at(self, values: Values) -> Any:
-        """The local model at rest, by Newton's method from the start."""
-        plant, point, follow, n = self.plant, self.start.copy(), list(self.follow), len(self.plant.states)
-        best: tuple[float, Any] | None = None
-        for _ in range(TUNING.rest_passes):
-            local = plant.local_models(point[None, :n], point[None, n:], values)
-            rates, slopes = local.rates[0], np.hstack([local.A[0], local.B[0]])
-            # a rate counts against what its terms add up to
-            size = np.abs(slopes) @ np.where(point == 0, 1.0, np.abs(point)) + np.finfo(float).tiny
-            off = float(np.abs(rates / size).max(initial=0.0))
-            if not np.isfinite(off) or (best is not None and best[0] <= TUNING.still and off >= 0.5 * best[0]):
-                break
-            if best is None or off < best[0]:
-                best = off, local
-            if off == 0.0 or not follow:
+        """The local model at rest, by Newton's method from the start; steps are halved while they lead away."""
+        follow = list(self.follow)
+        point = self.start.copy()
+        off, local, size = self._looked(point, values)
+        for _ in range(TUNING.rest_passes if follow else 0):
+            if off == 0.0:
                 break
             weight = np.where(self.start[follow] == 0, 1.0, np.abs(self.start[follow]))
-            step = np.linalg.lstsq(slopes[:, follow] * weight / size[:, None], -rates / size, rcond=None)[0]
-            point[follow] += weight * step
-        if best is None or best[0] > TUNING.still:
-            moving = "" if best is None else f": {plant.states[int(np.abs(best[1].rates[0]).argmax())].name} moves"
+            slopes = np.hstack([local.A[0], local.B[0]])[:, follow] * weight / size[:, None]
+            step = weight * np.linalg.lstsq(slopes, -local.rates[0] / size, rcond=None)[0]
+            # at rounding a step is only tried as it is
+            for _ in range(1 if off <= TUNING.still else TUNING.rest_halvings):
+                there = point.copy()
+                there[follow] += step
+                found = self._looked(there, values)
+                if found[0] < off:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            (off, local, size), point = found, there
+        if not off <= TUNING.still:
             hint = "hold other states or inputs, so that the others can follow"
-            raise NoTrustworthyNumber(plant.name, f"no rest with what is held{moving}", None, hint)
-        return best[1]
+            fastest = self.plant.states[int(np.argmax(np.abs(local.rates[0] / size)))].name if local else "a state"
+            raise NoTrustworthyNumber(self.plant.name, f"no rest with what is held: {fastest} moves", None, hint)
+        return local
+
+    def _looked(self, point: Array, values: Values) -> tuple[float, Any, Array]:
+        """The largest rate relative to what its terms add up to, the local model, those sums; inf where none is."""
+        n = len(self.plant.states)
+        try:
+            local = self.plant.local_models(point[None, :n], point[None, n:], values)
+        except NoTrustworthyNumber:
+            return np.inf, None, np.ones(n)
+        slopes = np.hstack([local.A[0], local.B[0]])
+        size = np.abs(slopes) @ np.where(np.abs(point) < NONE, 1.0, np.abs(point)) + np.finfo(float).tiny
+        off = float(np.abs(local.rates[0] / size).max(initial=0.0))
+        return (off if np.isfinite(off) else np.inf), local, size

@@ -318,8 +318,9 @@ class NonlinearPlant(Plant):
             A `Trim`, what `trim` takes as a dict, or for a mechanism a pose (6,); the trim at home where left out.
         hold
             States and inputs that keep their value while the parameters change and the others follow into rest. Where
-            left out, all states but currents, so that the inputs follow; the inputs, so that the states do, where they
-            cannot. ``origin`` of the blocks says which. (A platform holds its pose.)
+            left out, the first of these with which there is rest: all states but currents (the inputs follow), the
+            positions of the joints, the inputs (the states follow). ``origin`` of the blocks says which. A platform
+            holds its pose.
 
         Returns
         -------
@@ -334,7 +335,7 @@ class NonlinearPlant(Plant):
             No rest with what is held at some value of the parameters, named by it.
         """
         allowed = parameter_ranges(self.parameters, ranges or {}, self.name)
-        point = self._rest(at)
+        point = _trim_at(self, at)
         model = StateSpaceModel(
             *self.jacobians_at(point),
             0.0, self.inputs, self.outputs, self.states, point.operating_point, self.name,
@@ -342,14 +343,6 @@ class NonlinearPlant(Plant):
         tried = [{**self.values, name: end} for name, r in allowed.items() for end in (r.low, r.high)]
         trimmed = self.trimmed_descriptor(point, hold, tried)
         return uncertain_family(self.name, model, trimmed, self.values, allowed, outputs)
-
-    def _rest(self, at: Any) -> Trim:
-        """The trim that the user gave or asked for."""
-        if not isinstance(at, Trim):
-            return self.equilibrium() if at is None else self.equilibrium(**(at if isinstance(at, dict) else {"pose": at}))
-        if at.plant != self.name or (len(at.x), len(at.u)) != (len(self.states), len(self.inputs)):
-            raise InputError("uncertain: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {self.name}")
-        return at
 
     def outputs_along(self, x: Array, u: Array) -> Array:
         """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
@@ -386,6 +379,17 @@ class NonlinearPlant(Plant):
                 raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)
             states[first : last + 1] = found.y.T
         return states
+
+
+def _trim_at(plant: NonlinearPlant, at: Any) -> Trim:
+    """The trim that the user gave, or asked for by a dict, a pose or nothing."""
+    if at is None or isinstance(at, dict):
+        return plant.equilibrium(**(at or {}))
+    if not isinstance(at, Trim):
+        return plant.equilibrium(pose=at)
+    if at.plant != plant.name or (len(at.x), len(at.u)) != (len(plant.states), len(plant.inputs)):
+        raise InputError("uncertain: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
+    return at
 
 
 class SteppedPlant(NonlinearPlant):

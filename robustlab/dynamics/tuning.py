@@ -84,6 +84,8 @@ class DynamicsTuning:
     rest_passes: int = 60
     cheap: float = 1e4
     still: float = 1e-11
+    # Where parameters change, a Newton step that leads away is halved so often at most.
+    rest_halvings: int = 40
     # Share of the signal over which the slope of an input or output map is taken, and the least level for it.
     signal_step: float = 1e-3
     least_level: float = 1e-3

@@ -86,7 +86,9 @@ def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float)
     return ConstantLft(names, lft.d11, lft.d12 * cols, rows[:, None] * lft.d21, lft.d22 * scale)
 
 
-def _expanded(terms: Mapping[Exponents, Array], order: Sequence[int], tolerance: float) -> tuple[list[int], ConstantLft]:
+def _expanded(
+    terms: Mapping[Exponents, Array], order: Sequence[int], tolerance: float
+) -> tuple[list[int], ConstantLft]:
     """The variable of each channel, and the LFT; the first variable of the order that occurs is taken out first."""
     occurring = {k for exponents in terms for k, e in enumerate(exponents) if e}
     (m, n), zero = next(iter(terms.values())).shape, (0,) * len(order)

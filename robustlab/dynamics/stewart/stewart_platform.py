@@ -250,7 +250,7 @@ class StewartPlatform(NonlinearPlant):
         r"""The platform at a pose as a function of its parameters.
 
         .. math:: M(p)\,\ddot\varphi = K(p)\,\varphi + k\,\tau, \qquad
-            \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
+            \tau = K_m i - K_f k \dot\varphi, \qquad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
 
         The pose is held; the holding torques, which shape K, follow. M and K are affine in masses and inertias, and
         polynomials of the places of the centres of gravity. Whether the inertias are those of a rigid body is not
