@@ -41,7 +41,7 @@ from robustlab.dynamics.descriptor_lft import Channels, closed_descriptor, solve
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import SAMPLED, Block, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.matrix_polynomial import Exponents, MatrixPolynomial, polynomial_lft
@@ -351,7 +351,6 @@ class _Remainder(NamedTuple):
 
     left: Array
     right: Array
-    affine: bool
     samples: int
     fresh: int
     fresh_size: float
@@ -450,18 +449,17 @@ def _bounded(
     left[rows, range(len(rows))] = natural[:, 0]
     right[range(len(columns)), columns] = natural[0] / natural[0, 0]
     first, across = scale[:, :1] / scale[0, 0], scale[:1]
-    affine = all(sum(e) <= 1 for e in polynomial.terms)
-    made = _Remainder(first * left, right * across, affine, len(rest), 0, 0.0)
+    made = _Remainder(first * left, right * across, len(rest), 0, 0.0)
     largest = float(np.linalg.norm(made.delta(rest * scale), 2, axis=(1, 2)).max())
+    count = len(rest)
     for attempt in range(1, TUNING.family_rounds + 1):
         bound = TUNING.family_room * largest
         s = _box(family, moving, attempt)[1:]
         off = family.inside(s) - _values(polynomial, family.entries(s))
         size_there = float(np.linalg.norm(made.delta(off), 2, axis=(1, 2)).max())
-        count = len(rest) + (attempt - 1) * len(s)
         if size_there <= bound:
             return made._replace(left=bound * made.left, samples=count, fresh=len(s), fresh_size=size_there / bound)
-        largest = size_there
+        largest, count = size_there, count + len(s)
     found = f"fresh samples still left the cover of {count} after {TUNING.family_rounds} rounds"
     raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
 
@@ -477,22 +475,24 @@ class _Origins(NamedTuple):
     powers: int
     remainder: _Remainder | None
 
-    def of(self, name: str, off: float) -> str:
+    def of(self, name: str, off: float, affine: bool) -> str:
+        """The origin of a block; ``off``: how well the set gives the plant's own models."""
+        rest = self.remainder
+        if name == REMAINDER and rest is not None:
+            proved = f"proved on the hull of {rest.samples}" if affine else f"proved for {rest.samples}"
+            return (
+                f"{SAMPLED}: {proved} linear models only; {rest.fresh} fresh ones need {rest.fresh_size:.2f} of it;"
+                " complex and dynamic members come in"
+            )
         degree = self.degrees[name]
         if degree is None:
             power = "first-order effect" if self.powers == 1 else f"effect up to order {self.powers}"
-            rest = "nothing is left at the samples" if self.remainder is None else f"the rest stands in {REMAINDER}"
-            return f"{SAMPLED}: its {power}, {rest}; {self.held}"
+            said = "nothing is left at the samples" if rest is None else f"the rest stands in {REMAINDER}"
+            return f"{SAMPLED}: its {power}, {said}; {self.held}"
         kind = "affine" if degree == 1 else f"of degree {degree}"
-        return f"exact: the descriptor form is {kind} in it; linear models of the plant met to {off:.1e}; {self.held}"
-
-    def of_rest(self) -> str:
-        r = self.remainder
-        assert r is not None
-        proved = f"proved on the hull of {r.samples}" if r.affine else f"proved for {r.samples}"
+        least = ", repeated as often as its rank asks" if affine else ""
         return (
-            f"{SAMPLED}: {proved} linear models only; {r.fresh} fresh ones need {r.fresh_size:.2f} of it;"
-            " complex and dynamic members come in"
+            f"exact: the descriptor form is {kind} in it{least}; the plant's own models met to {off:.1e}; {self.held}"
         )
 
 
@@ -505,32 +505,27 @@ def _closed(
     order = [k for name in family.names for k, owner in enumerate(lft.names) if owner == name]
     left, right, inner = lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)]
     counts = {name: lft.names.count(name) for name in family.names}
+    blocks: list[RealScalar | FullBlock] = [
+        RealScalar(name, counts[name], r) for name, r in zip(family.names, family.ranges, strict=True) if counts[name]
+    ]
     if remainder is not None:
         q, p = remainder.left.shape[1], remainder.right.shape[0]
         left, right = np.hstack([left, remainder.left]), np.vstack([right, remainder.right])
         inner = np.block([[inner, np.zeros((len(inner), q))], [np.zeros((p, inner.shape[1])), np.zeros((p, q))]])
-
-    def blocks(off: float) -> tuple[Block, ...]:
-        ranges = dict(zip(family.names, family.ranges, strict=True))
-        made: list[Block] = [
-            RealScalar(name, n, ranges[name], origin=told.of(name, off)) for name, n in counts.items() if n
-        ]
-        if remainder is not None:
-            made.append(FullBlock(REMAINDER, q, p, origin=told.of_rest()))
-        return tuple(made)
-
+        blocks.append(FullBlock(REMAINDER, q, p))
     n, n_u = nominal.n_states, nominal.n_inputs
     e = -family.at({})[:n, n + n_u :]
-    point = nominal.operating_point
-    whole = closed_descriptor(nominal, e, Channels(left, right, inner, blocks(0.0)), family.where, None, point)
+    channels, point = Channels(left, right, inner, tuple(blocks)), nominal.operating_point
+    whole = closed_descriptor(nominal, e, channels, family.where, None, point)
     off = _off(family, whole, polynomial, remainder)
     if not off <= EXACT:
         found = f"the set is off the plant's linear models by {off:.2g} of an entry's row"
         raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
-    told_of = Channels(left, right, inner, blocks(off))
-    made = closed_descriptor(nominal, e, told_of, family.where, outputs, point)
+    affine = all(sum(powers) <= 1 for powers in polynomial.terms)
+    named = tuple(replace(block, origin=told.of(block.name, off, affine)) for block in blocks)
+    made = closed_descriptor(nominal, e, channels._replace(blocks=named), family.where, outputs, point)
     # an affine form has as few repetitions as there can be
-    return made if all(sum(powers) <= 1 for powers in polynomial.terms) else made.reduce()
+    return made if affine else made.reduce()
 
 
 def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None) -> float:

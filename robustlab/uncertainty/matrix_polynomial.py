@@ -17,9 +17,10 @@ Cockburn, Morton, "Linear fractional representations of uncertain systems", Auto
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice, permutations
+from itertools import permutations
 
 import numpy as np
 
@@ -76,7 +77,7 @@ def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float)
     count = len(polynomial.names)
     best: tuple[list[int], ConstantLft] | None = None
     affine = all(sum(e) <= 1 for e in plain)
-    for order in islice(permutations(range(count)), 1 if affine else TUNING.variable_orders):
+    for order in [range(count)] if affine else _orders(count):
         found = _expanded(plain, order, tolerance)
         if best is None or len(found[0]) < len(best[0]):
             best = found
@@ -84,6 +85,16 @@ def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float)
     channels, lft = best
     names = tuple(polynomial.names[k] for k in channels)
     return ConstantLft(names, lft.d11, lft.d12 * cols, rows[:, None] * lft.d21, lft.d22 * scale)
+
+
+def _orders(count: int) -> list[Sequence[int]]:
+    """Orders of the variables: all, or forwards and backwards with each one put first and last."""
+    every = range(count)
+    if math.factorial(min(count, 20)) <= TUNING.variable_orders:
+        return list(permutations(every))
+    turned: list[Sequence[int]] = [list(every), list(reversed(every))]
+    moved = [made for k in every for made in ([k, *(j for j in every if j != k)], [*(j for j in every if j != k), k])]
+    return [*turned, *moved]
 
 
 def _expanded(
