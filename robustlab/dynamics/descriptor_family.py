@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.budget import one_thread
 from robustlab.dynamics.descriptor_lft import Channels, closed_descriptor, solved
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
@@ -75,6 +76,7 @@ class TrimmedDescriptor(NamedTuple):
     free: tuple[int, ...] = ()
 
 
+@one_thread()
 def uncertain_family(
     where: str,
     nominal: StateSpaceModel,
