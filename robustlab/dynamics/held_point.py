@@ -61,7 +61,7 @@ class _LocallyLinear(Protocol):
 
 
 def held_descriptor(
-    plant: _LocallyLinear, x: Array, u: Array, hold: Sequence[str] | None = None, tried: Sequence[Values] = ()
+    plant: _LocallyLinear, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
 ) -> TrimmedDescriptor:
     """The plant's descriptor form about (x, u) as a function of its parameters.
 
@@ -73,6 +73,8 @@ def held_descriptor(
         Names of states and inputs that are held, besides the velocities of the joints, which stay zero. Where left out,
         the first of these with which there is rest at all ``tried`` values of the parameters: all states but currents,
         the positions of the joints, the inputs.
+    tried
+        Values of all parameters by what messages call them.
 
     Raises
     ------
@@ -98,8 +100,8 @@ def held_descriptor(
         held = choice | {place.name for place in places if place.kind == "joint"}
         rest = _Rest(plant, np.concatenate([x, u]), [k for k, name in enumerate(names) if name not in held])
         try:
-            for values in tried:
-                rest.at(values)
+            for label, values in tried.items():
+                rest.at(values, f" ({label})")
         except NoTrustworthyNumber as error:
             refused = refused or error
             continue
@@ -134,7 +136,7 @@ class _Rest:
         held = ", ".join(name for name in names if name not in follow) or "nothing"
         return f"held: {held}" + (f"; what follows: {', '.join(follow)}" if follow else "")
 
-    def at(self, values: Values) -> Any:
+    def at(self, values: Values, label: str = "") -> Any:
         """The local model at rest, by Newton's method from the start; steps are halved while they lead away."""
         follow = list(self.follow)
         point = self.start.copy()
@@ -156,10 +158,12 @@ class _Rest:
             else:
                 break
             (off, local, size), point = found, there
-        if not off <= TUNING.still:
+        if not np.isfinite(off):
+            raise NoTrustworthyNumber(self.plant.name, f"no finite linear model with what is held{label}")
+        if off > TUNING.still:
+            fastest = self.plant.states[int(np.argmax(np.abs(local.rates[0] / size)))].name
             hint = "hold other states or inputs, so that the others can follow"
-            fastest = self.plant.states[int(np.argmax(np.abs(local.rates[0] / size)))].name if local else "a state"
-            raise NoTrustworthyNumber(self.plant.name, f"no rest with what is held: {fastest} moves", None, hint)
+            raise NoTrustworthyNumber(self.plant.name, f"no rest with what is held: {fastest} moves{label}", None, hint)
         return local
 
     def _looked(self, point: Array, values: Values) -> tuple[float, Any, Array]:

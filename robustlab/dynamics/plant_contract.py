@@ -288,7 +288,7 @@ class NonlinearPlant(Plant):
         """State and input at which the plant stays; what it may be asked for is the plant's own matter."""
 
     def trimmed_descriptor(
-        self, trim: Trim, hold: Sequence[str] | None = None, tried: Sequence[Mapping[str, float]] = ()
+        self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
         """The plant at rest as a function of its parameters; see `robustlab.dynamics.held_point.held_descriptor`."""
         return held_descriptor(self, trim.x, trim.u, hold, tried)
@@ -340,7 +340,8 @@ class NonlinearPlant(Plant):
             *self.jacobians_at(point),
             0.0, self.inputs, self.outputs, self.states, point.operating_point, self.name,
         )  # fmt: skip
-        tried = [{**self.values, name: end} for name, r in allowed.items() for end in (r.low, r.high)]
+        ends = [(name, end) for name, r in allowed.items() for end in (r.low, r.high)]
+        tried = {f"{name} = {end:.6g}": {**self.values, name: end} for name, end in ends}
         trimmed = self.trimmed_descriptor(point, hold, tried)
         return uncertain_family(self.name, model, trimmed, self.values, allowed, outputs)
 

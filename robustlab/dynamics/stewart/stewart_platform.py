@@ -245,7 +245,7 @@ class StewartPlatform(NonlinearPlant):
         return Trim(self.name, x, u, x[:12].copy(), residual, at.copy(), status)
 
     def trimmed_descriptor(
-        self, trim: Trim, hold: Sequence[str] | None = None, tried: Sequence[Mapping[str, float]] = ()
+        self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
         r"""The platform at a pose as a function of its parameters.
 
