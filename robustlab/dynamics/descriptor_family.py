@@ -51,8 +51,9 @@ __all__ = ["REMAINDER", "TrimmedDescriptor", "uncertain_family"]
 
 Values = Mapping[str, float]
 
-# Of the natural magnitude of an entry: what two values of the same thing may differ by, and what counts as zero.
-SAME, ZERO = 1e-10, 1e-12
+# Of the natural magnitude of an entry: what two values of the same thing may differ by, what counts as zero, and what
+# rounding there is at least; a Chebyshev coefficient is none that is so many times larger than the highest ones.
+SAME, ZERO, ROUNDING, CLEAR = 1e-10, 1e-12, 1e-14, 30.0
 # The uncertain model must give the plant's own linear models to this share of the largest entry of each row.
 EXACT = 1e-8
 REMAINDER = "remainder"
@@ -254,14 +255,17 @@ def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
 
 
 def _degree(scan: Array) -> int | None:
-    """Least degree of a polynomial through values at Chebyshev nodes, (nodes, ...); None where there is no such."""
-    flat = scan.reshape(len(scan), -1)
-    basis = np.polynomial.chebyshev.chebvander(_chebyshev(len(scan)), TUNING.family_degree)
-    for degree in range(TUNING.family_degree + 1):
-        q, _ = np.linalg.qr(basis[:, : degree + 1])
-        if np.abs(flat - q @ (q.T @ flat)).max(initial=0.0) <= SAME:
-            return degree
-    return None
+    """Degree of the polynomial through values at Chebyshev nodes, (nodes, ...) of magnitude one; None: of none.
+
+    A function that is no polynomial has Chebyshev coefficients that fall off until they drown in rounding, which the
+    highest ones show; a polynomial has none beyond its degree.
+    """
+    count = len(scan)
+    basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
+    sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)
+    rounding = np.maximum(CLEAR * sizes[-TUNING.family_top :].max(axis=0), ROUNDING)
+    degree = int(np.flatnonzero((sizes > rounding).any(axis=1)).max(initial=0))
+    return degree if degree <= TUNING.family_degree and rounding.max() <= SAME else None
 
 
 # --- the exact part --------------------------------------------------------------------------------------------------
@@ -295,7 +299,7 @@ def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array
     flat = off.reshape(len(off), -1)
     coefficients = np.linalg.lstsq(basis[fit], flat[fit], rcond=None)[0]
     miss = float(np.abs(basis[check] @ coefficients - flat[check]).max())
-    if miss > 10 * SAME:
+    if miss > SAME:
         found = f"the linear models are off their polynomial by {miss:.2g}"
         raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
     coefficients[np.abs(coefficients) <= ZERO] = 0.0
@@ -322,7 +326,7 @@ def _meetings(at: Callable[[Array], Array], nominal: Array, spans: Array, scale:
     return {
         (i, j)
         for (i, j), there in zip(pairs, together, strict=True)
-        if np.abs(there - alone[i] - alone[j] + both).max() > SAME
+        if np.abs(there - alone[i] - alone[j] + both).max() > ZERO
     }
 
 

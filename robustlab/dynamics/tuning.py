@@ -116,9 +116,11 @@ class DynamicsTuning:
     # more plants have no linear model that far away.
     family_reach: float = 0.5
     family_zero: float = 10.0
-    # Chebyshev nodes along a parameter, and the highest degree that is looked for.
-    family_nodes: int = 9
-    family_degree: int = 4
+    # Chebyshev nodes along a parameter, the highest degree that is looked for, and the number of highest coefficients
+    # that show the rounding. More nodes tell weak functions from polynomials more surely.
+    family_nodes: int = 13
+    family_degree: int = 3
+    family_top: int = 4
     # Products of parameters in a descriptor form at most.
     family_monomials: int = 600
     # Random values at which a form, and then the model, are checked against the plant.

@@ -149,6 +149,15 @@ def explaining(uncertain, delta, wanted):
     return w @ np.linalg.pinv(z)
 
 
+@pytest.mark.parametrize(("name", "pose"), [("c", "home"), ("z_home", "tilted"), ("lead", "tilted")])
+def test_what_only_looks_like_a_polynomial_is_not_taken_for_one(name, pose):
+    """Their effect is smooth and small: a polynomial of degree 4 gives it to 1e-10 of an entry."""
+    for preset in ("thesis", "physical"):
+        plant = rl.plant("stewart-platform", preset=preset, motors=True)
+        plant = plant.with_parameters(**{name: (plant.values[name], 0.01), "Kf": (4.8e-5, 0.0)})
+        assert plant.uncertain(at=POSES[pose]).sampled == (name, "remainder")
+
+
 @pytest.mark.parametrize(
     ("ask", "words"),
     [

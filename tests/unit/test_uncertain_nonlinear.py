@@ -184,6 +184,31 @@ def test_samples_and_a_search():
     assert found.value <= rl.worst_case_gain(uncertain).upper * (1 + 1e-9)
 
 
+@pytest.mark.parametrize(
+    ("slope", "exact"),
+    [
+        (lambda c: 1 + c + c**2 - c**3, True),
+        (lambda c: 1 / c, True),  # a free row is multiplied by c
+        (lambda c: 1 / (3 + c), True),  # or divided by what stands in it
+        (lambda c: 1 + 1e-7 * np.sin(3 * c), False),
+        (lambda c: np.sqrt(c), False),
+        (lambda c: abs(c - 1.02), False),
+        (lambda c: np.exp(0.1 * c), False),
+    ],
+)
+def test_polynomials_are_told_from_others(slope, exact):
+    plant = plants.made(
+        "lag", {"c": (1.0, 0.1)}, "q", "h", "h", lambda x, u, f, p: [slope(p["c"]) * (u[0] - 2 * x[0])],
+        lambda x, u, p: [x[0]], lambda p: (np.array([0.5]), np.array([1.0])),
+    )  # fmt: skip
+    uncertain = plant.uncertain()
+    assert (uncertain.sampled == ()) is exact
+    for value in (0.9, 0.97, 1.1):
+        known = {"c": (value - 1) / 0.1}
+        if exact:
+            np.testing.assert_allclose(uncertain.evaluate(known).A, [[-2 * slope(value)]], rtol=1e-12)
+
+
 def test_json_is_plain():
     data = json.loads(json.dumps([b.to_json() for b in plants.rotor().uncertain().blocks]))
     assert [row["origin"].split(":")[0] for row in data] == ["sampled", "sampled", "exact", "sampled"]
