@@ -271,7 +271,8 @@ def test_a_platform_at_a_pose_says_what_is_exact_and_what_is_covered(tmp_path, c
 
 def test_json_of_a_build_names_the_sampled_blocks(capsys):
     code, text, _ = call(
-        capsys, "build", "--plant", "stewart-platform", "--range", "platform_mass=3:4", "--range", "c=9.9e-3:10.1e-3", "--json"
+        capsys, "build", "--plant", "stewart-platform", "--range", "platform_mass=3:4", "--range", "c=9.9e-3:10.1e-3",
+        "--json",
     )  # fmt: skip
     assert code == 0
     assert json.loads(text)["sampled"] == ["c", "remainder"]
