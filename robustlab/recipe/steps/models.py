@@ -245,19 +245,31 @@ class UncertainStep(Step):
     of: ToPlant
     tolerances: Annotated[dict[str, RelativeTolerance], Field(min_length=1)]
     outputs: list[str] | None = None
+    at: Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float] | None = Field(
+        None, description="Nonlinear plants: pose tx, ty, tz in m, ax, ay, az in rad, or states, inputs, outputs."
+    )
+    hold: list[str] | None = Field(
+        None, description="Nonlinear plants: states and inputs that stay while the parameters change."
+    )
 
     def run(self, work: Workspace) -> Outcome:
-        """The exact LFT of a plant over the ranges of the named parameters; all others are taken as exact."""
+        """The LFT of a plant over the ranges of the named parameters; all others are taken as exact."""
+        from robustlab.dynamics import LinearPlant
+
         given = work.values[self.of]
         exact = {name: (p.value, 0.0) for name, p in given.parameters.items()}
         ranges = {name: (given.values.get(name, 1.0), tolerance) for name, tolerance in self.tolerances.items()}
         made = given.with_parameters(
             **{**exact, **ranges}
         )  # an unknown name is refused there, with the nearest known one
-        model = made.uncertain(self.outputs)
-        facts = [Fact(b.name, _range(b)) for b in model.blocks]
-        summary = f"Exact uncertain model of {self.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
-        return Outcome(model, summary, uncertain_numbers(model), tuple(facts))
+        rest = {key: value for key, value in (("at", self.at), ("hold", self.hold)) if value is not None}
+        if rest and isinstance(made, LinearPlant):
+            raise InputError(next(iter(rest)), f"{self.of} is linear", "it for a nonlinear plant only")
+        model = made.uncertain(self.outputs, **rest)
+        facts = [Fact(b.name, _range(b), b.origin) for b in model.blocks]
+        kind = "Sampled" if model.sampled else "Exact"
+        summary = f"{kind} uncertain model of {self.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
+        return Outcome(model, summary, uncertain_numbers(model), tuple(facts), notes=model.remarks)
 
 
 @step
@@ -321,7 +333,8 @@ def _model_facts(model: Any) -> tuple[Fact, ...]:
 
 def uncertain_numbers(model: Any) -> dict[str, Any]:
     """Size of an uncertain model, for requirements."""
-    return {"blocks": [b.name for b in model.blocks], "channels": model.delta_shape[0], "states": model.M.n_states}
+    numbers = {"blocks": [b.name for b in model.blocks], "channels": model.delta_shape[0], "states": model.M.n_states}
+    return {**numbers, "sampled": list(model.sampled)} if model.sampled else numbers
 
 
 def _range(block: Any) -> str:
