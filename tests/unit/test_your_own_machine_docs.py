@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.main import run
 from robustlab.dynamics.plant_template import TEMPLATE
@@ -57,6 +59,10 @@ def test_the_page_runs_in_order_with_the_search(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     follow(tmp_path, capsys, search=True)
     assert (tmp_path / "found/report.html").is_file()
+    (friction,) = json.loads((tmp_path / "found/result.json").read_text())["effects"]
+    assert friction["parameters"][0]["value"] == pytest.approx(6.0, rel=0.01)
+    (tmp_path / "mymachine.py").unlink()
+    assert rl.trim(rl.load("found/updated-plant.h5"), F=0.0).u[0] == 0.0
 
 
 def test_the_page_runs_in_order_and_prints_what_it_shows(tmp_path, monkeypatch, capsys):
