@@ -173,9 +173,6 @@ class Pendulum(NonlinearPlant):
     def equilibrium(self, *_args, **_kwargs):
         return Trim("pendulum", np.zeros(2), np.zeros(1), np.zeros(1), 0.0)
 
-    def with_parameters(self, **_given):
-        return self
-
 
 def test_a_plant_that_is_a_program_is_refused_with_the_way_to_its_linear_model(tmp_path):
     angle = (rl.Signal("phi", "rad"), rl.Signal("omega", "rad/s"))
