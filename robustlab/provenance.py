@@ -134,6 +134,7 @@ class Traced:
 
     provenance: ClassVar[Provenance | None] = None
 
-    def traced(self, origin: Provenance) -> None:
-        """Note where this object comes from; for the one who has just read it."""
-        object.__setattr__(self, "provenance", origin)
+    def traced(self, origin: Provenance | None) -> None:
+        """Note where this object comes from; for the one who has just read it, or made it of one that knows."""
+        if origin is not None:
+            object.__setattr__(self, "provenance", origin)

@@ -19,6 +19,7 @@ from robustlab.cli.options import (
     ends,
     grouped,
     plant_settings,
+    six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.errors import NoTrustworthyNumber, UsageError
@@ -76,7 +77,7 @@ def build(
     ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", help="Rest of a plant with effects: input, output or state, NAME=VALUE; repeatable."),
+        typer.Option("--at", help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
     ] = None,
     amplitude: Annotated[
         list[str] | None,
@@ -98,9 +99,9 @@ def build(
     made = read_plant(plant, parameters)
     if pose is not None and at:
         raise UsageError("model build", "--pose and --at", "one of them")
-    if at and not isinstance(made, SteppedPlant):
-        raise UsageError("--at", f"{made.name} has no effects", "--pose for a platform; nothing for a linear plant")
-    point: Any = dynamics.trim(made, **assignments("--at", at)) if at else None if pose is None else _pose(pose)
+    if at and not isinstance(made, dynamics.NonlinearPlant):
+        raise UsageError("--at", f"{made.name} is linear", "no --at: its model is the same everywhere")
+    point: Any = dynamics.trim(made, **assignments("--at", at)) if at else None if pose is None else six_numbers(pose)
     sectors = assignments("--amplitude", amplitude)
     model = dynamics.linearise(made, at=point, amplitude=sectors, pade=pade)
     given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
@@ -113,16 +114,6 @@ def build(
     ]
     result = {"plant": plant, "parameters": parameters, "file": out, "model": model, "left_out": missing}
     emit("model build", result, "\n".join(lines), as_json)
-
-
-def _pose(text: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6:
-        raise UsageError(f"--pose {text}", "not six numbers", "tx,ty,tz,ax,ay,az in m and rad")
-    return numbers
 
 
 @app.command()

@@ -35,6 +35,7 @@ __all__ = [
     "grouped",
     "names",
     "plant_settings",
+    "six_numbers",
     "shares",
 ]
 
@@ -194,6 +195,17 @@ def _number(option: str, text: str, value: str, unit: str) -> float:
         return amount(f"{option} {text}", value, unit)
     except InputError as error:
         raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
+
+
+def six_numbers(pose: str) -> list[float]:
+    """``"0,0,0.12,0,0,0"`` as a pose."""
+    try:
+        numbers = [float(word) for word in pose.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise UsageError(f"--pose {pose}", "not six numbers", "tx,ty,tz,ax,ay,az in m and rad")
+    return numbers
 
 
 def plant_settings(texts: list[str] | None) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import typer
 from robustlab.cli.console import emit, note, result_alone, table
 from robustlab.cli.members import named
 from robustlab.cli.options import JsonOption, assignments, plant_settings
-from robustlab.errors import InputError, RobustlabError, UsageError, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
 
 __all__ = ["app", "made_of", "plant_or_model", "read_plant", "uncertain_or_plant"]
 
@@ -139,8 +139,6 @@ def show(
     }  # fmt: skip
     emit("plant show", result, "\n".join(_text(plant, made, rest)), as_json)
     if rest.problem is not None:
-        if at:
-            raise rest.problem
         note(f"no operating point: {rest.problem}")
         raise typer.Exit(rest.problem.exit_code)
 
@@ -166,7 +164,11 @@ class _Rest:
         try:
             self.trim = trim(plant, **at)
             self.model = linearise(plant, at=self.trim)
-        except RobustlabError as error:
+        except NoTrustworthyNumber as error:
+            self.problem = error
+        except InputError as error:
+            if at:  # a name that the user gave
+                raise
             self.problem = error
 
     def to_json(self) -> dict[str, Any]:

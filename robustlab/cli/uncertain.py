@@ -18,7 +18,9 @@ from robustlab.cli.options import (
     assignments,
     ends,
     grouped,
+    plant_settings,
     shares,
+    six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.errors import InputError, RobustlabError, UsageError
@@ -100,15 +102,30 @@ class PlantRanges:
         typer.Option("--outputs", help="Outputs of the plant to keep: a,b; states they do not show are dropped."),
     ] = None
 
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Value or choice of the plant, NAME=VALUE, such as motors=true; repeatable."),
+    ] = None
+    pose: Annotated[
+        str | None,
+        typer.Option("--pose", help="Of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out."),
+    ] = None
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
+    ] = None
+    hold: Annotated[
+        str | None,
+        typer.Option("--hold", help="States and inputs a,b of a nonlinear plant that stay while parameters change."),
+    ] = None
+
     def build(self, name: str, outputs: list[str] | None) -> tuple[UncertainModel, Provenance]:
-        """The exact set of a plant of that name, or in that file."""
+        """The set of a plant of that name, or in that file."""
         from robustlab.provenance import Provenance
 
         tolerances = shares("--tolerance", self.tolerance)
-        made = read_plant(name, {})
+        made = read_plant(name, plant_settings(self.settings))
         files = made_of(name, made)
-        if not hasattr(made, "uncertain"):
-            raise InputError(name, f"{made.name} is not linear", "a linear plant, with or without effects")
         nominal = made.values
         ranges = ends("--range", self.ranges, {p.name: p.unit for p in made.parameters.values()})
         unknown = [key for key in tolerances if key not in nominal]
@@ -119,14 +136,36 @@ class PlantRanges:
         made = made.with_parameters(**{key: (nominal[key], value) for key, value in tolerances.items()})
         if ranges and hasattr(made, "effects"):
             raise UsageError("--range", f"{made.name} carries effects", "--tolerance NAME=VALUE")
-        model = made.uncertain(outputs, ranges=ranges) if ranges else made.uncertain(outputs)
+        options: dict[str, Any] = {"ranges": ranges} if ranges else {}
+        model = made.uncertain(outputs, **options, **self._rest(made))
         for item in made.left_out() if hasattr(made, "left_out") else ():
             note(f"not in it: {item.effect.effect.title} at {item.effect.site}: {item.reason}")
+        without = {*tolerances, *ranges} - {b.name for b in model.blocks}
+        if without and not hasattr(made, "effects"):
+            note(f"without effect on the linear model: {', '.join(sorted(without))}")
         said = ", ".join(
-            [f"{key} +-{100 * value:g} %" for key, value in tolerances.items()]
+            [*(self.settings or []), *([f"pose {self.pose}"] if self.pose else []), *(self.at or [])]
+            + [f"{key} +-{100 * value:g} %" for key, value in tolerances.items()]
             + [f"{key} {low:g} .. {high:g}" for key, (low, high) in ranges.items()]
         )
         return model, Provenance.now("uncertain build", files, note=f"{name} {said}".strip())
+
+    def _rest(self, plant: Any) -> dict[str, Any]:
+        """Where a nonlinear plant is looked at, and what is held there."""
+        from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+
+        given = {"--pose": self.pose, "--at": self.at, "--hold": self.hold}
+        used = [option for option, value in given.items() if value]
+        if used and (not isinstance(plant, NonlinearPlant) or isinstance(plant, SteppedPlant)):
+            raise UsageError(used[0], f"{plant.name} has one linear model", "it for a nonlinear plant only")
+        if self.pose is not None and self.at:
+            raise UsageError("uncertain build", "--pose and --at", "one of them")
+        rest: dict[str, Any] = {}
+        if self.pose is not None:
+            rest["at"] = six_numbers(self.pose)
+        elif self.at:
+            rest["at"] = assignments("--at", self.at)
+        return {**rest, "hold": self.hold.split(",")} if self.hold else rest
 
 
 @dataclass(frozen=True)
@@ -294,7 +333,7 @@ def _tell(
     if output.out is not None:
         save(output.out, model, origin)
     lines = [f"{output.out}: {model!r}" if output.out else repr(model), *_block_lines(model), *more]
-    sizes = {"delta_shape": model.delta_shape, "blocks": _blocks(model)}
+    sizes = {"delta_shape": model.delta_shape, "blocks": _blocks(model), "sampled": model.sampled}
     emit("uncertain build", {"file": output.out, **before, **sizes, **after}, "\n".join(lines), output.as_json)
 
 
@@ -438,7 +477,11 @@ def _block_lines(model: UncertainModel) -> list[str]:
         return []
     lines = table(rows, ("block", "kind", "size", "stands for")).splitlines()
     hidden = len(model.blocks) - len(rows)
-    told = [f"{b.name}: {b.origin}" for b in model.blocks[:SHOWN_BLOCKS] if b.origin]
+    same: dict[str, list[str]] = {}
+    for block in model.blocks[:SHOWN_BLOCKS]:
+        if block.origin:
+            same.setdefault(block.origin, []).append(block.name)
+    told = [f"{', '.join(names)}: {origin}" for origin, names in same.items()]
     return [*lines, *([f"... and {hidden} more blocks"] if hidden else []), *told]
 
 

@@ -25,14 +25,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.parameters import Parameter, overridden
+from robustlab.dynamics.descriptor_lft import ROUNDING, Channels, closed_descriptor, solved
+from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.units import amount
 
 __all__ = [
     "AffineEquations",
@@ -40,10 +39,6 @@ __all__ = [
     "LinearPlant",
     "tied_plant",
 ]
-
-
-# What counts as rounding when the affine form is checked, and when the rank of a parameter's coefficients is taken.
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -149,10 +144,10 @@ class LinearPlant(Plant):
     def state_space(self) -> StateSpaceModel:
         """``A = E^-1 F, B = E^-1 G, C, D`` at the nominal parameters, with the plant's signals."""
         e, f, g, c, d = self.matrices(self.values)
-        solved = self._solve(e, np.hstack([f, g]))
+        rates = solved(e, np.hstack([f, g]), self.name)
         n = len(self.states)
         return StateSpaceModel(
-            solved[:, :n], solved[:, n:], c, d, 0.0, self.inputs, self.outputs, self.states, where=self.name
+            rates[:, :n], rates[:, n:], c, d, 0.0, self.inputs, self.outputs, self.states, where=self.name
         )
 
     def matrices(self, values: Mapping[str, float]) -> list[Array]:
@@ -210,7 +205,9 @@ class LinearPlant(Plant):
 
     def with_parameters(self, **given: Any) -> LinearPlant:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
-        return replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made.traced(self.provenance)
+        return made
 
     # --- uncertainty -------------------------------------------------------------------------------------------------
 
@@ -245,53 +242,12 @@ class LinearPlant(Plant):
         Březina 2010, eqs 10.1-10.4; the rows of R, L, Kb there want -1/L and those of Km, Kf, J want 1/J as
         coefficients when the deltas are absolute, which is what comes out here.
         """
-        n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        e, _, _, c, d = self.matrices(self.values)
-        nominal = self.state_space()
-        left, right, blocks = self._channels(self._ranges(ranges or {}))
-        into_x = self._solve(e, left[:n]) + 0.0  # no negative zeros
-        r_x, r_u, r_rate = right[:, :n], right[:, n : n + n_u], right[:, n + n_u :]
-        q = left.shape[1]
-        names = [(f"{b.name}[{i + 1}]" if b.repeats > 1 else b.name) for b in blocks for i in range(b.repeats)]
-        m = StateSpaceModel(
-            nominal.A,
-            np.hstack([into_x, nominal.B]),
-            np.vstack([r_x + r_rate @ nominal.A, c]),
-            np.block([[r_rate @ into_x, r_u + r_rate @ nominal.B], [left[n:].reshape(n_y, q), d]]),
-            0.0,
-            [*(f"w_{name}" for name in names), *self.inputs],
-            [*(f"z_{name}" for name in names), *self.outputs],
-            self.states,
-            where=f"{self.name}: uncertain",
-        )
-        if outputs is not None:
-            kept = m.select(m.input_names, [*(f"z_{name}" for name in names), *outputs])
-            m = drop_unconnected(kept)
-        return UncertainModel(m, blocks)
+        e = self.matrices(self.values)[0]
+        channels = self._channels(parameter_ranges(self.parameters, ranges or {}, self.name, self.exact))
+        return closed_descriptor(self.state_space(), e, channels, self.name, outputs)
 
-    def _ranges(self, given: Mapping[str, tuple[float, float]]) -> dict[str, ParameterRange]:
-        """The range of every parameter that has one: as given, or from its tolerance."""
-        known = tuple(self.parameters)
-        for name in given:
-            where = f"{self.name}: uncertain: {name!r}"
-            if name not in known:
-                raise InputError(where, "no such parameter", f"one of {', '.join(known)}", did_you_mean(name, known))
-            if name in self.exact:
-                raise InputError(where, "a range", "none: it is taken as exact")
-        ranges: dict[str, ParameterRange] = {}
-        for name, p in self.parameters.items():
-            if name in given:
-                if len(given[name]) != 2:
-                    raise InputError(f"{self.name}: uncertain: {name!r}", f"{given[name]!r}", "(low, high)")
-                low, high = (amount(f"{self.name}: uncertain: {name!r}", end, p.unit) for end in given[name])
-                p.check_ends(low, high)
-                ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
-            elif p.radius:
-                ranges[name] = p.range
-        return ranges
-
-    def _channels(self, ranges: Mapping[str, ParameterRange]) -> tuple[Array, Array, tuple[RealScalar, ...]]:
-        """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the widths above nominal."""
+    def _channels(self, ranges: Mapping[str, ParameterRange]) -> Channels:
+        """The channels of every parameter that has an effect; R is scaled by the widths above nominal."""
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         constant = self.matrices(self._cleared)
         left: list[Array] = [np.zeros((n + n_y, 0))]
@@ -304,7 +260,8 @@ class LinearPlant(Plant):
                 left.append(columns)
                 right.append(span.radius * rows)
                 blocks.append(RealScalar(name, columns.shape[1], span))
-        return np.hstack(left), np.vstack(right), tuple(blocks)
+        count = sum(b.rows for b in blocks)
+        return Channels(np.hstack(left), np.vstack(right), np.zeros((count, count)), tuple(blocks))
 
     # --- matrices ----------------------------------------------------------------------------------------------------
 
@@ -338,13 +295,6 @@ class LinearPlant(Plant):
                         "sums of constant multiples of parameters",
                         "bring a quotient to the left-hand side (into E); give a product a parameter of its own",
                     )
-
-    def _solve(self, e: Array, right: Array) -> Array:
-        """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E."""
-        size = np.abs(e).max(axis=1, initial=0.0)
-        if (size == 0).any() or (len(e) and np.linalg.cond(e / size[:, None]) > 1 / ROUNDING):
-            raise InputError(f"{self.name}: equations", "E is singular", "an equation for the rate of every state")
-        return np.asarray(np.linalg.solve(e, right), dtype=float)
 
 
 def _rank_factors(matrix: Array) -> tuple[Array, Array]:

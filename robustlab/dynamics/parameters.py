@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
-__all__ = ["Parameter", "Role", "Sign", "overridden", "tolerance_of"]
+__all__ = ["Parameter", "Role", "Sign", "overridden", "parameter_ranges", "tolerance_of"]
 
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain",
@@ -187,6 +187,51 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
             tolerance = known[name].tolerance if bool(nominal) == bool(known[name].value) else 0.0
         known[name] = replace(known[name], value=nominal, tolerance=tolerance, source=GIVEN)
     return known
+
+
+def parameter_ranges(
+    parameters: Mapping[str, Parameter], given: Mapping[str, Any], where: str, exact: Collection[str] = ()
+) -> dict[str, ParameterRange]:
+    """The range of every parameter that has one: as given, or from its tolerance.
+
+    Parameters
+    ----------
+    given
+        Name -> (low, high), numbers or texts with a unit, around the parameter's value.
+    where
+        What messages call the plant.
+    exact
+        Names of parameters that take no range.
+
+    Raises
+    ------
+    InputError
+        A name that is no parameter or an exact one, ends that do not hold the value or leave its sign.
+
+    Examples
+    --------
+    >>> resistance = Parameter("R", 2.0, "ohm", tolerance=0.1)
+    >>> parameter_ranges({"R": resistance}, {"R": (1.9, 2.5)}, "motor")["R"].high
+    2.5
+    """
+    known = tuple(parameters)
+    for name in given:
+        place = f"{where}: uncertain: {name!r}"
+        if name not in known:
+            raise InputError(place, "no such parameter", f"one of {', '.join(known)}", did_you_mean(name, known))
+        if name in exact:
+            raise InputError(place, "a range", "none: it is taken as exact")
+    ranges: dict[str, ParameterRange] = {}
+    for name, p in parameters.items():
+        if name in given:
+            if len(given[name]) != 2:
+                raise InputError(f"{where}: uncertain: {name!r}", f"{given[name]!r}", "(low, high)")
+            low, high = (amount(f"{where}: uncertain: {name!r}", end, p.unit) for end in given[name])
+            p.check_ends(low, high)
+            ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
+        elif p.radius:
+            ranges[name] = p.range
+    return ranges
 
 
 def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:

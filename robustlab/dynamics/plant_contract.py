@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
+from robustlab.dynamics.held_point import held_descriptor
+from robustlab.dynamics.parameters import Parameter, parameter_ranges
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
+from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
     "LocalModels",
@@ -316,6 +319,64 @@ class NonlinearPlant(Plant):
         x = self.trajectory(signal, x0, **options)
         return x, self.outputs_along(x, signal.samples)
 
+    def trimmed_descriptor(
+        self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
+    ) -> TrimmedDescriptor:
+        """The plant at rest as a function of its parameters; see `robustlab.dynamics.held_point.held_descriptor`."""
+        return held_descriptor(self, trim.x, trim.u, hold, tried)
+
+    def uncertain(
+        self,
+        outputs: Sequence[str] | None = None,
+        ranges: Mapping[str, tuple[float, float]] | None = None,
+        at: Any = None,
+        hold: Sequence[str] | None = None,
+    ) -> UncertainModel:
+        r"""The set of the linear models at a trim, for all parameters within their tolerances.
+
+        Every parameter with a tolerance becomes one `RealScalar` of its name. Exact are those of which the descriptor
+        form :math:`E \dot x = F x + G u` is a polynomial: masses, inertias, lengths, motor constants as a rule. Others
+        are covered: their first-order effect, and one full block ``remainder`` for the rest, found from samples and
+        proved for these only. ``origin`` of each block says which it is, what is held and what was checked; see
+        `robustlab.dynamics.descriptor_family`.
+
+        Parameters
+        ----------
+        outputs
+            Names of the outputs to keep; states that then neither show nor act are left out. All where left out.
+        ranges
+            Name -> (low, high), numbers or texts with a unit, around the parameter's value, instead of its tolerance.
+        at
+            A `Trim`, what `trim` takes as a dict, or for a mechanism a pose (6,); the trim at home where left out.
+        hold
+            States and inputs that keep their value while the parameters change and the others follow into rest. Where
+            left out, the first of these with which there is rest: all states but currents (the inputs follow), the
+            positions of the joints, the inputs (the states follow). ``origin`` of the blocks says which. A platform
+            holds its pose.
+
+        Returns
+        -------
+        UncertainModel
+            At Delta = 0 the linear model at the trim, whose operating point it carries.
+
+        Raises
+        ------
+        InputError
+            A plant without models along a motion, an unknown name, a range that is none.
+        NoTrustworthyNumber
+            No rest with what is held at some value of the parameters, named by it.
+        """
+        allowed = parameter_ranges(self.parameters, ranges or {}, self.name)
+        point = _trim_at(self, at)
+        model = StateSpaceModel(
+            *self.jacobians_at(point),
+            0.0, self.inputs, self.outputs, self.states, point.operating_point, self.name,
+        )  # fmt: skip
+        ends = [(name, end) for name, r in allowed.items() for end in (r.low, r.high)]
+        tried = {f"{name} = {end:.6g}": {**self.values, name: end} for name, end in ends}
+        trimmed = self.trimmed_descriptor(point, hold, tried)
+        return uncertain_family(self.name, model, trimmed, self.values, allowed, outputs)
+
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
         if values is not None:
@@ -353,6 +414,17 @@ class NonlinearPlant(Plant):
                 raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)
             states[first : last + 1] = found.y.T
         return states
+
+
+def _trim_at(plant: NonlinearPlant, at: Any) -> Trim:
+    """The trim that the user gave, or asked for by a dict, a pose or nothing."""
+    if at is None or isinstance(at, dict):
+        return plant.equilibrium(**(at or {}))
+    if not isinstance(at, Trim):
+        return plant.equilibrium(pose=at)
+    if at.plant != plant.name or (len(at.x), len(at.u)) != (len(plant.states), len(plant.inputs)):
+        raise InputError("uncertain: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
+    return at
 
 
 class SteppedPlant(NonlinearPlant):

@@ -25,7 +25,6 @@ from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import (
     DependencyMissing,
     InputError,
-    NoTrustworthyNumber,
     RobustlabError,
     UsageError,
     did_you_mean,
@@ -112,7 +111,7 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
 
 
 def plants_in_file(file: str) -> tuple[str, ...]:
-    """Names of the plants in a file: of `Plant` objects, and of functions that return one without any argument.
+    """Names in a file that may be plants: of `Plant` objects, and of functions that need no argument (none is called).
 
     Raises
     ------
@@ -281,17 +280,17 @@ def _check_shapes(plant: Plant, shown: str) -> None:
         ("derivative", plant.derivative, len(plant.states)),
         ("output", plant.output, len(plant.outputs)),
     ):
-        try:
-            with _user_code(shown), np.errstate(all="ignore"):
+        with _user_code(shown), np.errstate(all="ignore"):
+            try:
                 found = np.shape(function(x, u))
-        except NoTrustworthyNumber:
-            continue  # zero lies outside of what the machine can do
+            except (ArithmeticError, ValueError):
+                continue  # zero lies outside of what the machine can do
         if found != (n,):
             raise InputError(shown, f"{word}(x, u) has the shape {found}", f"({n},)")
 
 
 def _plants(module: types.ModuleType) -> tuple[str, ...]:
-    """Names of plants, and of the file's own functions that return one without any argument."""
+    """Names of plants, and of the file's own functions that need no argument."""
     return tuple(name for name, thing in list(vars(module).items()) if _is_plant(name, thing, module.__name__))
 
 
@@ -299,12 +298,7 @@ def _is_plant(name: str, thing: Any, module: str) -> bool:
     if not isinstance(thing, types.FunctionType) or thing.__module__ != module or name.startswith("_"):
         return isinstance(thing, Plant)
     optional = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    if any(p.default is Parameter.empty and p.kind not in optional for p in _arguments(thing).values()):
-        return False
-    try:
-        return isinstance(thing(), Plant)
-    except (Exception, SystemExit):  # noqa: BLE001  one that does not work is named: it may be what is meant
-        return True
+    return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
 
 
 def _choice(module: types.ModuleType) -> str:

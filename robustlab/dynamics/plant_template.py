@@ -16,14 +16,14 @@ __all__ = ["PLANT", "TEMPLATE", "write_template"]
 PLANT = "axis"
 
 TEMPLATE = '''\
-"""{stem}: one axis that is pushed by a motor and sags under its own weight on a spring.
+"""{stem}: a carriage on an incline, pushed by a motor and held by a spring that stiffens.
 
 Look at it:                robustlab plant show {file}:axis
 Against a measurement:     robustlab data compare {file}:axis run.csv --inputs F --outputs x
 What does the model lack:  robustlab data discover {file}:axis run.csv --inputs F --outputs x
 """
 
-import casadi as ca  # ca.sin, ca.cos, ca.sqrt, ... of expressions
+import casadi as ca  # sin, cos, sqrt, ... of expressions
 
 import robustlab as rl
 
@@ -31,24 +31,25 @@ import robustlab as rl
 def axis(**given):
     p = rl.PlantEquations("{stem}")
 
-    # What you know about the machine: name, value, unit. tolerance=0.05: the true value is within 5 % of this one.
-    # role: what the parameter is to the equations; an effect "inertia wrong" scales those with the role "inertia".
-    # One of inertia, viscous-friction, torque-constant, resistance, inductance, stiffness, input-gain, none.
+    # What you know of the machine: name, value, SI unit. tolerance=0.05: the true value is within 5 % of this one. With
+    # a tolerance, say the parameter's role: inertia, viscous-friction, torque-constant, resistance, inductance,
+    # stiffness, input-gain, or none. An effect such as "inertia wrong" changes all parameters of that role.
     m = p.parameter("m", 12.0, "kg", tolerance=0.05, role="inertia", meaning="moving mass", source="weighed")
-    c = p.parameter("c", 30.0, "N s/m", tolerance=0.3, role="viscous-friction", meaning="grease", source="assumed")
+    c = p.parameter("c", 60.0, "N s/m", tolerance=0.3, role="viscous-friction", meaning="guide", source="assumed")
     k = p.parameter("k", 800.0, "N/m", tolerance=0.1, role="stiffness", meaning="spring", source="data sheet")
-    h = p.parameter("h", 2e5, "N/m3", role="none", meaning="how the spring stiffens", source="measured")
-    g = p.parameter("g", 9.81, "m/s2", role="none", meaning="gravity")
+    h = p.parameter("h", 2e5, "N/m3", meaning="how the spring stiffens", source="measured once")
+    slope = p.parameter("slope", 0.35, "rad", meaning="incline", source="drawing")
+    g = p.parameter("g", 9.81, "m/s2", meaning="gravity", source="standard value, rounded")
 
     # What drives the machine.
     F = p.input("F", "N")
 
-    # A joint: a coordinate and its velocity. Friction, backlash and other effects can act there.
+    # A joint: a coordinate (in m or rad) and its velocity. Friction, backlash and other effects can act there.
     x, v = p.joint("x", "v", "m")
 
-    # The equation of motion: mass matrix times acceleration = sum of the forces, one row a joint. Write it as on paper;
-    # robustlab finds the point of rest, the derivatives and the linear model from it.
-    p.motion([[m]], [F - m * g - k * x - h * x**3 - c * v])
+    # Its equation of motion, mass matrix times accelerations = forces, with one row for each joint. Write it as on
+    # paper: robustlab makes derivatives, points of rest and linear models of it.
+    p.motion([[m]], [F - m * g * ca.sin(slope) - k * x - h * x**3 - c * v])
 
     # What is measured.
     p.output("x", x, "m")

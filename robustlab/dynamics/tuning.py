@@ -88,6 +88,8 @@ class DynamicsTuning:
     rest_passes: int = 60
     cheap: float = 1e4
     still: float = 1e-11
+    # Where parameters change, a Newton step that leads away is halved so often at most.
+    rest_halvings: int = 40
     # Share of the signal over which the slope of an input or output map is taken, and the least level for it.
     signal_step: float = 1e-3
     least_level: float = 1e-3
@@ -111,6 +113,31 @@ class DynamicsTuning:
     told_share: float = 1e-3
     # Samples, those of the largest force, at which a law is asked with other values of its parameters.
     told_samples: int = 200
+
+    # --- linear models over the ranges of parameters -----------------------------------------------------------------
+    # A parameter is exact where the descriptor form is a polynomial of it over this share of its value to both sides
+    # (of a value of 0 over so many half widths). Larger: a function that is none is told from one more surely, but
+    # more plants have no linear model that far away.
+    family_reach: float = 0.5
+    family_zero: float = 10.0
+    # Chebyshev nodes along a parameter, the highest degree that is looked for, and the number of highest coefficients
+    # that show the rounding. More nodes tell weak functions from polynomials more surely.
+    family_nodes: int = 13
+    family_degree: int = 3
+    family_top: int = 4
+    # Products of parameters in a descriptor form at most.
+    family_monomials: int = 600
+    # Random values at which a form, and then the model, are checked against the plant.
+    family_checks: int = 12
+    # Sampled parameters: corners of the box at most, and powers of two of inner points. More: a safer cover, slower.
+    family_corners: int = 64
+    family_sobol: int = 8
+    # A higher degree (up to the second number) is taken where more than this share of the effect is left.
+    family_share: float = 0.25
+    family_cover_degree: int = 3
+    # The block for the rest is so much larger than the samples ask for; fresh samples outside it widen it, so often.
+    family_room: float = 1.1
+    family_rounds: int = 5
 
 
 TUNING = DynamicsTuning()

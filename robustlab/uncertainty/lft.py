@@ -296,6 +296,19 @@ class UncertainModel(Traced):
                     found.append(f"{text} is physically impossible ({why}): no real plant is this one")
         return tuple(found)
 
+    @property
+    def sampled(self) -> tuple[str, ...]:
+        """Names of the blocks that were found from samples and proved for these only; ``origin`` says more."""
+        return tuple(b.name for b in self.blocks if b.is_sampled)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a result about this set has to say of the set itself."""
+        if not self.sampled:
+            return ()
+        names = ", ".join(self.sampled)
+        return (f"the set holds the plant for samples only (blocks {names}): what is proved is proved for the set",)
+
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
         """The same set with the named inputs and outputs only."""
         q, p = self.delta_shape
@@ -328,7 +341,8 @@ class UncertainModel(Traced):
 
     def to_json(self) -> dict[str, object]:
         """M and blocks as plain types."""
-        return {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
+        data: dict[str, object] = {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
+        return {**data, "sampled": list(self.sampled)} if self.sampled else data
 
     def __repr__(self) -> str:
         kinds = [type(b).__name__ for b in self.blocks]

@@ -217,7 +217,7 @@ def _searched(
         request.name,
         judge.evaluate({}).value,
         status,
-        f"{label}; {search.remark}" if search.ended else label,
+        "; ".join([label, *([search.remark] if search.ended else []), *uncertain.remarks]),
         search.evaluations,
         uncertain.physical(delta),
         evaluation.at,

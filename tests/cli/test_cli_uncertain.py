@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -245,3 +246,65 @@ def test_outputs_of_a_plant_drop_the_states_they_do_not_show(tmp_path, capsys):
     nominal = load(file).nominal
     assert (nominal.state_names, nominal.is_stable()) == (("omega", "i"), True)
     assert call(capsys, "build", "a.h5", "b.h5", "--outputs", "omega")[0] == 2
+
+
+def test_a_platform_at_a_pose_says_what_is_exact_and_what_is_covered(tmp_path, capsys):
+    out = str(tmp_path / "platform.h5")
+    code, text, err = call(
+        capsys, "build", "--plant", "stewart-platform", "--set", "motors=true", "--tolerance", "platform_mass=0.1",
+        "--tolerance", "platform_x=0.1", "--tolerance", "r_b=0.2%", "--tolerance", "L_max=1%",
+        "--pose", "0,0,0.13,0.02,0,0", "--out", out,
+    )  # fmt: skip
+    assert code == 0
+    assert "platform_mass, platform_x, Kf: exact: the descriptor form is affine in it" in text
+    assert "r_b: sampled: its first-order effect, the rest stands in remainder; the pose is held" in text
+    assert "remainder: sampled: proved on the hull of" in text
+    assert "without effect on the linear model: L_max" in err
+    model = load(out)
+    assert model.M.n_states == 18
+    assert model.provenance.note.startswith(
+        "stewart-platform motors=true, pose 0,0,0.13,0.02,0,0, platform_mass +-10 %"
+    )
+    code, text, _ = call(capsys, "show", out, "--json")
+    assert json.loads(text)["blocks"][0]["origin"].startswith("sampled: ")
+
+
+def test_json_of_a_build_names_the_sampled_blocks(capsys):
+    code, text, _ = call(
+        capsys, "build", "--plant", "stewart-platform", "--range", "platform_mass=3:4", "--range", "c=9.9e-3:10.1e-3",
+        "--json",
+    )  # fmt: skip
+    assert code == 0
+    assert json.loads(text)["sampled"] == ["c", "remainder"]
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "words"),
+    [
+        (("--plant", "dc-motor", "--pose", "0,0,0,0,0,0"), 2, "it for a nonlinear plant only"),
+        (("--plant", "stewart-platform", "--pose", "0,0"), 2, "not six numbers"),
+        (("--plant", "stewart-platform", "--pose", "0,0,0.13,0,0,0", "--at", "phi=0"), 2, "one of them"),
+        (("--plant", "stewart-platform", "--hold", "phi_1", "--tolerance", "platform_mass=0.1"), 3, "the pose is held"),
+        (("--plant", "stewart-platform", "--at", "z=1", "--tolerance", "platform_mass=0.1"), 3, "pose or phi"),
+        (("--plant", "stewart-platform", "--pose", "0,0,0.5,0,0,0"), 3, "mm"),
+        (("--plant", "stewart-platform", "--tolerance", "platform_mas=0.1"), 2, "no such parameter"),
+    ],
+)
+def test_what_a_nonlinear_plant_refuses(capsys, args, code, words):
+    found, _, err = call(capsys, "build", *args)
+    assert found == code
+    assert words in err
+    assert "Traceback" not in err
+
+
+def test_a_plant_file_at_a_rest_with_what_is_held(capsys):
+    pytest.importorskip("casadi")
+    file = str(Path(__file__).parents[2] / "models" / "plants" / "quadrotor_height.py") + ":quadrotor_height"
+    code, text, _ = call(capsys, "build", "--plant", file, "--at", "z=1", "--json")
+    assert code == 0
+    found = json.loads(text)
+    assert found["sampled"] == ["m", "k_t", "remainder"]
+    assert found["blocks"][0]["origin"].endswith("held: z, v; what follows: rotor, u")
+    code, _, err = call(capsys, "build", "--plant", file, "--hold", "z,rotor")
+    assert code == 4
+    assert "no rest with what is held" in err

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from robustlab.cli.main import run
+from robustlab.errors import InputError
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -33,6 +34,43 @@ def test_choices_reach_the_plant(tmp_path, monkeypatch, capsys):
     steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
     assert any(fact["value"].startswith("phi_1") and "i_6" in fact["value"] for fact in steps["linear"]["facts"])
     assert "f3" in steps["chain"]["summary"]
+
+
+SETS = (
+    RECIPE
+    + """\
+[step.exact]
+do = "uncertain"
+of = "platform"
+tolerances = { platform_mass = 0.1, R = "5%" }
+at = [0.0, 0.0, 0.13, 0.0, 0.0, 0.0]
+[step.covered]
+do = "uncertain"
+of = "platform"
+tolerances = { platform_mass = 0.1, r_b = "0.1%" }
+"""
+)
+
+
+def test_an_uncertain_platform_says_what_is_sampled(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "r.toml").write_text(SETS)
+    assert run(["run", "r.toml", "--out", "o"]) == 0
+    steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
+    assert steps["exact"]["summary"] == "Exact uncertain model of platform; uncertain: platform_mass, R."
+    assert "sampled" not in steps["exact"]["numbers"]
+    assert steps["covered"]["summary"].startswith("Sampled uncertain model of platform")
+    assert steps["covered"]["numbers"]["sampled"] == ["r_b", "remainder"]
+    assert "for samples only (blocks r_b, remainder)" in steps["covered"]["notes"][0]
+    assert any(fact["source"].startswith("sampled: proved on the hull of") for fact in steps["covered"]["facts"])
+
+
+def test_a_linear_plant_has_no_pose(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "r.toml").write_text(SETS.replace('of = "platform"\ntolerances', 'of = "chain"\ntolerances', 1).replace(
+        'platform_mass = 0.1, R = "5%"', "m1 = 0.1"))  # fmt: skip
+    with pytest.raises(InputError, match="exact: at: chain is linear"):
+        run(["run", "r.toml", "--out", "o"])
 
 
 @pytest.mark.parametrize(

@@ -191,7 +191,7 @@ def test_a_large_gap_is_said_to_be_beyond_the_linearisation():
 
 def test_repeats_give_the_gap_in_multiples_of_the_noise():
     first, second = (arm_record(seed=seed)[0] for seed in (2, 3))
-    fed_back = {name: x for name, x in first.inputs.items()}
+    fed_back = dict(first.inputs)
     second = rl.Record(second.t, fed_back, second.outputs, second.units, "again")
     found = rl.compare(arm(), first, repeats=[second])
     gap = found.against_noise["q_2"]

@@ -64,7 +64,9 @@ class ExtendedPlant(ExtendedEquations):
         """The linear model at the rest with the smallest inputs; functions that take a model call it."""
         return self.linear_model()
 
-    def uncertain(self, outputs: Sequence[str] | None = None, sigmas: float = 2.0) -> UncertainModel:
+    def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]  (effects, not trims, are what it is asked about)
+        self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
+    ) -> UncertainModel:
         """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover.
 
         Parameters

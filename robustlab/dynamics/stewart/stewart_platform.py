@@ -14,7 +14,7 @@ Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
 from robustlab.dynamics.stewart.along_motion import accelerations, derivatives, places, torques
@@ -304,6 +305,31 @@ class StewartPlatform(NonlinearPlant):
         status = Status.CONVERGED if still else Status.INACCURATE
         return Trim(self.name, x, u, x[:12].copy(), residual, at.copy(), status)
 
+    def trimmed_descriptor(
+        self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
+    ) -> TrimmedDescriptor:
+        r"""The platform at a pose as a function of its parameters.
+
+        .. math:: M(p)\,\ddot\varphi = K(p)\,\varphi + k\,\tau, \qquad
+            \tau = K_m i - K_f k \dot\varphi, \qquad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
+
+        The pose is held; the holding torques, which shape K, follow. M and K are affine in masses and inertias, and
+        polynomials of the places of the centres of gravity. Whether the inertias are those of a rigid body is not
+        asked: a box of tolerances has corners at which they are not.
+        """
+        if hold is not None:
+            raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
+        pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
+        limits = {name: self.values[name] for name in ("L_min", "L_max")}  # of the way only
+
+        def matrices(values: Mapping[str, float]) -> Array:
+            p = {**values, **limits}
+            mass, stiffness = _mass_and_stiffness(pose, geometry(p), constants(p), self.name)
+            return _descriptor(mass, stiffness, p, self.motors)
+
+        follow = "torques, currents and voltages" if self.motors else "torques"
+        return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
+
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float | None = None, step: float | None = None) -> Array:
         """States (n, 12) or (n, 18) at the times of the signal; compiled.
 
@@ -327,6 +353,41 @@ class StewartPlatform(NonlinearPlant):
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
             raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
         return states
+
+
+def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str) -> tuple[Array, Array]:
+    """M and K (6, 6) of ``M phidd = K phi + k tau`` at rest."""
+    at, twist = np.array(pose[None]), np.zeros((1, 6))
+    phi, torque = np.empty((1, 6)), np.empty((1, 6))
+    slopes, damping, gain = np.empty((1, 6, 6)), np.empty((1, 6, 6)), np.empty((1, 6, 6))
+    code, legs = kernels(), shape.legs
+    if not (
+        code.trim_torques(at, legs, numbers[None], phi, torque)
+        and code.linearisations(at, twist, torque, legs, numbers[None], slopes, damping, gain)
+    ):
+        raise NoTrustworthyNumber(where, "singular pose: no linear model in nut coordinates")
+    mass, jacobian = np.empty((6, 6)), np.empty((6, 6))
+    force, bias = np.empty(6), np.empty(6)
+    code.equations(at[0], twist[0], legs, numbers, mass, force, jacobian, bias, phi[0])
+    inverse = np.linalg.inv(jacobian)
+    nuts = inverse.T @ mass @ inverse
+    return nuts, nuts @ slopes[0]
+
+
+def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: bool) -> Array:
+    """``[F G -E; C 0 0]`` of the platform, as `robustlab.dynamics.descriptor_family` has it."""
+    n, one, k = 18 if motors else 12, np.eye(6), p["ratio"]
+    made = np.zeros((n + 12, 2 * n + 6))
+    f, g, e = made[:n, :n], made[:n, n : n + 6], made[:n, n + 6 :]
+    f[:6, 6:12], e[:6, :6] = one, -one
+    f[6:12, :6], e[6:12, 6:12] = stiffness, -mass
+    if motors:
+        f[6:12, 6:12], f[6:12, 12:] = -p["Kf"] * k**2 * one, k * p["Km"] * one
+        f[12:, 6:12], f[12:, 12:], g[12:], e[12:, 12:] = -p["Kb"] * k * one, -p["R"] * one, one, -p["L"] * one
+    else:
+        g[6:12] = k * one
+    made[n:, :12] = np.eye(12)
+    return made
 
 
 # --- many linear models at once --------------------------------------------------------------------------------------

@@ -84,7 +84,9 @@ class SymbolicPlant(NonlinearPlant):
 
     def with_parameters(self, **given: Any) -> SymbolicPlant:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
-        return replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made.traced(self.provenance)
+        return made
 
     # --- the contract of a plant -------------------------------------------------------------------------------------
 

@@ -340,7 +340,7 @@ def _margin(
         notes = (*notes, by_regions(len(found.proof)))
     if budget.remark:
         notes = (*notes, budget.remark)
-    notes = (*notes, *uncertain.impossible(delta))
+    notes = (*notes, *uncertain.impossible(delta), *uncertain.remarks)
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
     intervals, open_intervals = cover.reported(uncertain, found.level)

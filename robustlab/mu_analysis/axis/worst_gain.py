@@ -480,7 +480,7 @@ def _result(
         notes = (*notes, budget.remark)
     if not proved:
         notes = (*notes, "no upper bound: the set was not proved stable")
-    notes = (*notes, *uncertain.impossible(known.delta))
+    notes = (*notes, *uncertain.impossible(known.delta), *uncertain.remarks)
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
     intervals, open_intervals = known.cover.reported(uncertain, known.upper)
     return WorstCaseGain(

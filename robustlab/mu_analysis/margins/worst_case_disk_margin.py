@@ -291,7 +291,7 @@ class _Search:
             status = Status.TIMEOUT
         else:
             status = Status.CERTIFIED if self.lower > 0 else Status.INCONCLUSIVE
-        notes += self.uncertain.impossible(self.delta)
+        notes += [*self.uncertain.impossible(self.delta), *self.uncertain.remarks]
         low, high, phase = gain_and_phase(float(self.lower), self.skew)
         physical = self.uncertain.physical(self.delta)
         return WorstCaseDiskMargin(

@@ -79,23 +79,29 @@ class LineariseStep(Step):
     gives: ClassVar[str] = "model"
     do: Literal["linearise"]
     of: ToPlant
-    at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
-        None, description="Pose of a mechanism: tx, ty, tz in m, ax, ay, az in rad; home where left out."
+    at: Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float] | None = Field(
+        None,
+        description="Pose of a mechanism: tx, ty, tz in m, ax, ay, az in rad; or where another plant that is not linear"
+        " rests: states, inputs and outputs by name. Home, or the rest nearest to zero, where left out.",
     )
     outputs: list[str] | None = None
 
     def run(self, work: Workspace) -> Outcome:
         """The state-space model of a plant."""
-        from robustlab.dynamics import LinearPlant
+        from robustlab.dynamics import LinearPlant, trim
         from robustlab.structural import drop_unconnected
 
         given = work.values[self.of]
         if self.at is not None and isinstance(given, LinearPlant):
-            raise InputError("at", f"a pose of {self.of}, which is linear", "no pose: the model is the same everywhere")
-        model = rl.linearise(given, at=self.at)
+            raise InputError("at", f"a rest of {self.of}, which is linear", "none: the model is the same everywhere")
+        model = rl.linearise(given, at=trim(given, **self.at) if isinstance(self.at, dict) else self.at)
         if self.outputs is not None:
             model = drop_unconnected(model.select(outputs=self.outputs))
-        where = "" if self.at is None else f" at the pose {', '.join(f'{value:g}' for value in self.at)}"
+        where = ""
+        if isinstance(self.at, dict):
+            where = f" at {', '.join(f'{name} = {value:g}' for name, value in self.at.items())}"
+        elif self.at is not None:
+            where = f" at the pose {', '.join(f'{value:g}' for value in self.at)}"
         return Outcome(model, f"State-space model of {self.of}{where}.", _model_numbers(model), _model_facts(model))
 
 
@@ -146,15 +152,15 @@ class SaveStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """An object to an HDF5 file in the output folder, with its provenance."""
-        from robustlab.dynamics.extended.extended_equations import ExtendedEquations
+        from robustlab.dynamics import NonlinearPlant
         from robustlab.provenance import file_sha256
 
         path = work.folder / self.file
         given = work.values[self.of]
         if hasattr(given, "to_uncertain"):  # a tracking problem is kept as its generalised plant
             given = given.to_uncertain()
-        if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedEquations)):
-            given = given.to_model()  # a plant without effects is kept as its linear model
+        if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, NonlinearPlant)):
+            given = given.to_model()  # a linear plant without effects is kept as its linear model
         rl.save(path, given, work.provenance())
         work.files.append(self.file)
         digest = file_sha256(path)
@@ -241,19 +247,31 @@ class UncertainStep(Step):
     of: ToPlant
     tolerances: Annotated[dict[str, RelativeTolerance], Field(min_length=1)]
     outputs: list[str] | None = None
+    at: Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float] | None = Field(
+        None, description="Nonlinear plants: pose tx, ty, tz in m, ax, ay, az in rad, or states, inputs, outputs."
+    )
+    hold: list[str] | None = Field(
+        None, description="Nonlinear plants: states and inputs that stay while the parameters change."
+    )
 
     def run(self, work: Workspace) -> Outcome:
-        """The exact LFT of a plant over the ranges of the named parameters; all others are taken as exact."""
+        """The LFT of a plant over the ranges of the named parameters; all others are taken as exact."""
+        from robustlab.dynamics import LinearPlant
+
         given = work.values[self.of]
         exact = {name: (p.value, 0.0) for name, p in given.parameters.items()}
         ranges = {name: (given.values.get(name, 1.0), tolerance) for name, tolerance in self.tolerances.items()}
         made = given.with_parameters(
             **{**exact, **ranges}
         )  # an unknown name is refused there, with the nearest known one
-        model = made.uncertain(self.outputs)
-        facts = [Fact(b.name, _range(b)) for b in model.blocks]
-        summary = f"Exact uncertain model of {self.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
-        return Outcome(model, summary, uncertain_numbers(model), tuple(facts))
+        rest = {key: value for key, value in (("at", self.at), ("hold", self.hold)) if value is not None}
+        if rest and isinstance(made, LinearPlant):
+            raise InputError(next(iter(rest)), f"{self.of} is linear", "it for a nonlinear plant only")
+        model = made.uncertain(self.outputs, **rest)
+        facts = [Fact(b.name, _range(b), b.origin) for b in model.blocks]
+        kind = "Sampled" if model.sampled else "Exact"
+        summary = f"{kind} uncertain model of {self.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
+        return Outcome(model, summary, uncertain_numbers(model), tuple(facts), notes=model.remarks)
 
 
 @step
@@ -317,7 +335,8 @@ def _model_facts(model: Any) -> tuple[Fact, ...]:
 
 def uncertain_numbers(model: Any) -> dict[str, Any]:
     """Size of an uncertain model, for requirements."""
-    return {"blocks": [b.name for b in model.blocks], "channels": model.delta_shape[0], "states": model.M.n_states}
+    numbers = {"blocks": [b.name for b in model.blocks], "channels": model.delta_shape[0], "states": model.M.n_states}
+    return {**numbers, "sampled": list(model.sampled)} if model.sampled else numbers
 
 
 def _range(block: Any) -> str:

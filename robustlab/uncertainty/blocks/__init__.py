@@ -1,6 +1,6 @@
 """The blocks of a structured perturbation Delta, each normalised: ``|delta| <= 1`` or ``sigma_max(Delta_i) <= 1``."""
 
-from robustlab.uncertainty.blocks.base import Block, Pattern
+from robustlab.uncertainty.blocks.base import SAMPLED, Block, Pattern
 from robustlab.uncertainty.blocks.complex import ComplexScalar
 from robustlab.uncertainty.blocks.full import FullBlock
 from robustlab.uncertainty.blocks.parameter_range import ParameterRange, Sign
@@ -15,6 +15,7 @@ __all__ = [
     "ParameterRange",
     "Pattern",
     "RealScalar",
+    "SAMPLED",
     "Sign",
     "as_blocks",
     "block_slices",

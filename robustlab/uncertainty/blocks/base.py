@@ -14,10 +14,12 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
 from robustlab.uncertainty.blocks.parameter_range import ParameterRange
 
-__all__ = ["Block", "Pattern", "check_name_and_size", "rank_one"]
+__all__ = ["SAMPLED", "Block", "Pattern", "check_name_and_size", "rank_one"]
 
 # Entries (row, column, coefficient) of a sparse matrix.
 Pattern = list[tuple[int, int, complex]]
+# First word of the origin of a block that is known to hold for samples only.
+SAMPLED = "sampled"
 # A value may miss its kind by this share: rounding.
 OUTSIDE = 1e-9
 
@@ -58,6 +60,11 @@ class Block(ABC):
     is_real: ClassVar[bool]
     is_scalar: ClassVar[bool]
     stored_as: ClassVar[str] = ""
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the block is known to hold what it stands for at samples only: its origin begins with that word."""
+        return self.origin.startswith(SAMPLED)
 
     # --- the set -----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,557 @@
+r"""The linear models of a trimmed plant over the ranges of its parameters, as one uncertain model.
+
+At every value of the parameters p the plant has, at its operating point, the linear model
+
+.. math:: N(p) \begin{bmatrix} x \\ u \\ \dot x \end{bmatrix} = \begin{bmatrix} 0 \\ y \end{bmatrix}, \qquad
+          N = \begin{bmatrix} F & G & -E \\ C & D & 0 \end{bmatrix}
+
+With E the mass matrix, N is a polynomial of masses, inertias, lengths and motor constants where A and B are not.
+Parameters are sorted by the values of N:
+
+exact
+    N is a polynomial of the parameter, also far beyond its range. A function that is a polynomial of each of several
+    variables is one of all of them; its coefficients come from random points, and other points check it.
+sampled
+    N is no such polynomial, or the plant has no linear model far beyond the range. The polynomial then goes on with the
+    first powers of the parameter (higher ones where those leave much), fitted to the corners of the box and to a Sobol
+    sequence in it, and one full block takes what is left:
+
+    .. math:: N(p) = P(p) + \rho\, W_1 \Delta_r W_2, \qquad \|\Delta_r\| \le 1
+
+    with :math:`\rho` a little more than the largest of the samples asks for. It is proved for these samples by their
+    Delta, and tried on fresh ones; it is not proved for what lies between.
+
+References
+----------
+Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Carroll, "A polynomial
+in each variable separately is a polynomial", Amer. Math. Monthly 68 (1961).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.budget import one_thread
+from robustlab.dynamics.descriptor_lft import Channels, closed_descriptor, solved
+from robustlab.dynamics.tuning import TUNING
+from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.elementwise import natural_magnitude
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.matrix_polynomial import Exponents, MatrixPolynomial, polynomial_lft
+
+__all__ = ["REMAINDER", "TrimmedDescriptor", "uncertain_family"]
+
+Values = Mapping[str, float]
+
+# Of the natural magnitude of an entry: what two values of the same thing may differ by, what counts as zero, and what
+# rounding there is at least; a Chebyshev coefficient is none that is so many times larger than the highest ones.
+SAME, ZERO, ROUNDING, CLEAR = 1e-10, 1e-12, 1e-14, 30.0
+# The uncertain model must give the plant's own linear models to this share of the largest entry of each row.
+EXACT = 1e-8
+REMAINDER = "remainder"
+
+
+class TrimmedDescriptor(NamedTuple):
+    """A plant at an operating point, as a function of its parameters.
+
+    Attributes
+    ----------
+    matrices
+        Values of all parameters -> N (n_x + n_y, 2 n_x + n_u).
+    held
+        What stays and what follows when the parameters change, in words.
+    free
+        Rows of N that may be multiplied by a function of the parameters, for which a simple one is looked for.
+    """
+
+    matrices: Callable[[Values], Array]
+    held: str
+    free: tuple[int, ...] = ()
+
+
+@one_thread()
+def uncertain_family(
+    where: str,
+    nominal: StateSpaceModel,
+    trimmed: TrimmedDescriptor,
+    values: Values,
+    ranges: Mapping[str, ParameterRange],
+    outputs: Sequence[str] | None = None,
+) -> UncertainModel:
+    """The uncertain model of all linear models with parameters in their ranges.
+
+    Parameters
+    ----------
+    where
+        The plant's name, for messages.
+    nominal
+        Its linear model with all parameters at ``values``.
+    ranges
+        The parameters that are uncertain; of several thousand models each takes part in, see `TUNING`.
+    outputs
+        Names of the outputs to keep, all where left out.
+
+    Returns
+    -------
+    UncertainModel
+        One `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
+        values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        No linear model at a value within the ranges; a set that does not give the plant's own models back.
+    """
+    if not ranges:
+        return UncertainModel(nominal, [], nominal.operating_point)
+    if REMAINDER in ranges:
+        raise InputError(where, f"a parameter called {REMAINDER!r}", "another name: a block has this one")
+    family = _Family(where, trimmed.matrices, values, tuple(ranges), tuple(ranges.values()))
+    family, scans = _with_row_factors(family, trimmed.free)
+    sizes = [np.abs(family.at({})), *(np.abs(scan).max(axis=0) for scan in scans.values() if scan is not None)]
+    scale = natural_magnitude(np.max(sizes, axis=0))
+    degrees = {name: None if scan is None else _degree(scan / scale) for name, scan in scans.items()}
+    polynomial = _exact_part(family, degrees, scale)
+    polynomial, remainder, powers = _sampled_part(family, degrees, polynomial, scale)
+    told = _Origins(trimmed.held, degrees, powers, remainder)
+    return _closed(family, nominal, polynomial, remainder, scale, told, outputs)
+
+
+# --- the plant's N at many values ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """N(p) over the ranges of the named parameters.
+
+    ``factors``: a row, and the parameter by which it is multiplied or the column by whose entry it is divided.
+    """
+
+    where: str
+    matrices: Callable[[Values], Array]
+    values: Values
+    names: tuple[str, ...]
+    ranges: tuple[ParameterRange, ...]
+    factors: tuple[tuple[int, str | int], ...] = ()
+
+    def raw(self, point: Mapping[str, float]) -> Array:
+        """N at these values of some parameters, the others at their nominal ones."""
+        try:
+            found = self.matrices({**self.values, **point})
+        except NoTrustworthyNumber as error:
+            said = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+            raise NoTrustworthyNumber(error.where, f"{error.found} ({said})", error.expected, error.hint) from None
+        if not np.isfinite(found).all():
+            said = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+            raise NoTrustworthyNumber(self.where, f"no finite linear model at {said}")
+        return found
+
+    def at(self, point: Mapping[str, float]) -> Array:
+        """The same, each row times its factors."""
+        found, values = self.raw(point), {**self.values, **point}
+        for row, by in self.factors:
+            found[row] = found[row] * (values[by] if isinstance(by, str) else 1.0 / found[row, by])
+        return found
+
+    def inside(self, s: Array) -> Array:
+        """N at normalised values s (k, number of names) in [-1, 1]."""
+        return np.array([self.at(self.point(row)) for row in s])
+
+    def point(self, s: Array) -> dict[str, float]:
+        """Values that belong to normalised ones (number of names,)."""
+        return {n: r.value(float(v)) for n, r, v in zip(self.names, self.ranges, s, strict=True)}
+
+    def entries(self, s: Array) -> Array:
+        """What stands in Delta at normalised values: a range may be wider on one side."""
+        return np.where(s < 0, s * np.array([r.ratio for r in self.ranges]), s)
+
+    def reach(self, name: str) -> tuple[float, float]:
+        """Values far beyond the range of a parameter that keep its sign, about equally far on both sides."""
+        r = self.ranges[self.names.index(name)]
+        far = max(TUNING.family_reach * abs(r.nominal), 0.0 if r.nominal else TUNING.family_zero * r.radius)
+        return min(r.low, r.nominal - far), max(r.high, r.nominal + far)
+
+
+def _chebyshev(count: int) -> Array:
+    return np.cos(np.pi * (np.arange(count) + 0.5) / count)
+
+
+def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, dict[str, Array | None]]:
+    """The family whose free rows have those factors that make them simplest, and N along each parameter: (nodes, rows,
+    columns), None where there is none far beyond the range.
+
+    The others stand beside their nominal values: at those a parameter may be without effect.
+    """
+    base = {n: 0.62 * r.nominal + 0.38 * family.reach(n)[1] for n, r in zip(family.names, family.ranges, strict=True)}
+    base = base if _exists(family, base) else {}
+    scans: dict[str, Array | None] = {}
+    nodes: dict[str, Array] = {}
+    for name in family.names:
+        low, high = family.reach(name)
+        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * _chebyshev(TUNING.family_nodes)
+        try:
+            scans[name] = np.array([family.raw({**base, name: float(v)}) for v in nodes[name]])
+        except RobustlabError:
+            scans[name] = None
+    known = {name: scan for name, scan in scans.items() if scan is not None}
+    width = max((scan.shape[2] for scan in known.values()), default=0)
+    factors: list[tuple[int, str | int]] = []
+    for row in free if known else ():
+        rows = {name: scan[:, row] for name, scan in known.items()}
+        values = {**family.values, **base}
+        best, left = _complexity(rows), [tuple(known), tuple(range(width))]  # parameters come first
+        while best[0] and left:
+            tries = [(by, _times(rows, by, nodes, values)) for by in left[0]]
+            judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries) if made is not None]
+            least, k = min(judged, default=(best, 0))
+            if least >= best:
+                left = left[1:]
+                continue
+            best, (by, made) = least, tries[k]
+            assert made is not None
+            rows = made
+            factors.append((row, by))
+        for name, scan in known.items():
+            scan[:, row] = rows[name]
+    return replace(family, factors=tuple(factors)), scans
+
+
+def _times(
+    rows: Mapping[str, Array], by: str | int, nodes: Mapping[str, Array], base: Values
+) -> dict[str, Array] | None:
+    """One row along each parameter, (nodes, columns), times a parameter or divided by one of its entries; None where
+    that entry may be zero.
+    """
+    if isinstance(by, str):
+        return {n: row * (nodes[n][:, None] if n == by else base[by]) for n, row in rows.items()}
+    entry = np.concatenate([row[:, by] for row in rows.values()])
+    if not (entry * entry[0] > 0).all():
+        return None
+    return {n: row / row[:, [by]] for n, row in rows.items()}
+
+
+def _exists(family: _Family, point: Mapping[str, float]) -> bool:
+    try:
+        family.raw(point)
+    except RobustlabError:
+        return False
+    return True
+
+
+def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
+    """Parameters of which a row is no polynomial, and the sum of its degrees in the others."""
+    size = np.max([np.abs(row).max(axis=0) for row in rows.values()], axis=0)
+    size = np.where(size > 0, size, 1.0)
+    degrees = [_degree(row / size) for row in rows.values()]
+    return degrees.count(None), sum(d for d in degrees if d is not None)
+
+
+def _degree(scan: Array) -> int | None:
+    """Degree of the polynomial through values at Chebyshev nodes, (nodes, ...) of magnitude one; None: of none.
+
+    A function that is no polynomial has Chebyshev coefficients that fall off until they drown in rounding, which the
+    highest ones show; a polynomial has none beyond its degree.
+    """
+    count = len(scan)
+    basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
+    sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)
+    rounding = np.maximum(CLEAR * sizes[-TUNING.family_top :].max(axis=0), ROUNDING)
+    degree = int(np.flatnonzero((sizes > rounding).any(axis=1)).max(initial=0))
+    return degree if degree <= TUNING.family_degree and rounding.max() <= SAME else None
+
+
+# --- the exact part --------------------------------------------------------------------------------------------------
+
+
+def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array) -> MatrixPolynomial:
+    """N as a polynomial of what stands in Delta, without the sampled parameters; checked at points of its own."""
+    names = family.names
+    exact = [k for k, name in enumerate(names) if degrees[name]]
+    zero: Exponents = (0,) * len(names)
+    centre = family.at({})
+    if not exact:
+        return MatrixPolynomial(names, {zero: centre})
+    rng = np.random.default_rng(0)
+    spans = np.array([family.reach(names[k]) for k in exact])
+    nominal = np.array([family.ranges[k].nominal for k in exact])
+    half = np.abs(spans - nominal[:, None]).max(axis=1)
+
+    def at(points: Array) -> Array:
+        return np.array([family.at({names[k]: float(v) for k, v in zip(exact, p, strict=True)}) for p in points])
+
+    monomials = _monomials([degrees[names[k]] or 0 for k in exact], _meetings(at, nominal, spans, scale))
+    if len(monomials) > TUNING.family_monomials:
+        found = f"{len(monomials)} products of {len(exact)} parameters"
+        raise InputError(family.where, found, f"at most {TUNING.family_monomials}", "fewer tolerances at once")
+    points = rng.uniform(spans[:, 0], spans[:, 1], (2 * len(monomials) + TUNING.family_checks, len(exact)))
+    t = (points - nominal) / half
+    basis = np.array([np.prod(t**e, axis=1) for e in monomials]).T
+    off = (at(points) - centre) / scale
+    fit, check = slice(TUNING.family_checks, None), slice(0, TUNING.family_checks)
+    flat = off.reshape(len(off), -1)
+    coefficients = np.linalg.lstsq(basis[fit], flat[fit], rcond=None)[0]
+    miss = float(np.abs(basis[check] @ coefficients - flat[check]).max())
+    if miss > SAME:
+        found = f"the linear models are off their polynomial by {miss:.2g}"
+        raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
+    coefficients[np.abs(coefficients) <= ZERO] = 0.0
+    radius = np.array([family.ranges[k].radius for k in exact])
+    terms: dict[Exponents, Array] = {zero: centre}
+    for e, part in zip(monomials, coefficients, strict=True):
+        if part.any():
+            powers = dict(zip(exact, e, strict=True))
+            key = tuple(powers.get(k, 0) for k in range(len(names)))
+            terms[key] = part.reshape(scale.shape) * scale * float(np.prod((radius / half) ** np.array(e)))
+    return MatrixPolynomial(names, terms)
+
+
+def _meetings(at: Callable[[Array], Array], nominal: Array, spans: Array, scale: Array) -> set[tuple[int, int]]:
+    """Pairs of parameters whose effects do not simply add up."""
+    count = len(nominal)
+    start, end = nominal + 0.37 * (spans[:, 1] - nominal), spans[:, 0] + 0.11 * (nominal - spans[:, 0])
+    shift = np.diag(end - start)
+    alone, both = at(start + shift) / scale, at(start[None])[0] / scale
+    pairs = list(combinations(range(count), 2))
+    if not pairs:
+        return set()
+    together = at(np.array([start + shift[i] + shift[j] for i, j in pairs])) / scale
+    return {
+        (i, j)
+        for (i, j), there in zip(pairs, together, strict=True)
+        if np.abs(there - alone[i] - alone[j] + both).max() > ZERO
+    }
+
+
+def _monomials(degrees: Sequence[int], meetings: set[tuple[int, int]]) -> list[Exponents]:
+    """All products of powers up to the degrees, of parameters that meet; the constant one is left out."""
+
+    def cliques(start: int, chosen: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+        for k in range(start, len(degrees)):
+            if all((j, k) in meetings for j in chosen):
+                yield (*chosen, k)
+                yield from cliques(k + 1, (*chosen, k))
+
+    found: list[Exponents] = []
+    for clique in cliques(0, ()):
+        for powers in product(*(range(1, degrees[k] + 1) for k in clique)):
+            by_place = dict(zip(clique, powers, strict=True))
+            found.append(tuple(by_place.get(k, 0) for k in range(len(degrees))))
+            if len(found) > TUNING.family_monomials:
+                return found
+    return found
+
+
+# --- the sampled part ------------------------------------------------------------------------------------------------
+
+
+class _Remainder(NamedTuple):
+    """``left Delta right`` of the full block; samples, fresh ones, and the largest Delta that these need."""
+
+    left: Array
+    right: Array
+    samples: int
+    fresh: int
+    fresh_size: float
+
+    def delta(self, rest: Array) -> Array:
+        """The values of Delta, (k, rows, cols), that belong to what the polynomial leaves, (k, m, n)."""
+        return np.linalg.pinv(self.left) @ rest @ np.linalg.pinv(self.right)
+
+
+def _sampled_part(
+    family: _Family, degrees: Mapping[str, int | None], exact: MatrixPolynomial, scale: Array
+) -> tuple[MatrixPolynomial, _Remainder | None, int]:
+    """The polynomial with first (or higher) powers of the sampled parameters, the block for the rest, the powers."""
+    sampled = [k for k, name in enumerate(family.names) if degrees[name] is None]
+    if not sampled:
+        return exact, None, 0
+    moving = [k for k, name in enumerate(family.names) if degrees[name] != 0]
+    s = _box(family, moving, 0)
+    off = (family.inside(s) - _values(exact, family.entries(s))) / scale
+    flat, t = off.reshape(len(off), -1), family.entries(s)
+    whole = float(np.abs(flat).max())
+    found: tuple[int, list[Exponents], Array, Array] | None = None
+    for degree in range(1, TUNING.family_cover_degree + 1):
+        monomials = _with_one_of(sampled, moving, len(family.names), degree)
+        if 3 * len(monomials) > len(s):
+            break
+        basis = np.array([np.prod(t**e, axis=1) for e in monomials]).T
+        coefficients = np.linalg.lstsq(basis, flat, rcond=None)[0]
+        coefficients[np.abs(coefficients) <= ZERO] = 0.0
+        found = degree, monomials, coefficients, flat - basis @ coefficients
+        if np.abs(found[3]).max() <= TUNING.family_share * whole:
+            break
+    if found is None:
+        raise InputError(family.where, f"{len(moving)} tolerances to be sampled", "fewer at once")
+    degree, monomials, coefficients, rest = found
+    terms = dict(exact.terms)
+    for e, part in zip(monomials, coefficients, strict=True):
+        if part.any():
+            terms[e] = terms.get(e, 0.0) + part.reshape(scale.shape) * scale
+    polynomial = MatrixPolynomial(family.names, terms)
+    return polynomial, _bounded(family, moving, polynomial, rest.reshape(off.shape), scale), degree
+
+
+def _values(polynomial: MatrixPolynomial, t: Array) -> Array:
+    return np.array([polynomial(row) for row in t])
+
+
+def _with_one_of(sampled: Sequence[int], moving: Sequence[int], count: int, degree: int) -> list[Exponents]:
+    """Monomials of the sampled parameters up to the degree; from the second degree on with the others, too."""
+    found = []
+    for total in range(1, degree + 1):
+        for powers in product(range(total + 1), repeat=len(moving)) if len(moving) <= 6 else _few(len(moving), total):
+            if sum(powers) == total:
+                key = dict(zip(moving, powers, strict=True))
+                if any(key.get(k, 0) for k in sampled):
+                    found.append(tuple(key.get(k, 0) for k in range(count)))
+    return found
+
+
+def _few(count: int, total: int) -> Iterator[tuple[int, ...]]:
+    from itertools import combinations_with_replacement
+
+    for chosen in combinations_with_replacement(range(count), total):
+        yield tuple(chosen.count(k) for k in range(count))
+
+
+def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:
+    """Normalised values (k, names): corners of the box (all, or many of them), its middle, and a Sobol sequence."""
+    from scipy.stats import qmc
+
+    count = len(moving)
+    rng = np.random.default_rng(seed)
+    if 2**count <= TUNING.family_corners:
+        corners = np.array(list(product((-1.0, 1.0), repeat=count)))
+    else:
+        corners = rng.choice([-1.0, 1.0], (TUNING.family_corners, count))
+    # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
+    settings: dict[str, Any] = {"seed": rng}
+    inner = 2.0 * qmc.Sobol(count, **settings).random_base2(TUNING.family_sobol) - 1.0
+    s = np.zeros((len(corners) + len(inner) + 1, len(family.names)))
+    s[1:, list(moving)] = np.vstack([corners, inner])
+    return s
+
+
+def _bounded(
+    family: _Family, moving: Sequence[int], polynomial: MatrixPolynomial, rest: Array, scale: Array
+) -> _Remainder | None:
+    """The block for what the polynomial leaves at the samples, wide enough for fresh ones too."""
+    size = np.abs(rest).max(axis=0)
+    size[size <= ZERO] = 0.0
+    rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
+    if not len(rows):
+        return None
+    natural = natural_magnitude(size[np.ix_(rows, columns)])
+    left, right = np.zeros((len(size), len(rows))), np.zeros((len(columns), size.shape[1]))
+    left[rows, range(len(rows))] = natural[:, 0]
+    right[range(len(columns)), columns] = natural[0] / natural[0, 0]
+    first, across = scale[:, :1] / scale[0, 0], scale[:1]
+    made = _Remainder(first * left, right * across, len(rest), 0, 0.0)
+    largest = float(np.linalg.norm(made.delta(rest * scale), 2, axis=(1, 2)).max())
+    count = len(rest)
+    for attempt in range(1, TUNING.family_rounds + 1):
+        bound = TUNING.family_room * largest
+        s = _box(family, moving, attempt)[1:]
+        off = family.inside(s) - _values(polynomial, family.entries(s))
+        size_there = float(np.linalg.norm(made.delta(off), 2, axis=(1, 2)).max())
+        if size_there <= bound:
+            return made._replace(left=bound * made.left, samples=count, fresh=len(s), fresh_size=size_there / bound)
+        largest, count = size_there, count + len(s)
+    found = f"fresh samples still left the cover of {count} after {TUNING.family_rounds} rounds"
+    raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
+
+
+# --- the model -------------------------------------------------------------------------------------------------------
+
+
+class _Origins(NamedTuple):
+    """What is said of each block."""
+
+    held: str
+    degrees: Mapping[str, int | None]
+    powers: int
+    remainder: _Remainder | None
+
+    def of(self, name: str, off: float, affine: bool) -> str:
+        """The origin of a block; ``off``: how well the set gives the plant's own models."""
+        rest = self.remainder
+        if name == REMAINDER and rest is not None:
+            proved = f"proved on the hull of {rest.samples}" if affine else f"proved for {rest.samples}"
+            return (
+                f"{SAMPLED}: {proved} linear models only; {rest.fresh} fresh ones need {rest.fresh_size:.2f} of it;"
+                " complex and dynamic members come in"
+            )
+        degree = self.degrees[name]
+        if degree is None:
+            power = "first-order effect" if self.powers == 1 else f"effect up to order {self.powers}"
+            said = "nothing is left at the samples" if rest is None else f"the rest stands in {REMAINDER}"
+            return f"{SAMPLED}: its {power}, {said}; {self.held}"
+        kind = "affine" if degree == 1 else f"of degree {degree}"
+        least = ", repeated as often as its rank asks" if affine else ""
+        return (
+            f"exact: the descriptor form is {kind} in it{least}; the plant's own models met to {off:.1e}; {self.held}"
+        )
+
+
+def _closed(
+    family: _Family, nominal: StateSpaceModel, polynomial: MatrixPolynomial, remainder: _Remainder | None,
+    scale: Array, told: _Origins, outputs: Sequence[str] | None,
+) -> UncertainModel:  # fmt: skip
+    """The model, checked against the plant at random values."""
+    lft = polynomial_lft(polynomial, scale, ZERO)
+    order = [k for name in family.names for k, owner in enumerate(lft.names) if owner == name]
+    left, right, inner = lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)]
+    counts = {name: lft.names.count(name) for name in family.names}
+    blocks: list[RealScalar | FullBlock] = [
+        RealScalar(name, counts[name], r) for name, r in zip(family.names, family.ranges, strict=True) if counts[name]
+    ]
+    if remainder is not None:
+        q, p = remainder.left.shape[1], remainder.right.shape[0]
+        left, right = np.hstack([left, remainder.left]), np.vstack([right, remainder.right])
+        inner = np.block([[inner, np.zeros((len(inner), q))], [np.zeros((p, inner.shape[1])), np.zeros((p, q))]])
+        blocks.append(FullBlock(REMAINDER, q, p))
+    n, n_u = nominal.n_states, nominal.n_inputs
+    e = -family.at({})[:n, n + n_u :]
+    channels, point = Channels(left, right, inner, tuple(blocks)), nominal.operating_point
+    whole = closed_descriptor(nominal, e, channels, family.where, None, point)
+    off = _off(family, whole, polynomial, remainder)
+    if not off <= EXACT:
+        found = f"the set is off the plant's linear models by {off:.2g} of an entry's row"
+        raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
+    affine = all(sum(powers) <= 1 for powers in polynomial.terms)
+    named = tuple(replace(block, origin=told.of(block.name, off, affine)) for block in blocks)
+    made = closed_descriptor(nominal, e, channels._replace(blocks=named), family.where, outputs, point)
+    # an affine form has as few repetitions as there can be
+    return made if affine else made.reduce()
+
+
+def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None) -> float:
+    """Largest difference of a member from the plant's own model, relative to the largest of the entry's row."""
+    n, n_u = model.M.n_states, len(model.inputs)
+    rng = np.random.default_rng(1)
+    worst = 0.0
+    known = {b.name for b in model.blocks}
+    for s in rng.uniform(-1.0, 1.0, (TUNING.family_checks, len(family.names))):
+        there = family.at(family.point(s))
+        delta = {name: float(v) for name, v in zip(family.names, s, strict=True) if name in known}
+        if remainder is not None:
+            delta |= {REMAINDER: remainder.delta(there[None] - polynomial(family.entries(s)))[0]}
+        member = model.evaluate(delta)
+        e, rest = -there[:n, n + n_u :], there[:n, : n + n_u]
+        rates = solved(e, rest, family.where)
+        for reached, wanted in (
+            (np.hstack([member.A, member.B]), rates),
+            (np.hstack([member.C, member.D]), there[n:, : n + n_u]),
+        ):
+            row = np.abs(wanted).max(axis=1, keepdims=True)
+            worst = max(worst, float((np.abs(reached - wanted) / np.where(row > 0, row, 1.0)).max(initial=0.0)))
+    return worst
