@@ -48,9 +48,9 @@ __all__ = ["compare_along"]
 
 SHORTEST_RECORD = 40  # samples
 SHORTEST_PIECE = 20  # samples
-PIECES_PER_WINDOW = 4
+PIECES_PER_WINDOW = 2
 ASKED = 10  # pieces that tell how short they may be
-WELL_TOLD = 0.02  # standard deviation of an addition to an input, of what that input does
+WELL_TOLD = 0.003  # standard deviation of an addition to an input, of what that input does
 CHECKED = 6  # windows that the nonlinear plant goes through, too
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
 LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighed by its rounding
@@ -163,6 +163,10 @@ def _response(
         warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
     record = with_units(record, (*plant.inputs, *outputs))
     names = [s.name for s in outputs]
+    for name in names:
+        if not np.ptp(record[name]):
+            found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
+            raise InputError(where, found, "outputs that move: they tell where the plant is", "leave out a dead sensor")
     columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
     u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
     whole = stretch_of(record, [s.name for s in plant.inputs], names)
@@ -269,7 +273,7 @@ def _windowed_error(response: MotionResponse, part: Stretch, length: int) -> Arr
 
 
 def _piece(response: MotionResponse, length: int) -> int:
-    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or a quarter of a window."""
+    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or half a window."""
     size, n = min(length, SHORTEST_PIECE), len(response.whole.t)
     moved = response.course.u.std(axis=0)
     moving = moved > 0
