@@ -73,6 +73,7 @@ class NamingTuning:
     rough: float = 0.5  # fall of V at which the first two rounds stop
     first_windows: int = 12  # that the first round looks at, and the second: more judge better and take more time
     second_windows: int = 18
+    most_scored: int = 30  # effects of a nonlinear plant that enter the first round: more find what no score shows
     kept_second: int = 10  # hypotheses that enter the second round, and the last
     kept_last: int = 8
     kept_gains: int = 2  # wrong gains beside them: at the same cost the prior may prefer one

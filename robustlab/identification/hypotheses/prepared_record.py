@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 
 import numpy as np
 
@@ -156,25 +155,19 @@ def window_length(
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
     the slowest resonance, as far as four windows fit.
 
-    Of a nonlinear plant (``model`` about its motion) the middle one of these along the motion counts; and over a window
-    its fastest instability, which a controller held when the record was made, grows no more than
-    ``tuning.most_growth`` times.
+    Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
+    which a controller held when the record was made, grows no more than ``tuning.most_growth`` times.
     """
     n, dt = min(r.n for r in records), records[0].dt
-    if isinstance(plant, LinearPlant):
-        models = [plant.state_space()]
-    else:
-        about = ports_of(plant, records[0]) if model is None else model
-        models = [StateSpaceModel(a, a[:, :0], a[:0], np.zeros((0, 0))) for a in about.A]
-    slowest = min(round(median([slowest_time_constant(m) for m in models]) / dt), 2 * tuning.longest_window)
-    period = median([longest_period(m) for m in models])
     length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
-    length = min(max(length, slowest, round(2.0 * period / dt)), n // tuning.fewest_windows)
     if isinstance(plant, LinearPlant):
-        return length
-    growth = max(float(m.poles().real.max(initial=0.0)) for m in models)
+        linear = plant.state_space()
+        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.longest_window)
+        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.fewest_windows)
+    about = ports_of(plant, records[0]) if model is None else model
+    growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
     stable = math.log(tuning.most_growth) / (growth * dt) if growth > 0.0 else math.inf
-    return int(min(length, max(stable, tuning.shortest_window / 2)))
+    return int(min(length, max(stable, tuning.shortest_window / 2), n // tuning.fewest_windows))
 
 
 def prepare(
