@@ -48,11 +48,12 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
     whole = stretch_of(record, [s.name for s in plant.inputs], names).cut(first, first + LONGEST)
     columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
     u = np.column_stack(list(whole.u.values()))
+    reason: NoTrustworthyNumber | None = None
     try:
-        error, response = _error(plant, whole, u, whole.y, columns)
+        error = _error(plant, whole, u, whole.y, columns)
     except NoTrustworthyNumber as none:
-        error, response, reason = np.inf, None, none
-    if response is not None and error < SUSPECT**2:
+        error, reason = np.inf, none
+    if error < SUSPECT**2:
         return {}
     left = {}
     for kind, signals, labels in (("u", u, list(whole.u)), ("y", whole.y, names)):
@@ -60,19 +61,17 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
             turned = signals.copy()
             turned[:, j] *= -1.0
             try:
-                left[name] = _error(plant, whole, *((turned, whole.y) if kind == "u" else (u, turned)), columns)[0]
+                left[name] = _error(plant, whole, *((turned, whole.y) if kind == "u" else (u, turned)), columns)
             except NoTrustworthyNumber:
                 left[name] = np.inf
     best = min(left, key=lambda name: left[name])
-    if response is None and not left[best] < SUSPECT**2:
+    if reason is not None and not left[best] < SUSPECT**2:
         raise reason
     share = left[best] / error
     return {best: share} if share < LEFT else {}
 
 
-def _error(
-    plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]
-) -> tuple[float, MotionResponse]:
+def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]) -> float:
     """Mean square of the windowed error in units of the sensors' scatter."""
     smoothed = smooth_motion(plant, whole.t, u, y, columns).smoothed
     noise = np.maximum(smoothed.noise_std, 1e-6 / whole.weight)
@@ -81,4 +80,4 @@ def _error(
     length = min(WINDOW, len(whole.t))
     starts = np.arange(0, len(whole.t) - length + 1, length)
     left = [fit_windows(w, response.errors(w), judged.weight).left for w in response.responses(starts, length)]
-    return float(np.mean(np.concatenate(left) ** 2)), response
+    return float(np.mean(np.concatenate(left) ** 2))
