@@ -57,6 +57,8 @@ LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighe
 DIVERGED = 10.0  # times the recorded range from the record: the free run says nothing beyond
 SECTION = 100  # samples that the free run goes at once
 RTOL = 1e-9
+POINTS = 60  # of the motion that tell how unstable the plant is
+GROWN = 20.0  # times: an error of the start that grows more is warned of
 TOLD = 1e-6  # an input's answer below this share of itself, once the start is fitted, is not told from it
 
 
@@ -123,6 +125,7 @@ def compare_along(
             *channel_warnings(record, tuple(inputs), tuple(names)),
             *_unseen(plant, initial.rank),
             *_nonlinear(linearisation),
+            *_growing(response, run),
         ),
         noise=noise,
         noise_reason=noise_reason,
@@ -333,6 +336,18 @@ def _unseen(plant: NonlinearPlant, rank: int) -> list[str]:
         return []
     seen = f"the recorded outputs determine {rank} of {len(plant.states)} states at the start"
     return [f"{seen}; the rest was taken from the motion"]
+
+
+def _growing(response: MotionResponse, run: FreeRun) -> list[str]:
+    """A word where the free run is whole, and yet shows the error of its start rather than the plant's."""
+    course, t = response.course, response.whole.t
+    at = np.unique(np.linspace(0, len(t) - 1, POINTS).astype(int))
+    rates = np.linalg.eigvals(response.plant.local_models(course.x[at], course.u[at]).A).real.max(axis=1)
+    growth = float(np.maximum(rates, 0.0).mean() * (t[-1] - t[0]))
+    if not run.whole or growth < np.log(GROWN):
+        return []
+    told = f"an error of its start grows about {np.exp(min(growth, 700.0)):.2g} times over the free run"
+    return [f"the plant is unstable along the record: {told}, so the windows tell more"]
 
 
 def _nonlinear(found: Linearisation) -> list[str]:
