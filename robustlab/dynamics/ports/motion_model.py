@@ -23,7 +23,7 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
 
-__all__ = ["Course", "MotionModel", "exponentials", "motion_model"]
+__all__ = ["Course", "MotionModel", "exponentials", "local_port_model", "motion_model"]
 
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
@@ -134,7 +134,7 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     samples = (starts[:, None] + np.arange(length)).ravel()
     x, u = course.x[samples], course.u[samples]
     offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
-    return MotionModel(_as_model(plant, local), rates, offsets, stride, own, seen)
+    return MotionModel(local_port_model(plant, local), rates, offsets, stride, own, seen)
 
 
 def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
@@ -142,7 +142,8 @@ def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
     return np.einsum("npq,nq->np", matrices[of], vectors)
 
 
-def _as_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
+def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
+    """Models about points, with an axis of these, and the plant's ports."""
     n = len(plant.states)
     names = [s.name for s in plant.states]
     ports = {}
