@@ -22,7 +22,7 @@ def closed_loop(
     noise: float,
     seed: int = 0,
 ) -> tuple[Record, np.ndarray]:
-    """A record of n samples with white noise on the outputs, and the true states; inputs from ``control(t, x)``."""
+    """A record of n samples with white noise on the outputs, and the true states; ``control(t, x)`` gives inputs."""
     states, inputs = [np.array(x0, dtype=float)], []
     for k in range(n):
         inputs.append(np.asarray(control(k * dt, states[-1]), dtype=float))

@@ -48,15 +48,17 @@ __all__ = ["compare_along"]
 
 SHORTEST_RECORD = 40  # samples
 SHORTEST_PIECE = 20  # samples
-PIECES_PER_WINDOW = 4
+PIECES_PER_WINDOW = 2
 ASKED = 10  # pieces that tell how short they may be
-WELL_TOLD = 0.02  # standard deviation of an addition to an input, of what that input does
+WELL_TOLD = 0.003  # standard deviation of an addition to an input, of what that input does
 CHECKED = 6  # windows that the nonlinear plant goes through, too
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
 LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighed by its rounding
 DIVERGED = 10.0  # times the recorded range from the record: the free run says nothing beyond
 SECTION = 100  # samples that the free run goes at once
 RTOL = 1e-9
+POINTS = 60  # of the motion that tell how unstable the plant is
+GROWN = 20.0  # times: an error of the start that grows more is warned of
 TOLD = 1e-6  # an input's answer below this share of itself, once the start is fitted, is not told from it
 
 
@@ -123,6 +125,7 @@ def compare_along(
             *channel_warnings(record, tuple(inputs), tuple(names)),
             *_unseen(plant, initial.rank),
             *_nonlinear(linearisation),
+            *_growing(response, run),
         ),
         noise=noise,
         noise_reason=noise_reason,
@@ -163,6 +166,10 @@ def _response(
         warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
     record = with_units(record, (*plant.inputs, *outputs))
     names = [s.name for s in outputs]
+    for name in names:
+        if not np.ptp(record[name]):
+            found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
+            raise InputError(where, found, "outputs that move: they tell where the plant is", "leave out a dead sensor")
     columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
     u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
     whole = stretch_of(record, [s.name for s in plant.inputs], names)
@@ -269,7 +276,7 @@ def _windowed_error(response: MotionResponse, part: Stretch, length: int) -> Arr
 
 
 def _piece(response: MotionResponse, length: int) -> int:
-    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or a quarter of a window."""
+    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or half a window."""
     size, n = min(length, SHORTEST_PIECE), len(response.whole.t)
     moved = response.course.u.std(axis=0)
     moving = moved > 0
@@ -329,6 +336,18 @@ def _unseen(plant: NonlinearPlant, rank: int) -> list[str]:
         return []
     seen = f"the recorded outputs determine {rank} of {len(plant.states)} states at the start"
     return [f"{seen}; the rest was taken from the motion"]
+
+
+def _growing(response: MotionResponse, run: FreeRun) -> list[str]:
+    """A word where the free run is whole, and yet shows the error of its start rather than the plant's."""
+    course, t = response.course, response.whole.t
+    at = np.unique(np.linspace(0, len(t) - 1, POINTS).astype(int))
+    rates = np.linalg.eigvals(response.plant.local_models(course.x[at], course.u[at]).A).real.max(axis=1)
+    growth = float(np.maximum(rates, 0.0).mean() * (t[-1] - t[0]))
+    if not run.whole or growth < np.log(GROWN):
+        return []
+    told = f"an error of its start grows about {np.exp(min(growth, 700.0)):.2g} times over the free run"
+    return [f"the plant is unstable along the record: {told}, so the windows tell more"]
 
 
 def _nonlinear(found: Linearisation) -> list[str]:

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
@@ -172,6 +173,11 @@ def cover(
     ----------
     Březina 2010, sections 11.1-11.3, which judges its jig so.
     """
+    if isinstance(uncertain, NonlinearPlant):
+        hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
+        raise InputError(
+            "cover", f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint
+        )
     if not isinstance(uncertain, UncertainModel):
         raise InputError("cover", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
     response = response_of(uncertain.nominal, record)

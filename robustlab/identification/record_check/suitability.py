@@ -19,6 +19,7 @@ kind                    fatal  what was found
 ``gaps``                no     missing samples
 ``jitter``              no     a clock that is not uniform
 ``quantisation``        no     an encoder's step, found from the samples
+``motion``              yes    of a nonlinear plant: a position that is not recorded, a motion that it cannot have
 ======================  =====  ===============================================================================
 
 What the samples say of themselves (constant and clipped channels, the clock, units) `check_record` tells of any record,
@@ -34,10 +35,12 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.clocks import summarise_clock
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
+from robustlab.identification.record_check.motion_identity import turned_channels
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
-from robustlab.identification.response.response import Response, longest_period, response_of
+from robustlab.identification.response.response import Response, longest_period, matched, response_of
 from robustlab.identification.response.windowed_response import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence
@@ -269,7 +272,8 @@ def suitability(plant: Any, record: Record) -> Suitability:
     Parameters
     ----------
     plant
-        A linear plant or model. Of a nonlinear plant nothing is simulated: only the samples are judged.
+        A plant or linear model. Of a nonlinear plant the positions of all joints must be recorded, and of its channels
+        the signs are judged.
     record
         With every input of the plant, and at least one of its outputs.
 
@@ -294,14 +298,14 @@ def suitability(plant: Any, record: Record) -> Suitability:
     >>> suitability(axis, run).fit, suitability(axis, wrong).fatal[0].kind
     (True, 'sign')
     """
-    from robustlab.dynamics import NonlinearPlant
-
     level = uniform(record)
     if isinstance(plant, NonlinearPlant):
-        inputs = tuple(s.name for s in plant.inputs if s.name in record.inputs)
-        outputs = tuple(s.name for s in plant.outputs if s.name in record.outputs)
+        shared, _ = matched(plant.inputs, plant.outputs, record)
+        inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
         findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
         findings += _unexcited(record, inputs, outputs, {})
+        if not isinstance(plant, SteppedPlant) and not any(f.fatal or f.kind == "constant-output" for f in findings):
+            findings += _along_motion(plant, level)
     else:
         response = response_of(plant, record)
         outputs, inputs = response.output_names, response.model.input_names
@@ -477,6 +481,26 @@ def _unpredicted(y: Array) -> float:
 
 
 # --- channels that are not what they are called ----------------------------------------------------------------------
+
+
+def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
+    """Whether the sensors tell a motion that a nonlinear plant can have, and which channels have the other sign."""
+    record = level.record
+    positions = ", ".join(s.name for s in plant.outputs if s.name in record.outputs)
+    try:
+        turned = turned_channels(plant, record)
+    except InputError as wrong:
+        return [Finding("motion", positions, wrong.found, wrong.expected or "", wrong.hint or "", True, {})]
+    except NoTrustworthyNumber as none:
+        hint = "check signs, units and zeros of the outputs"
+        text = f"tells a motion that {plant.name} cannot have: {none.found}"
+        return [Finding("motion", positions, text, "positions within its reach", hint, True, {})]
+    found = []
+    for name, share in turned.items():
+        text = f"seems to be measured with the other sign (turned, it leaves {100 * share:.2g} % of the squared error)"
+        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {name} in the record"
+        found.append(Finding("sign", name, text, "the model's sign", hint, True, {"error_left": share}))
+    return found
 
 
 def _named(one: Contradiction, response: Response, record: Record) -> Finding:

@@ -110,15 +110,23 @@ class MotionResponse:
         """Number of states n_x."""
         return len(self.plant.states)
 
-    def responses(self, starts: Sequence[int] | Indices, length: int) -> Iterator[WindowResponses]:
-        """Windows of ``length`` samples, as many side by side as the memory takes."""
+    def responses(
+        self, starts: Sequence[int] | Indices, length: int, added: Array | None = None
+    ) -> Iterator[WindowResponses]:
+        """Windows of ``length`` samples, as many side by side as the memory takes.
+
+        Parameters
+        ----------
+        added
+            What `WindowResponses.held` is the answer to, samples (n, n_u); ones where left out.
+        """
         n_x, n_u = self.n_states, self.course.u.shape[1]
         size = length * (len(self.columns) * (1 + n_x + n_u) + STEPS * n_x * (2 * n_x + n_u))
         count = max(1, AT_ONCE // size)
         for k in range(0, len(starts), count):
-            yield self._responses(np.asarray(starts[k : k + count], dtype=np.int64), length)
+            yield self._responses(np.asarray(starts[k : k + count], dtype=np.int64), length, added)
 
-    def _responses(self, starts: Indices, length: int) -> WindowResponses:
+    def _responses(self, starts: Indices, length: int, added: Array | None) -> WindowResponses:
         dt, n_x, n_u = self.course.dt, self.n_states, self.course.u.shape[1]
         about = motion_model(self.course, {}, starts, length, STEPS)
         phi, psi, _ = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
@@ -135,16 +143,17 @@ class MotionResponse:
         x[:, :, 0], x[:, :, 1 : 1 + n_x] = self.course.x[starts], np.eye(n_x)
         for k in range(length):
             u = self.course.u[starts + k]
+            more = np.ones_like(u) if added is None else added[starts + k]
             at = points[:, k]
             found[:, k] = c[at] @ x
             found[:, k, :, 0] += offsets[:, k] + (d[at] @ u[..., None])[..., 0]
-            found[:, k, :, 1 + n_x :] += d[at]
+            found[:, k, :, 1 + n_x :] += d[at] * more[:, None]
             for step in range(k * STEPS, (k + 1) * STEPS):
                 own = steps[:, step]
                 x = phi[own] @ x
                 pushed = entering[own]
                 x[:, :, 0] += (pushed @ u[..., None] + psi[own] @ rates[:, step, :, None])[..., 0]
-                x[:, :, 1 + n_x :] += pushed
+                x[:, :, 1 + n_x :] += pushed * more[:, None]
         if not np.isfinite(found).all():
             name = self.plant.name
             raise NoTrustworthyNumber(f"compare {name}", "a window's simulation overflows", None, "shorter windows")

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.budget import one_thread, search_budget
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.result import Validation
@@ -133,6 +134,11 @@ def validate(
     (0.4, False, 'certified')
     """
     budget, estimated = search_budget("validate", tuning.work, effort, time_limit), noise is None
+    if isinstance(uncertain, NonlinearPlant):
+        hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
+        raise InputError(
+            "validate", f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint
+        )
     if not isinstance(uncertain, UncertainModel):
         raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
     for block in uncertain.blocks:

@@ -24,6 +24,7 @@ _CAPTIONS = {
     "time": "The record and its simulation, and the error over time; shaded: the window with the largest error.",
     "speed": "Where the error lives over speed and position: dry friction shows as a step at zero speed.",
     "spectrum": "Where the error lives over frequency.",
+    "outputs": "The windowed error of all outputs beside each other.",
     "residual": "What is left in the residual: its correlation with itself and with the input, and the 99 % band.",
 }
 
