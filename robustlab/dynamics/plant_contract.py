@@ -139,6 +139,10 @@ class Plant(Traced, ABC):
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
         """``h(x, u)``: outputs, shape (n_y,)."""
 
+    @abstractmethod
+    def with_parameters(self, **given: Any) -> Any:
+        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+
     @property
     def values(self) -> dict[str, float]:
         """Nominal value of each parameter."""
@@ -275,6 +279,19 @@ class NonlinearPlant(Plant):
         """
         raise InputError(self.name, "a plant without models along a motion", "one that has them", None)
 
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """The rates of `local_models` alone, (n, n_x); where these cost less they are given without the rest."""
+        return self.local_models(x, u, values).rates
+
+    def check_reach(self, t: Array, x: Array) -> None:
+        """Whether the machine can be in the states x (n, n_x) at the times t; any by default.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            A state beyond its range; the message names the first time.
+        """
+
     @abstractmethod
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Exact A, B, C, D = df/dx, df/du, dh/dx, dh/du at (x, u); no finite differences."""
@@ -345,8 +362,10 @@ class NonlinearPlant(Plant):
         trimmed = self.trimmed_descriptor(point, hold, tried)
         return uncertain_family(self.name, model, trimmed, self.values, allowed, outputs)
 
-    def outputs_along(self, x: Array, u: Array) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
+        if values is not None:
+            return self.local_models(x, u, values).outputs
         return np.array([self.output(state, force) for state, force in zip(x, u, strict=True)])
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:

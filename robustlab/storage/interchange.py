@@ -168,8 +168,9 @@ def read(
 ) -> Loaded:
     """Like `load`, but with what is known about the file, and for a pair file with both models."""
     where = str(path)
-    if content_of(path, limits) == "text":
-        if is_json(path):
+    content = content_of(path, limits)
+    if content in ("text", "parquet", "mcap"):
+        if content == "text" and is_json(path):
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
             held = read_controller_json(path, limits, isolate)
@@ -192,8 +193,6 @@ def read(
 
 
 def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Tree:
-    if content_of(path, limits) == "text":
-        raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
     return read_tree(path, group, limits, isolate)
 
 
@@ -273,8 +272,8 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         File to write; an existing file is replaced once the new one is complete.
     obj
         StateSpaceModel, UncertainModel, Controller, Record, a plant with or without effects, a python-control system,
-        or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or a
-        linear one of the user's own: its equations are stored as coefficients.
+        or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or
+        one of the user's own, whose equations are stored as coefficients (`LinearPlant`) or tapes (`PlantEquations`).
     provenance
         Where it comes from; time and versions of now where left out.
 

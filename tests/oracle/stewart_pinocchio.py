@@ -87,6 +87,8 @@ class Parameters:
     gear: float = 4.8 * 41 / 21
     rotor_inertia: float = 0.0
     gravity: float = 9.81
+    platform_cg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the platform frame
+    tilt: tuple[float, float] = (0.0, 0.0)  # of the base: turned about its x axis, then about the level y axis
     offset_sign: float = 1.0  # of I_i = sign (-1)^i (K_i x z) at home; the published torque needs +
 
     def with_bodies_scaled(self, factor: float) -> Parameters:
@@ -183,7 +185,8 @@ class PinocchioStewart:
     # -- the tree -----------------------------------------------------------------------------------------------
     def _build(self) -> None:
         par, model = self.parameters, pin.Model()
-        model.gravity.linear = np.array([0, 0, -par.gravity])
+        base = pin.utils.rotate("y", par.tilt[1]) @ pin.utils.rotate("x", par.tilt[0])
+        model.gravity.linear = base.T @ np.array([0, 0, -par.gravity])
 
         def attach(joint: int, body: Body, cg: Array, axes: Array | None = None) -> None:
             tensor = np.diag(body.inertia)
@@ -217,7 +220,7 @@ class PinocchioStewart:
             self._nuts.append(nut)
             self._screws.append(screw)
         self._platform = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "platform")
-        attach(self._platform, par.platform, np.zeros(3))
+        attach(self._platform, par.platform, np.array(par.platform_cg))
         for i in range(6):
             tip = pin.Frame(f"tip{i}", self._screws[i], 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
             seat = pin.Frame(

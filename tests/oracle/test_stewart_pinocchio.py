@@ -16,6 +16,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
+from robustlab.dynamics import stewart
 
 pin = pytest.importorskip("pinocchio")
 
@@ -242,3 +243,71 @@ def test_accelerations_of_the_plant(preset):
         found = rates[6:] - plant.derivative(np.concatenate([x[:6], np.zeros(6)]), u)[6:]
         expected = expected - model.nut_acceleration(pose, np.zeros(6), u)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+# -- a platform whose centre of gravity is off its middle, on a tilted base, with encoders that are off -------------
+
+CROOKED = {
+    "platform_cx": 0.021, "platform_cy": -0.034, "platform_cz": 0.05, "tilt_x": 0.11, "tilt_y": -0.17,
+    "platform_mass": 10.0, "platform_x": 0.09, "platform_y": 0.08, "platform_z": 0.11,
+}  # fmt: skip
+
+
+def crooked(preset: str, **more):
+    c = CROOKED
+    body = oracle.Body(c["platform_mass"], tuple(c[f"platform_{a}"] for a in "xyz"))
+    centre, tilt = tuple(c[f"platform_c{a}"] for a in "xyz"), (c["tilt_x"], c["tilt_y"])
+    model = PinocchioStewart(replace(PRESETS[preset], platform=body, platform_cg=centre, tilt=tilt))
+    return rl.plant("stewart-platform", preset=preset, **c, **more), model
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_centre_of_gravity_and_tilt_of_the_plant(preset):
+    plant, model = crooked(preset)
+    straight = PinocchioStewart(PRESETS[preset])
+    for pose, phidot, u in random_states(10):
+        np.testing.assert_allclose(rl.trim(plant, pose=pose).u, model.trim_torque(pose), rtol=1e-8, atol=1e-11)
+        assert np.abs(model.trim_torque(pose) - straight.trim_torque(pose)).max() > 5e-4
+        expected = model.mass_matrix(pose)
+        own = (SPIN + model.parameters.rotor_inertia * model.parameters.gear**2) * np.eye(6)
+        found = stewart.mass_matrix(plant, pose)
+        np.testing.assert_allclose(found - own, expected - own, rtol=0, atol=1e-8 * np.abs(expected - own).max())
+        x = np.concatenate([model.nut_angles(pose), phidot])
+        expected = model.nut_acceleration(pose, phidot, u)
+        np.testing.assert_allclose(plant.derivative(x, u)[6:], expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+        energy = stewart.potential_energy(plant, pose), stewart.kinetic_energy(plant, pose, phidot)
+        assert energy == pytest.approx((model.potential_energy(pose), model.kinetic_energy(pose, phidot)), rel=1e-9)
+
+
+def test_velocity_terms_of_a_centre_of_gravity_off_the_middle():
+    plant, model = crooked("thesis", gravity=0.0)
+    model = PinocchioStewart(replace(model.parameters, gravity=0.0))
+    for pose, phidot, _ in random_states(10):
+        expected = model.bias_torque(pose, phidot)
+        found = stewart.bias_torque(plant, pose, phidot)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_linear_model_of_a_crooked_platform():
+    plant, _ = crooked("physical")
+    pose, phidot, u = random_states(1)[0]
+    x = np.concatenate([plant.equilibrium(pose=pose).x[:6], 0.1 * phidot])
+    found = plant.jacobians(x, u)[0][6:]
+    expected = central(lambda at: plant.derivative(at, u)[6:], x, 1e-2)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
+def test_encoders_that_are_off():
+    """The nut's angle, its own zero included, is off; the unequal transverse inertias of the nut are made equal."""
+    even = {"nut_I": 1.93e-5, "nut_J": 1.93e-5}
+    off = np.array([0.0, 2.0, -3.0, 0.0, 0.5, 0.0])
+    plant = rl.plant("stewart-platform", **even)
+    moved = plant.with_parameters(**{f"offset_{i + 1}": off[i] for i in range(6)})
+    for pose, phidot, u in random_states(5):
+        at, there = rl.trim(plant, pose=pose), rl.trim(moved, pose=pose)
+        np.testing.assert_allclose(there.x[:6], at.x[:6] + off, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(there.u, at.u, rtol=1e-10)
+        np.testing.assert_allclose(moved.poses(at.x[:6] + off), pose, rtol=0, atol=1e-12)
+        expected = plant.derivative(np.concatenate([at.x[:6], phidot]), u)
+        found = moved.derivative(np.concatenate([at.x[:6] + off, phidot]), u)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())

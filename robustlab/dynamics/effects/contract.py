@@ -20,8 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = ["Effect", "EffectParameter", "Footprint", "Law", "Prior", "Scales", "Site"]
@@ -246,7 +245,7 @@ class Effect(ABC):
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         """Parameters with priors at these magnitudes."""
 
-    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         """All places of this plant where the effect can sit; empty where it makes no sense."""
         if self.site_kind == "input":
             return tuple(Site("input", s.name) for s in plant.inputs)
@@ -283,7 +282,7 @@ class Effect(ABC):
         """Parameters of the effect that this one refines, as far as its own tell; those of one name by default."""
         return values
 
-    def factors(self, plant: LinearPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
+    def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         """Plant parameter -> factor."""
         return {}
 

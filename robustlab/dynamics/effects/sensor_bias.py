@@ -14,8 +14,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 
 __all__ = ["EFFECT"]
 
@@ -29,13 +28,15 @@ class SensorBias(Effect):
     independently = "read the sensor at a known reference"
     site_kind = "output"
 
-    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         """Outputs k for which no equilibrium A x = 0 has C x = e_k: no free initial state takes the bias."""
         offered = []
-        both = np.vstack([model.A / max(np.abs(model.A).max(initial=0.0), 1.0), model.C])
+        n = model.A.shape[-1]
+        a, c = model.A.reshape(-1, n), model.C.reshape(-1, len(plant.outputs), n)[0]  # along a motion at every point
+        both = np.vstack([a / max(np.abs(a).max(initial=0.0), 1.0), c])
         for k, signal in enumerate(plant.outputs):
             wanted = np.zeros(len(both))
-            wanted[len(model.A) + k] = 1.0
+            wanted[len(a) + k] = 1.0
             x = np.linalg.lstsq(both, wanted, rcond=None)[0]
             if np.abs(both @ x - wanted).max() > 1e-9:
                 offered.append(Site("output", signal.name))

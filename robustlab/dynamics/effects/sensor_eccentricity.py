@@ -16,8 +16,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.spatial_wave import order_prior
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 
 __all__ = ["EFFECT"]
 
@@ -35,7 +34,7 @@ class SensorEccentricity(Effect):
     amplitude = ("e", "c", "s")
     spatial = True
 
-    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         return tuple(Site("output", s.name) for s in plant.outputs if s.unit in POSITION_UNITS)
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:

@@ -18,7 +18,7 @@ from robustlab.dynamics.effects.input_dead_zone import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.law_kernel import V, law
-from robustlab.dynamics.ports.port_model import Port, PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.errors import InputError
 
 __all__ = ["driver_in_loop"]
@@ -41,7 +41,7 @@ class _DriverInLoop(InputDeadZone):
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("d", self.port.speed_unit, "half width of the dead zone", Prior("log", 1.0, 1.0)),)
 
-    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         return (Site("joint", self.port.name),)
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:

@@ -1,11 +1,16 @@
-"""Simulation of a linear plant with effects, in windows that start anew or in one run."""
+"""Simulation of a plant with effects, in windows that start anew or in one run.
+
+A linear plant is exact; a nonlinear one is linear about a recorded motion (`robustlab.dynamics.ports.motion_model`).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +18,9 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel, port_model
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.motion_model import Course, MotionModel, exponentials, motion_model
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
@@ -21,6 +28,8 @@ from robustlab.errors import InputError
 __all__ = ["Motion", "Simulator", "Windows", "rising", "stepping"]
 
 KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
+KEPT_MOTIONS = 24  # parameter values about a motion that a simulator keeps
+POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
 LEAST_STEPS, MOST_STEPS = 2, 16  # a sample; electric time constants are shorter than one
 
@@ -40,6 +49,20 @@ class Motion:
     states: Array
     outputs: Array
     forces: Array
+
+
+class _Table(NamedTuple):
+    """The plant in steps, before the laws: for the whole step, its first and its second half, n_points of each.
+
+    phi (3, n_points, n, n), psi (half a step; n_points, n, n), gamma_u (3, n_points, n, columns of u), drift
+    (3, n_steps, n), empty for a linear plant, and the stride of the points in steps.
+    """
+
+    phi: Array
+    psi: Array
+    gamma_u: Array
+    drift: Array
+    stride: int
 
 
 @lru_cache(maxsize=64)
@@ -78,6 +101,8 @@ class Simulator:
 
     rough
         Steps are made once, not a second time in halves: a third of the time, and second order at best.
+    motion
+        Of a nonlinear plant: the states (n, n_x) at the samples about which it is linear.
 
     Raises
     ------
@@ -87,7 +112,7 @@ class Simulator:
 
     def __init__(
         self,
-        plant: LinearPlant,
+        plant: AnyPlant,
         effects: Sequence[tuple[Effect, Site]],
         u: Array,
         dt: float,
@@ -96,9 +121,16 @@ class Simulator:
         sub: int | None = None,
         hold: Sequence[Hold] | None = None,
         rough: bool = False,
+        motion: Array | None = None,
     ) -> None:
         self.plant, self.effects, self.dt, self.t0 = plant, tuple(effects), dt, t0
-        self.sub, self.rough = stepping(plant, dt) if sub is None else sub, rough
+        self.rough, self._course = rough, None
+        if isinstance(plant, NonlinearPlant):
+            if motion is None:
+                raise InputError("simulation", f"the nonlinear plant {plant.name}", "a motion about which it is linear")
+            self._course = _course(plant, motion, u, dt)
+            sub = LEAST_STEPS if sub is None else sub
+        self.sub = stepping(plant, dt) if sub is None else sub
         if self.sub < 1:
             raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
         holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
@@ -108,6 +140,13 @@ class Simulator:
         self._steps: dict[tuple[float, ...], Array] = {}
         self._exponentials: dict[bytes, tuple[Array, Array, Array]] = {}
         self._models: dict[tuple[tuple[str, float], ...], PortModel] = {}
+
+    def about(self, motion: Array | None) -> Simulator:
+        """The same simulator of a nonlinear plant about another motion."""
+        other = copy(self)
+        if isinstance(self.plant, NonlinearPlant) and motion is not None and self._course is not None:
+            other._course = _course(self.plant, motion, self._course.u, self.dt)
+        return other
 
     def run(
         self,
@@ -133,36 +172,83 @@ class Simulator:
         shift
             Time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
         """
-        model = self.model(factors, values)
-        laws = [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
+        return self.run_along(factors, values, x0, windows, shift)[0]
+
+    def run_along(
+        self,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        x0: Array,
+        windows: Windows,
+        shift: Sequence[float] | None = None,
+    ) -> tuple[Motion, MotionModel | None, PortModel]:
+        """`run`, with the nonlinear plant about its motion and the equations with effects that it was done with."""
+        about = self._about(factors, values, windows) if self._course else None
+        model = self._with_effects(about.model, values) if about else self.model(factors, values)
         late = self._late(values, shift)
-        motion, forces = self._step(model, laws, self._seen(values, late), x0, windows)
-        outputs = motion @ model.C.T
+        states, forces = self._step(model, self.laws(values), self._seen(values, late), x0, windows, about)
+        u = None
         if model.D.any():
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
-            u = np.column_stack(self._mapped(u, values, self.dt))
-            outputs = outputs + u[windows.starts[:, None] + np.arange(windows.length)] @ model.D.T
+            u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
+        outputs = self.plain_outputs(states, about, model, u)
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
                 outputs[:, :, k] = effect.output(outputs[:, :, k], v, self.dt)
-        return Motion(motion, outputs, forces)
+        return Motion(states, outputs, forces), about, model
+
+    def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
+        """The force laws of all effects."""
+        return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
+
+    def plain_outputs(self, states: Array, about: MotionModel | None, model: PortModel, u: Array | None) -> Array:
+        """Outputs (n_windows, length, n_y) of states (n_windows, length, n) before what effects do to them; inputs u
+        (n_windows, length, n_u) where the plant passes them on.
+        """
+        outputs = states @ model.C.T if about is None else _seen_along(about, model, states)
+        if u is not None and model.D.any():
+            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
+            outputs = outputs + (d @ u[..., None])[..., 0]
+        return outputs
 
     def model(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> PortModel:
-        """The linear equations at these values, extended by the effects."""
-        total = dict(factors)
-        for (effect, site), v in zip(self.effects, values, strict=True):
-            for name, factor in effect.factors(self.plant, site, v).items():
-                total[name] = total.get(name, 1.0) * factor
+        """The linear equations at these values, extended by the effects; of a nonlinear plant at some points of its
+        motion.
+        """
+        if self._course is not None:
+            places = np.unique(np.linspace(0, len(self._course.x) - 2, POINTS).astype(np.int64))
+            return self._with_effects(self._about(factors, values, Windows(places, 1)).model, values)
+        total = self._total(factors, values)
         key = tuple(sorted(total.items()))
         model = self._models.get(key)
         if model is None:
             if len(self._models) > TUNING.kept:
                 self._models.clear()
+            assert isinstance(self.plant, LinearPlant)
             model = self._models[key] = port_model(self.plant, total)
+        return self._with_effects(model, values)
+
+    def _total(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        """Factors of the plant's parameters, those of the effects included."""
+        total = dict(factors)
+        for (effect, site), v in zip(self.effects, values, strict=True):
+            for name, factor in effect.factors(self.plant, site, v).items():
+                total[name] = total.get(name, 1.0) * factor
+        return total
+
+    def _with_effects(self, model: PortModel, values: Sequence[Mapping[str, float]]) -> PortModel:
         for (effect, site), v in zip(self.effects, values, strict=True):
             model = effect.extend(model, site, v)
         return model
+
+    def _about(
+        self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], windows: Windows
+    ) -> MotionModel:
+        """A nonlinear plant about its motion in the windows, at these values, before the effects."""
+        assert self._course is not None
+        total = tuple(sorted(self._total(factors, values).items()))
+        return _kept_model(self._course, total, windows.starts.tobytes(), windows.length, self.sub)
 
     def seen_input(
         self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
@@ -218,38 +304,47 @@ class Simulator:
         return u
 
     def _step(
-        self, model: PortModel, laws: Sequence[Law], u: Array, x0: Array, windows: Windows
+        self, model: PortModel, laws: Sequence[Law], u: Array, x0: Array, windows: Windows, about: MotionModel | None
     ) -> tuple[Array, Array]:
         from robustlab.dynamics.ports import law_kernel as kernel
 
-        n, h, n_laws = len(model.A), self.dt / self.sub, len(laws)
-        phi, psi, ramp = self._exponential(model.A, 0.5 * h)
-        push, velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
+        table = self._table(model, u.shape[1], about)
+        m, n, n_laws = *table.phi.shape[1:3], len(laws)
+        push, velocity, position = np.zeros((m, n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
         parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in laws)])))
         memory = np.zeros((n_laws, max([1, *(law.memory for law in laws)])))
         for j, law in enumerate(laws):
             port = model.ports[law.port]
-            push[j], velocity[j] = psi @ port.force, port.velocity
+            push[:, j], velocity[j] = (table.psi @ port.force[..., None])[..., 0], port.velocity
             if port.position is not None:
                 position[j] = port.position
             parameters[j, : len(law.parameters)] = law.parameters
-        first = second = psi @ model.B
-        if u.shape[1] > first.shape[1]:  # u1, u2: the line's means over the halves, each of which rises by u2 - u1
-            mean, rise = first, 0.5 * (ramp @ model.B)
-            first, second = np.hstack([mean - rise, rise]), np.hstack([-rise, mean + rise])
+        whole = push @ np.swapaxes(table.phi[1], 1, 2) + push
         steps = kernel.HeldSteps(
-            np.array([phi @ phi, phi, phi]), np.array([phi @ first + second, first, second]),
-            np.array([push @ phi.T + push, push, push]), velocity, position,
-        )  # fmt: skip
+            table.phi, table.gamma_u, np.array([whole, push, push]), velocity, position, table.drift, table.stride
+        )
         addresses = np.array([law.function.address for law in laws], dtype=np.uintp)
         count = len(windows.starts)
         states = np.empty((count, windows.length, n))
         forces = np.zeros((count, windows.length, n_laws))
         start = np.zeros((count, n))
         start[:, : model.own] = x0
-        run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own, not self.rough)
+        run = kernel.Run(
+            u, self.dt / self.sub, self.t0, self.sub, windows.starts, windows.length, start, model.own, not self.rough
+        )
         kernel.step_windows(addresses, parameters, memory, *steps, *run, states, forces)
         return states, forces
+
+    def _table(self, model: PortModel, columns: int, about: MotionModel | None) -> _Table:
+        """The plant in steps, for inputs of so many columns."""
+        h, n_u = self.dt / self.sub, len(self._inputs)
+        if about is None:
+            table = _in_steps(model.B, *self._exponential(model.A, 0.5 * h), columns > n_u)
+            nothing = np.zeros((3, 0, len(model.A)))
+            return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
+        if model.A is about.model.A:
+            return _kept_table(about, h, n_u, columns > n_u)
+        return _table_along(about, model, h, n_u, columns > n_u)
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
         """`exponential` of the present model, kept."""
@@ -259,6 +354,61 @@ class Simulator:
                 self._exponentials.clear()
             self._exponentials[key] = exponential(a, h)
         return self._exponentials[key]
+
+
+@lru_cache(maxsize=32)
+def _kept_course(plant: NonlinearPlant, motion: bytes, u: bytes, dt: float) -> Course:
+    n = len(plant.states), len(plant.inputs)
+    x, v = (np.frombuffer(b).reshape(-1, k) for b, k in zip((motion, u), n, strict=True))
+    return Course(plant, x, v, dt)
+
+
+def _course(plant: NonlinearPlant, motion: Array, u: Array, dt: float) -> Course:
+    """The motion as a course; one for all simulators of a record."""
+    return _kept_course(plant, np.ascontiguousarray(motion).tobytes(), np.ascontiguousarray(u).tobytes(), dt)
+
+
+@lru_cache(maxsize=KEPT_MOTIONS)
+def _kept_model(
+    course: Course, factors: tuple[tuple[str, float], ...], starts: bytes, length: int, sub: int
+) -> MotionModel:
+    """`motion_model`, kept for all hypotheses that have these parameter values."""
+    return motion_model(course, dict(factors), np.frombuffer(starts, dtype=np.int64), length, sub)
+
+
+@lru_cache(maxsize=KEPT_MOTIONS)
+def _kept_table(about: MotionModel, h: float, n_u: int, rising: bool) -> _Table:
+    """`_table_along` where no effect changes the plant: it costs more than the steps themselves."""
+    return _table_along(about, about.model, h, n_u, rising)
+
+
+def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, rising: bool) -> _Table:
+    phi, psi, ramp = exponentials(model.A, 0.5 * h)
+    table = _in_steps(model.B[..., :n_u], phi, psi, ramp, rising)
+    return _Table(*table, _drift(model, phi, psi, about, n_u), about.stride)
+
+
+def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tuple[Array, Array, Array]:
+    """Phi (3, ...), psi, gamma_u (3, ...) of the whole step and its halves, of whose exponentials they are made."""
+    first = second = psi @ b
+    if rising:  # u1, u2: the line's means over the halves, each of which rises by u2 - u1
+        mean, rise = first, 0.5 * (ramp @ b)
+        first, second = np.concatenate([mean - rise, rise], -1), np.concatenate([-rise, mean + rise], -1)
+    return np.array([phi @ phi, phi, phi]), psi, np.array([phi @ first + second, first, second])
+
+
+def _drift(model: PortModel, phi: Array, psi: Array, about: MotionModel, n_u: int) -> Array:
+    """What the rates along a motion add in each whole step, its first and its second half, (3, n_steps, n)."""
+    own = about.steps
+    entering = psi @ model.B[..., n_u:]  # (n_points, n, n_own)
+    half = np.einsum("npq,nq->np", entering[own], about.rates)
+    return np.array([np.einsum("npq,nq->np", phi[own], half) + half, half, half])
+
+
+def _seen_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
+    """Outputs of states (n_windows, length, n) along a motion, without what inputs add to them."""
+    c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])
+    return (c @ motion[..., None])[..., 0] + about.offsets.reshape(*motion.shape[:2], -1)
 
 
 def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:

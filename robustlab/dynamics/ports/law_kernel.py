@@ -1,9 +1,12 @@
-r"""The compiled stepping of a linear plant with force laws at its ports.
+r"""The compiled stepping of a plant with force laws at its ports: linear, or linear about a motion.
 
 Over a step of length h the forces are held (the plant itself is exact):
 
 .. math::
-    x^+ = \Phi x + \Gamma_u u + \sum_j \Gamma_j f_j, \qquad \Gamma_j = \int_0^h e^{A s} b_j\, ds
+    x^+ = \Phi x + \Gamma_u u + c + \sum_j \Gamma_j f_j, \qquad \Gamma_j = \int_0^h e^{A s} b_j\, ds
+
+Of a nonlinear plant, linear about a motion, the matrices differ from row to row of a table, and c is what its own rates
+along that motion add; of a linear one there is one row, and c = 0.
 
 Each law answers with a force that fits the motion *at the end of the step that this very force brings about*: it is
 given the motion at the port without it, ``q, v``, and the port's compliance ``gq = p^T Gamma, gv = c^T Gamma``, so that
@@ -56,7 +59,7 @@ N_SEEN = 8
 
 NUMBERS = types.CPointer(types.float64)  # handing over arrays would count their references at every call
 LAW_SIGNATURE = types.float64(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-SWEEPS = 12
+SWEEPS = 100
 AGREED = 1e-9  # relative to the largest force of the step
 UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ where the step is too long for the law
 
@@ -73,8 +76,9 @@ def law(function):  # type: ignore[no-untyped-def]
 class HeldSteps(NamedTuple):
     """The plant over a whole step, its first and its second half, with the forces held; n states.
 
-    phi (3, n, n), gamma_u (3, n, columns of u), gamma_f (3, n_laws, n); what each law sees: velocity, position
-    (n_laws, n).
+    phi (3, m, n, n), gamma_u (3, m, n, columns of u), gamma_f (3, m, n_laws, n); what each law sees: velocity, position
+    (n_laws, n). m = 1 for a linear plant. About a motion row (w, j) holds over ``stride`` steps of window w, and drift
+    (3, steps of all windows, n) is what its rates add in each; otherwise drift is empty.
     """
 
     phi: Any
@@ -82,6 +86,8 @@ class HeldSteps(NamedTuple):
     gamma_f: Any
     velocity: Any
     position: Any
+    drift: Any
+    stride: Any
 
 
 class Run(NamedTuple):
@@ -133,7 +139,7 @@ def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-de
 @nb.njit(cache=True, nogil=True)
 def step_windows(  # type: ignore[no-untyped-def]
     laws, parameters, memory,
-    phi, gamma_u, gamma_f, velocity, position,
+    phi, gamma_u, gamma_f, velocity, position, drift, stride,
     u, h, t0, sub, starts, length, x0, own, halves,
     states, forces,
 ):  # fmt: skip
@@ -143,7 +149,7 @@ def step_windows(  # type: ignore[no-untyped-def]
     entries of `HeldSteps`; those of `Run`; states (n_windows, length, n) and forces (n_windows, length, n_laws; their
     means over the sample before) are written.
     """
-    n, n_u, n_z = phi.shape[1], gamma_u.shape[2], memory.shape[1]
+    n, n_u, n_z = phi.shape[2], gamma_u.shape[3], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
     x[0] = x0[0]
@@ -156,12 +162,10 @@ def step_windows(  # type: ignore[no-untyped-def]
     q0, v0, q_free, v_free = np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws)
     q_asked, v_asked = np.zeros(n_laws), np.zeros(n_laws)
     gq, gv = np.zeros((3, n_laws, n_laws)), np.zeros((3, n_laws, n_laws))  # what force k does to the motion at port j
-    for part in range(3):
-        for j in range(n_laws):
-            for k in range(n_laws):
-                for i in range(n):
-                    gq[part, j, k] += position[j, i] * gamma_f[part, k, i]
-                    gv[part, j, k] += velocity[j, i] * gamma_f[part, k, i]
+    moving = drift.shape[1] > 0
+    rows = (length * sub + stride - 1) // stride  # of the table a window
+    at = 0
+    _compliances(position, velocity, gamma_f, at, gq, gv)
     sweeps = SWEEPS if n_laws > 1 else 1
     parts = 3 if n_laws and halves else 1
     for w in range(starts.shape[0]):
@@ -177,16 +181,23 @@ def step_windows(  # type: ignore[no-untyped-def]
                 mean[j] = 0.0
             for s in range(sub):
                 row = (starts[w] + k) * sub + s
+                step = k * sub + s
+                if moving and at != w * rows + step // stride:
+                    at = w * rows + step // stride
+                    _compliances(position, velocity, gamma_f, at, gq, gv)
                 for part in range(parts):
                     origin = 2 if part == 2 else 0
                     end = part + 1
                     for i in range(n):
                         a = 0.0
                         for c in range(n):
-                            a += phi[part, i, c] * x[origin, c]
+                            a += phi[part, at, i, c] * x[origin, c]
                         for c in range(n_u):
-                            a += gamma_u[part, i, c] * u[row, c]
+                            a += gamma_u[part, at, i, c] * u[row, c]
                         x[end, i] = a
+                    if moving:
+                        for i in range(n):
+                            x[end, i] += drift[part, w * length * sub + step, i]
                     # The forces of the step before are where the sweeps begin.
                     before = 2 if part == 0 else part - 1
                     for j in range(n_laws):
@@ -238,7 +249,7 @@ def step_windows(  # type: ignore[no-untyped-def]
                             break
                     for j in range(n_laws):
                         for i in range(n):
-                            x[end, i] += gamma_f[part, j, i] * f[part, j]
+                            x[end, i] += gamma_f[part, at, j, i] * f[part, j]
                         if part or parts == 1:
                             for i in range(n_z):
                                 memory[j, i] = z_next[j, i]
@@ -255,6 +266,20 @@ def step_windows(  # type: ignore[no-untyped-def]
                     half = 0.5 * (f[1, j] + f[2, j])
                     f[0, j] = half + weight * (half - f[0, j])
                     mean[j] += f[0, j] / sub
+
+
+@nb.njit(cache=True, nogil=True)
+def _compliances(position, velocity, gamma_f, at, gq, gv):  # type: ignore[no-untyped-def]
+    """What force k does to the position and to the velocity at port j, (3, n_laws, n_laws) each, of a row."""
+    n_laws, n = velocity.shape
+    for part in range(3):
+        for j in range(n_laws):
+            for k in range(n_laws):
+                a, b = 0.0, 0.0
+                for i in range(n):
+                    a += position[j, i] * gamma_f[part, at, k, i]
+                    b += velocity[j, i] * gamma_f[part, at, k, i]
+                gq[part, j, k], gv[part, j, k] = a, b
 
 
 @nb.njit(cache=True, nogil=True)

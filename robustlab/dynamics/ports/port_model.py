@@ -30,10 +30,12 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
 __all__ = [
+    "AnyPlant",
     "Port",
     "PortModel",
     "linear_plant_of",
@@ -43,8 +45,10 @@ __all__ = [
 ]
 
 
+AnyPlant = LinearPlant | NonlinearPlant
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
 INERTIA_UNITS = {"rad/s": "kg m2", "m/s": "kg"}
+COORDINATES = ("centre-of-mass", "gravity-direction")  # roles that parameters of the value 0 can have, too
 ASSUMED = "read off the matrices of the model"
 
 
@@ -61,7 +65,7 @@ class Port:
     unit, speed_unit, position_unit
         Of the force, of the velocity or current, of the position (empty without one).
     force
-        b, shape (n_x,): rate of the states per unit of force.
+        b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force.
     velocity
         c, shape (n_x,).
     position
@@ -77,25 +81,44 @@ class Port:
     velocity: Array
     position: Array | None
 
+    @property
+    def inertia(self) -> Array:
+        """Force per rate of the velocity: what a force meets while every other velocity is held by nothing but its own
+        equation; shape (), or (m,) along a motion.
+        """
+        return np.asarray(1.0 / (self.force @ self.velocity))
+
+    @property
+    def mean_inertia(self) -> float:
+        """The inertia, along a motion its mean."""
+        return float(np.mean(self.inertia))
+
     def widened(self, extra: int) -> Port:
         """The same port of a model with ``extra`` further states at the end."""
         position = None if self.position is None else np.append(self.position, np.zeros(extra))
         return replace(
             self,
-            force=np.append(self.force, np.zeros(extra)),
+            force=_padded(self.force, extra),
             velocity=np.append(self.velocity, np.zeros(extra)),
             position=position,
         )
 
 
+def _padded(array: Array, extra: int) -> Array:
+    """The array with so many zeros after its last axis."""
+    return np.concatenate([array, np.zeros((*array.shape[:-1], extra))], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class PortModel:
-    """Matrices and ports of a linear plant at given parameter values.
+    """Matrices and ports of a linear plant, or of a nonlinear one along a motion, at given parameter values.
 
     Attributes
     ----------
     A, B, C, D
-        Shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u).
+        Shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion each has a leading axis of m points, and
+        so have the ports' forces; B then has further columns, the unit matrix of the plant's own states, by which
+        rates enter.
     ports
         Name -> `Port`.
     own
@@ -111,7 +134,7 @@ class PortModel:
 
     def with_state_feedback(self, port: Port, row: Array) -> PortModel:
         """The model with the force ``row @ x`` at the port: ``A + b row``."""
-        return replace(self, A=self.A + np.outer(port.force, row))
+        return replace(self, A=self.A + port.force[..., :, None] * row)
 
     def with_port(self, port: Port) -> PortModel:
         """The model with one more port."""
@@ -122,14 +145,14 @@ class PortModel:
 
         Inputs and outputs do not touch the new states; ports get a zero force on them.
         """
-        extra = len(rows)
-        n = len(self.A)
-        a = np.vstack([np.hstack([self.A, np.zeros((n, extra))]), rows])
+        extra, many = len(rows), self.A.shape[:-2]
+        below = np.broadcast_to(rows, (*many, *rows.shape))
+        still = np.zeros((*many, extra, self.B.shape[-1]))
         return replace(
             self,
-            A=a,
-            B=np.vstack([self.B, np.zeros((extra, self.B.shape[1]))]),
-            C=np.hstack([self.C, np.zeros((len(self.C), extra))]),
+            A=np.concatenate([_padded(self.A, extra), below], axis=-2),
+            B=np.concatenate([self.B, still], axis=-2),
+            C=_padded(self.C, extra),
             ports={name: port.widened(extra) for name, port in self.ports.items()},
         )
 
@@ -201,17 +224,22 @@ def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
     return frozenset(int(k) for k in np.flatnonzero(np.sum(changed, axis=0)))
 
 
-def parameter_groups(plant: LinearPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     """Parameters that a misjudgement of one physical quantity changes together: (role, label, names).
 
     Those of one role that stand in the same equations belong together (the inertias of a drive train); torque constant
-    and back-EMF constant are one quantity in SI units. Parameters without a role, or with the value zero, are left out.
+    and back-EMF constant are one quantity in SI units. In a nonlinear plant the masses of two bodies act differently in
+    every equation: there each parameter is one of its own. Coordinates of one role (`COORDINATES`) belong together,
+    zero or not. Other parameters with the value zero, and those without a role, are left out.
     """
-    groups: dict[tuple[str, frozenset[int]], list[str]] = {}
+    groups: dict[tuple[str, frozenset[int] | str], list[str]] = {}
     for name, parameter in plant.parameters.items():
-        if parameter.role and parameter.value:
-            rows = frozenset[int]() if parameter.role == "torque-constant" else _rows(plant, name)
-            groups.setdefault((parameter.role, rows), []).append(name)
+        if parameter.role and (parameter.value or parameter.role in COORDINATES):
+            if parameter.role in ("torque-constant", *COORDINATES):
+                where: frozenset[int] | str = ""
+            else:
+                where = _rows(plant, name) if isinstance(plant, LinearPlant) else name
+            groups.setdefault((parameter.role, where), []).append(name)
     return tuple((role, "+".join(names), tuple(names)) for (role, _), names in groups.items())
 
 
@@ -314,17 +342,17 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     if not 0.0 < share < 1.0:
         raise InputError(f"{where}: share", f"{share:g}", "a share of the inertia between 0 and 1")
     split = _with_less_inertia(model, port, share)
-    n, drive = len(split.A), split.ports[joint]
+    n, drive = len(port.velocity), split.ports[joint]
     rows = np.zeros((2, n + 2))
     rows[0, n + 1] = 1.0
     wide = split.widened(rows)
     a, b = wide.A.copy(), wide.B.copy()
-    a[n + 1] = drive.velocity @ split.A @ np.eye(n, n + 2)  # the load is free: the rate grows as the drive's does
-    b[n + 1] = drive.velocity @ split.B
-    ports = {name: _on_drive(p, float(drive.velocity @ split.ports[name].force)) for name, p in wide.ports.items()}
+    a[..., n + 1, :n] = drive.velocity @ split.A  # the load is free: the rate grows as the drive's does
+    b[..., n + 1, :] = drive.velocity @ split.B
+    ports = {name: _on_drive(p, split.ports[name].force @ drive.velocity) for name, p in wide.ports.items()}
     drive = ports[joint]
-    load = _load(drive, 1.0 / (share * _inertia(port)))
-    reduced = share * (1.0 - share) * _inertia(port)
+    load = _load(drive, 1.0 / (share * port.inertia))
+    reduced = (share * (1.0 - share) * port.inertia)[..., None]
     gap = replace(
         drive,
         name=f"{joint}.{relative}",
@@ -338,33 +366,28 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
 
-def _inertia(port: Port) -> float:
-    """Force per acceleration at the joint."""
-    return 1.0 / float(port.velocity @ port.force)
-
-
 def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
     r"""The equations with :math:`(1 - s) J` at the joint.
 
     :math:`(E - s J e e^T)^{-1} = (I + \frac{s}{1 - s} \frac{b}{c^T b} c^T) E^{-1}` with :math:`b = E^{-1} e`
     (Sherman, Morrison); for a joint with an inertia of its own it divides one row by 1 - s.
     """
-    change = np.eye(len(model.A)) + share / (1.0 - share) * np.outer(_inertia(port) * port.force, port.velocity)
-    ports = {name: replace(p, force=change @ p.force) for name, p in model.ports.items()}
+    pulled = (port.inertia[..., None] * port.force)[..., :, None] * port.velocity
+    change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
+    ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
     return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
 
 
-def _on_drive(port: Port, acceleration: float) -> Port:
+def _on_drive(port: Port, acceleration: Array) -> Port:
     """The port with the drive's acceleration by its force in the rate of the relative velocity as well."""
     force = port.force.copy()
-    force[-1] = acceleration
+    force[..., -1] = acceleration
     return replace(port, force=force)
 
 
-def _load(drive: Port, mobility: float) -> Port:
+def _load(drive: Port, mobility: Array) -> Port:
     """Port of the load: its motion is the drive's less the relative one."""
-    delta, rate = np.eye(len(drive.force))[-2:]
+    delta, rate = np.eye(len(drive.velocity))[-2:]
     position = None if drive.position is None else drive.position - delta
-    return replace(
-        drive, name=f"{drive.name}.load", force=-mobility * rate, velocity=drive.velocity - rate, position=position
-    )
+    name, force = f"{drive.name}.load", -mobility[..., None] * rate
+    return replace(drive, name=name, force=force, velocity=drive.velocity - rate, position=position)

@@ -38,6 +38,7 @@ __all__ = [
     "PRESETS",
     "Preset",
     "machine_parameters",
+    "up",
 ]
 
 
@@ -49,6 +50,9 @@ _B = "Březina 2010, App. B"
 _FIT = "fitted to the holding torque 0.8701e-3 N m of section 8.2; not printed in the text"
 _DISC = "uniform disc of 3.167 kg, radius 190 mm, height 10 mm; not printed in the text"
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
+
+_LEVEL = "a level base"
+_CENTRED = "a disc about its middle"
 
 _PLATFORM_MASS = 3.167
 _DISC_ACROSS = _PLATFORM_MASS * (3 * 0.190**2 + 0.010**2) / 12
@@ -85,6 +89,10 @@ _GEOMETRY = (
     Parameter("z_m", 0.0169, "m", 0.0, _B, "height of the bearing points over the base points"),
     Parameter("c", 0.010, "m", 0.0, _A, "distance of the joint's two axes; 0: plain joint", "nonnegative"),
     Parameter("z_home", 0.1262, "m", 0.0, _B, "height of the home pose, where the nut angles are zero", "positive"),
+    *(
+        Parameter(f"offset_{i}", 0.0, "rad", 0.0, "by definition", f"angle that nut {i} reads at home, where it is 0")
+        for i in range(1, 7)
+    ),
     Parameter("L_min", 0.1590, "m", 0.0, "Březina 2010, section 6.1.1", "shortest actuator", "positive"),
     Parameter(
         "L_max", 0.1881, "m", 0.0, "Březina 2010, section 6.1.1 (188 mm; z = 0.1462 m needs 188.06)",
@@ -97,7 +105,10 @@ _DRIVE = (
     Parameter("lead", 0.004, "m", 0.0, _A, "travel of the screw per turn of the nut", "positive"),
     Parameter("ratio", 4.8 * 41 / 21, "rad/rad", 0.0, "Březina 2010, section 6.1.1", "motor turns per nut turn",
               "positive"),
-    Parameter("gravity", 9.81, "m/s2", 0.0, "standard", "acceleration of gravity, along -z"),
+    Parameter("gravity", 9.81, "m/s2", 0.0, "standard", "acceleration of gravity, along -z of a level base"),
+    Parameter("tilt_x", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about its own x axis, on top of tilt_y",
+              role="gravity-direction"),
+    Parameter("tilt_y", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about the level y axis", role="gravity-direction"),
 )  # fmt: skip
 
 _ALONG: tuple[tuple[str, float, str, Sign], ...] = (
@@ -111,10 +122,22 @@ _ALONG: tuple[tuple[str, float, str, Sign], ...] = (
 )
 
 _BODIES = (
-    Parameter("platform_mass", _PLATFORM_MASS, "kg", 0.0, _FIT, "mass of the platform", "positive"),
+    Parameter("platform_mass", _PLATFORM_MASS, "kg", 0.0, _FIT, "mass of the platform", "positive", "inertia"),
     Parameter("platform_x", _DISC_ACROSS, "kg m2", 0.0, _DISC, "inertia of the platform about its x axis", "positive"),
     Parameter("platform_y", _DISC_ACROSS, "kg m2", 0.0, _DISC, "inertia of the platform about its y axis", "positive"),
     Parameter("platform_z", _DISC_ALONG, "kg m2", 0.0, _DISC, "inertia of the platform about its z axis", "positive"),
+    *(
+        Parameter(
+            f"platform_c{a}",
+            0.0,
+            "m",
+            0.0,
+            _CENTRED,
+            f"platform: centre of gravity from its origin along {a}",
+            role="centre-of-mass",
+        )
+        for a in "xyz"
+    ),
     *_body("link", "lower link", 0.435, (5.07492e-4, 4.99276e-4, 1.31934e-4)),
     *_body("nut", "screw nut", 0.125, (1.9318e-5, 1.9312e-5, 2.2071e-5)),
     *_body("screw", "ball screw", 0.112, (1.93005e-4, 1.92973e-4, 1.996e-6)),
@@ -128,15 +151,17 @@ _BODIES = (
         "left out by the thesis (eqs 7.3, 7.4)",
         "inertia of the motor's rotor",
         "nonnegative",
+        "inertia",
     ),
 )
 
 _MOTOR = (
-    Parameter("R", 2.07, "ohm", 0.0, _SHEET, "terminal resistance", "positive"),
-    Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive"),
-    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "positive"),
-    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "nonnegative"),
-    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; cover: section 10.1.1", "viscous friction", "nonnegative"),
+    Parameter("R", 2.07, "ohm", 0.0, _SHEET, "terminal resistance", "positive", "resistance"),
+    Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive", "inductance"),
+    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "positive", "torque-constant"),
+    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "nonnegative", "torque-constant"),
+    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; cover: section 10.1.1", "viscous friction", "nonnegative",
+              "viscous-friction"),
 )  # fmt: skip
 
 
@@ -168,10 +193,11 @@ CONSTANTS = (
     "turns", "c", "gravity", "ratio", "platform_mass", "platform_x", "platform_y", "platform_z",
     "m0", "m1", "m2", "x1", "x2", "xz", "screw_mass", "screw_cg",
     "leg_I", "leg_J", "leg_K", "nut_I", "nut_J", "nut_K", "rotor", "R", "L", "Km", "Kb", "Kf",
+    "platform_cx", "platform_cy", "platform_cz", "up_x", "up_y", "up_z",
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Geometry:
     """Points and axes, in m; arrays are read-only.
 
@@ -191,7 +217,7 @@ class Geometry:
     home
         Home pose (tx, ty, tz, ax, ay, az), shape (6,).
     home_lengths
-        Actuator lengths at home, shape (6,).
+        Actuator lengths where the nut angles are zero: those at home but for the offsets, shape (6,).
     limits
         Shortest and longest actuator.
     turns
@@ -242,9 +268,10 @@ def geometry(p: Mapping[str, float]) -> Geometry:
     platform = _circle(p["r_p"], angle_p, 0.0)
     home = np.array([0.0, 0.0, p["z_home"], 0.0, 0.0, 0.0])
     lengths, mount = _assembly(base, axis, platform + home[:3], p["c"])
-    made = Geometry(
-        base, bearing, platform, axis, mount, p["c"], home, lengths, (p["L_min"], p["L_max"]), 2 * np.pi / p["lead"]
-    )
+    turns = 2 * np.pi / p["lead"]
+    lengths = lengths - np.array([p[f"offset_{i}"] for i in range(1, 7)]) / turns
+    limits = p["L_min"], p["L_max"]
+    made = Geometry(base, bearing, platform, axis, mount, p["c"], home, lengths, limits, turns)
     for array in (made.base, made.bearing, made.platform, made.axis, made.mount, made.home, made.home_lengths):
         array.setflags(write=False)
     return made
@@ -272,10 +299,11 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
 def constants(p: Mapping[str, Any]) -> Array:
     """What the equations of motion need besides the legs' geometry, in the order of `CONSTANTS`.
 
-    The parameters may be arrays of one shape (n,), for n machines at once; then the result is (n, 28), else (28,).
+    The parameters may be arrays of one shape (n,), for n machines at once; then the result is (n, 34), else (34,).
     ``m0 m1 m2`` are the sums of m, m zeta, m zeta^2 over link, nut and motor body, zeta their height along the leg;
     ``x1 x2 xz`` the motor body's m eta, m eta^2, m zeta eta, eta its offset along I. ``leg_I leg_J leg_K`` are the
-    inertias of link, screw and motor body, ``rotor`` is the rotor's, felt as a mass at the screw.
+    inertias of link, screw and motor body, ``rotor`` is the rotor's, felt as a mass at the screw. ``up`` is the unit
+    vector against gravity in the frame of the base, :math:`R_x(t_x)^T R_y(t_y)^T e_z`.
     """
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]
@@ -290,9 +318,16 @@ def constants(p: Mapping[str, Any]) -> Array:
         "xz": motor * x * at_motor,
         **{f"leg_{a}": p[f"link_{a}"] + p[f"screw_{a}"] + p[f"motor_{a}"] for a in "IJK"},
         "rotor": p["rotor_J"] * (p["ratio"] * turns) ** 2,
+        **dict(zip(("up_x", "up_y", "up_z"), up(p), strict=True)),
     }
     columns = [made[name] if name in made else p.get(name, 0.0) for name in CONSTANTS]
     return np.stack(np.broadcast_arrays(*columns), axis=-1).astype(np.float64)
+
+
+def up(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    """Unit vector against gravity in the frame of the base; each part of the shape of the tilts."""
+    x, y = p["tilt_x"], p["tilt_y"]
+    return -np.sin(y), np.sin(x) * np.cos(y), np.cos(x) * np.cos(y)
 
 
 def check_bodies(p: Mapping[str, float]) -> None:

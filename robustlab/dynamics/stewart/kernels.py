@@ -37,7 +37,7 @@ HOME, MOUNT_Z, MOUNT_N = 9, 10, 11
 TURNS, C, GRAVITY, RATIO, MASS, IX, IY, IZ = 0, 1, 2, 3, 4, 5, 6, 7
 M0, M1, M2, X1, X2, XZ, SCREW, SCREW_CG = 8, 9, 10, 11, 12, 13, 14, 15
 LEG_I, LEG_J, LEG_K, NUT_I, NUT_J, NUT_K, ROTOR = 16, 17, 18, 19, 20, 21, 22
-R_OHM, L_HENRY, KM, KB, KF = 23, 24, 25, 26, 27
+R_OHM, L_HENRY, KM, KB, KF, CX, CY, CZ, UP_X, UP_Y, UP_Z = 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33
 
 IMAGINARY = 1e-40
 
@@ -123,14 +123,18 @@ def _rotation(q):
 
 
 @leaf
+def _turned(rotation, x, y, z):
+    return (
+        rotation[0] * x + rotation[1] * y + rotation[2] * z,
+        rotation[3] * x + rotation[4] * y + rotation[5] * z,
+        rotation[6] * x + rotation[7] * y + rotation[8] * z,
+    )
+
+
+@leaf
 def _arm(rotation, legs, i):
     """Arm rho = R p of leg i."""
-    px, py, pz = legs[i, 6], legs[i, 7], legs[i, 8]
-    return (
-        rotation[0] * px + rotation[1] * py + rotation[2] * pz,
-        rotation[3] * px + rotation[4] * py + rotation[5] * pz,
-        rotation[6] * px + rotation[7] * py + rotation[8] * pz,
-    )
+    return _turned(rotation, legs[i, 6], legs[i, 7], legs[i, 8])
 
 
 @leaf
@@ -231,8 +235,7 @@ def length_bias(poses, twists, legs, c, bias):
 
 @leaf
 def _miss(q, legs, c, target):
-    rotation = _rotation(q)
-    total = 0.0
+    rotation, total = _rotation(q), 0.0
     for i in range(6):
         rho = _arm(rotation, legs, i)
         gap = target[i] - _leg_length(legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])[6]
@@ -247,8 +250,7 @@ def _newton(q, target, legs, c, limit, lengths, jacobian, step):
     A step is halved until the miss shrinks; it ends when the miss no longer does, which is at the rounding of L.
     """
     radius = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
-    trial = np.empty(6)
-    miss = _miss(q, legs, c, target)
+    trial, miss = np.empty(6), _miss(q, legs, c, target)
     for iteration in range(limit):
         lengths_and_jacobian(q, legs, c, lengths, jacobian)
         for i in range(6):
@@ -291,8 +293,7 @@ def _certificate(q, target, legs, c, lengths, jacobian, unit):
     """
     arm = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
     lengths_and_jacobian(q, legs, c, lengths, jacobian)
-    rotation = _rotation(q)
-    shortest, miss = np.inf, 0.0
+    rotation, shortest, miss = _rotation(q), np.inf, 0.0
     for i in range(6):
         rho = _arm(rotation, legs, i)
         shortest = min(shortest, _leg_length(legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])[4])
@@ -383,34 +384,33 @@ def _leg_forces(legs, i, p, axes, theta1, beta1, length1, phi, accelerations):
     f3 = m13 * theta2 + m33 * length2 + r13 * theta1
     f3 -= 0.5 * (l11 * theta1 * theta1 + 2.0 * l12 * theta1 * beta1 + l22 * beta1 * beta1)
 
-    moment = p[M1] + screw * reach
-    f1 += p[GRAVITY] * (((p[M0] + screw) * c + moment * sb + across * cb) * z[2] - along * y[2])
-    f2 += p[GRAVITY] * (moment * n[2] - across * k[2])
-    f3 += p[GRAVITY] * screw * k[2]
+    moment, up = p[M1] + screw * reach, (p[UP_X], p[UP_Y], p[UP_Z])
+    f1 += p[GRAVITY] * (((p[M0] + screw) * c + moment * sb + across * cb) * _dot(up, z) - along * _dot(up, y))
+    f2 += p[GRAVITY] * (moment * _dot(up, n) - across * _dot(up, k))
+    f3 += p[GRAVITY] * screw * _dot(up, k)
     return m11, m12, m13, m22, m33, f1, f2, f3
 
 
 @leaf
 def _platform_terms(rotation, w, p, mass, force):
-    """Start mass (6, 6) and force (6,) with the platform's own: m, R I R^T, gravity, gyroscopic moment."""
-    for i in range(6):
-        for j in range(6):
-            mass[i, j] = 0.0
+    """Start mass (6, 6), lower half, and force (6,) with the platform's own; its mass is off the origin by r = R c."""
+    m, r = p[MASS], _turned(rotation, p[CX], p[CY], p[CZ])
     for i in range(3):
-        mass[i, i] = p[MASS]
         for j in range(3):
+            mass[i, j] = m if i == j else 0.0
             mass[3 + i, 3 + j] = (
                 rotation[3 * i] * rotation[3 * j] * p[IX]
                 + rotation[3 * i + 1] * rotation[3 * j + 1] * p[IY]
                 + rotation[3 * i + 2] * rotation[3 * j + 2] * p[IZ]
-            )
-    spin = (
-        mass[3, 3] * w[0] + mass[3, 4] * w[1] + mass[3, 5] * w[2],
-        mass[4, 3] * w[0] + mass[4, 4] * w[1] + mass[4, 5] * w[2],
-        mass[5, 3] * w[0] + mass[5, 4] * w[1] + mass[5, 5] * w[2],
-    )
-    force[0], force[1], force[2] = 0.0, 0.0, p[MASS] * p[GRAVITY]
-    force[3], force[4], force[5] = _cross(w, spin)
+            ) + m * ((_dot(r, r) if i == j else 0.0) - r[i] * r[j])
+    mass[3, 0], mass[3, 1], mass[3, 2] = 0.0, -m * r[2], m * r[1]
+    mass[4, 0], mass[4, 1], mass[4, 2] = m * r[2], 0.0, -m * r[0]
+    mass[5, 0], mass[5, 1], mass[5, 2] = -m * r[1], m * r[0], 0.0
+    spin = _cross(w, (_dot(mass[3, 3:], w), _dot(mass[4, 3:], w), _dot(mass[5, 3:], w)))
+    weight, pull, moment = m * p[GRAVITY], _cross(w, _cross(w, r)), _cross(r, (p[UP_X], p[UP_Y], p[UP_Z]))
+    for i in range(3):
+        force[i] = m * pull[i] + weight * p[UP_X + i]
+        force[3 + i] = spin[i] + weight * moment[i]
 
 
 @leaf
@@ -476,7 +476,7 @@ def platform_acceleration(q, v, torque, legs, p, motion):
 
 @entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
 def forward_dynamics(poses, twists, torques, legs, constants, phi, rates, accelerations):
-    """Nut angles, rates and accelerations (n, 6) under motor torques (n, 6); constants (n, 28)."""
+    """Nut angles, rates and accelerations (n, 6) under motor torques (n, 6); constants (n, 34)."""
     mass, force, jacobian, bias = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
     for k in range(poses.shape[0]):
         motion = Motion(mass, force, jacobian, bias, phi[k])

@@ -61,7 +61,7 @@ SCALE = np.array([1e-2] * 3 + [5e-2] * 3 + [1e-2] * 3 + [5e-2] * 3 + [1e-1] * 6)
 
 
 class Machine(NamedTuple):
-    """Legs (6, 12) and constants (28,) of a platform, with motors or without, and the limits of its actuators."""
+    """Legs (6, 12) and constants (34,) of a platform, with motors or without, and the limits of its actuators."""
 
     legs: Any
     constants: Any

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.stewart.compilation import kernels
+from robustlab.dynamics.stewart.geometry import up
 from robustlab.dynamics.stewart.kinematics import rotation
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.dynamics.stewart.workspace import SINGULAR, check_pose, real_array_of_one, singularity
@@ -69,7 +70,7 @@ def kinetic_energy(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -
 
 
 def potential_energy(plant: StewartPlatform, pose: ArrayLike) -> float:
-    """Sum of m g z over all bodies in J; zero where every centre of gravity is at the height of the base points."""
+    """Sum of m g times height over all bodies in J; zero where every centre of gravity is as high as the origin."""
     g, p, array = plant.geometry, plant.values, real_array_of_one(pose, plant.name)
     top = array[:3] + g.platform @ rotation(array).T
     w = top - g.base
@@ -79,8 +80,9 @@ def potential_energy(plant: StewartPlatform, pose: ArrayLike) -> float:
     k = (top - joint) / np.linalg.norm(top - joint, axis=1, keepdims=True)
     z = np.cross(g.axis, y)
     i = g.mount[:, :1] * z + g.mount[:, 1:] * np.cross(z, k)
-    height = p["platform_mass"] * array[2] + sum(
-        p[f"{body}_mass"] * float(np.sum(points[:, 2]))
+    middle = array[:3] + rotation(array) @ [p[f"platform_c{a}"] for a in "xyz"]
+    height = p["platform_mass"] * float(middle @ up(p)) + sum(
+        p[f"{body}_mass"] * float(np.sum(points @ up(p)))
         for body, points in {
             "link": joint + p["link_cg"] * k,
             "nut": joint + (p["nut_at"] + p["nut_cg"]) * k,

@@ -4,7 +4,8 @@ r"""The Stewart platform as a plant: six motors turn six nuts, the nuts move the
     M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,\tau, \qquad
     \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
 
-States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home and grow with extension.
+States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home (but for the
+parameters ``offset_1..6``) and grow with extension.
 
 References
 ----------
@@ -24,7 +25,8 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import InputSignal, NonlinearPlant, Trim
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
+from robustlab.dynamics.stewart.along_motion import accelerations, derivatives, places, torques
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
@@ -46,7 +48,10 @@ _NUMBERS = range(1, 7)
 # A trim's residual beyond this share of what gravity alone would do is more than rounding.
 ROUNDING = 1e-9
 # Parameters that shape the legs; the others enter the equations of motion through `constants` alone.
-_SHAPE = ("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead")
+_SHAPE = (
+    *("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead"),
+    *(f"offset_{i}" for i in _NUMBERS),
+)
 
 
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
@@ -93,7 +98,7 @@ class StewartPlatform(NonlinearPlant):
     geometry
         Points, axes and lengths.
     constants
-        The numbers of the equations of motion, (28,).
+        The numbers of the equations of motion, (34,).
     """
 
     preset: str
@@ -189,7 +194,7 @@ class StewartPlatform(NonlinearPlant):
         state, _ = self.point(x, u)
         return state[:12].copy()
 
-    def outputs_along(self, x: Array, u: Array) -> Array:
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         """Nut angles and rates (n, 12) along a trajectory."""
         return x[:, :12]
 
@@ -213,6 +218,62 @@ class StewartPlatform(NonlinearPlant):
             raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
         a, b = _assembled(stiffness, damping, gain, self._numbers, self.motors)
         return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
+
+    def check_reach(self, t: Array, x: Array) -> None:
+        """The actuators must be within their range."""
+        lengths = self.geometry.home_lengths + x[:, :6] / self.geometry.turns
+        low, high = self.geometry.limits
+        beyond = ((lengths < low - SLACK) | (lengths > high + SLACK)).any(axis=1)
+        if beyond.any():
+            raise self._beyond(float(t[int(np.argmax(beyond))]))
+
+    def _beyond(self, time: float) -> NoTrustworthyNumber:
+        low, high = self.geometry.limits
+        return NoTrustworthyNumber(
+            self.name,
+            f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
+            None,
+            "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
+        )
+
+    # --- about points of a motion ------------------------------------------------------------------------------------
+
+    @property
+    def port_places(self) -> tuple[PortPlace, ...]:
+        """The six nuts, with motors also the six currents."""
+        return places(self.motors)
+
+    def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
+        """The plant about points x (n, 12 or 18), u (n, 6), at the parameter values."""
+        shape, numbers, p = self._at(values)
+        torque = torques(p, x, u)
+        parts = derivatives(shape, numbers, x, torque)
+        a, b = _assembled(*parts, np.broadcast_to(numbers, (len(x), len(numbers))), self.motors)
+        n, size = len(x), len(self.states)
+        push = np.zeros((n, size, len(self.port_places)))
+        push[:, 6:12, :6] = parts[2] / p["ratio"]
+        if self.motors:
+            push[:, 12:, 6:] = np.eye(6) / p["L"]
+        c = np.broadcast_to(np.eye(12, size), (n, 12, size))
+        d = np.zeros((n, 12, 6))
+        return LocalModels(self.rates_along(x, u, values), self.outputs_along(x, u), a, b, c, d, push)
+
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """Rates (n, 12 or 18) of the states."""
+        shape, numbers, p = self._at(values)
+        found = accelerations(shape, numbers, x, torques(p, x, u))
+        if not self.motors:
+            return np.hstack([x[:, 6:12], found])
+        current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
+        return np.hstack([x[:, 6:12], found, current])
+
+    def _at(self, values: Mapping[str, float] | None) -> tuple[Geometry, Array, Mapping[str, float]]:
+        """Geometry, constants and values at parameter values; the geometry is made anew only where it changes."""
+        if values is None:
+            return self.geometry, self.constants, self.values
+        own = self.values
+        same = all(values[name] == own[name] for name in _SHAPE)
+        return self.geometry if same else geometry(values), constants(values), values
 
     def equilibrium(self, pose: ArrayLike | None = None, phi: ArrayLike | None = None, **unknown: Any) -> Trim:
         """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given.
@@ -287,12 +348,7 @@ class StewartPlatform(NonlinearPlant):
         machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
         outcome, time, _ = run(start, inputs, machine, accuracy, z, states)
         if outcome == code.LEFT_WORKSPACE:
-            raise NoTrustworthyNumber(
-                self.name,
-                f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
-                None,
-                "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
-            )
+            raise self._beyond(time)
         if outcome != code.DONE:
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
             raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")

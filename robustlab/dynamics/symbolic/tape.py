@@ -113,7 +113,8 @@ class Tape:
         operations, left, right, outputs = (row.astype(np.uint32) for row in rows)
         moving = np.minimum(self.left, self.right) < self.n_in - self.n_still
         still = int(np.argmax(moving)) if moving.any() else len(moving)
-        return tape_kernels().Code(operations, left, right, self.constants, outputs, self.n_in - self.n_still, still)
+        constants = np.array(self.constants)  # writable, as the kernels ask for
+        return tape_kernels().Code(operations, left, right, constants, outputs, self.n_in - self.n_still, still)
 
     def __call__(self, points: Array) -> Array:
         """Outputs (n, n_out) at the points (n, n_in); NaN and infinite where the function has no value."""
@@ -191,7 +192,8 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
         elif op == ca.OP_CONST:
             value = float(function.instruction_constant(k))
             if not np.isfinite(value):
-                raise InputError(where, f"the number {value} in {_concerned(outputs, label)}", "finite numbers")
+                title = _concerned(outputs, label, _not_finite)
+                raise InputError(f"{where}: {title}", f"the number {value} in it", "finite numbers")
             held[to[0]] = ("constant", constants.setdefault(value, len(constants)))
         elif op == ca.OP_ASSIGN:
             held[to[0]] = held[function.instruction_input(k)[0]]
@@ -201,7 +203,9 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
             held[to[0]] = ("result", len(steps) - 1)
         else:
             name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
-            raise InputError(where, f"operation {name.removeprefix('OP_').lower()}", f"one of {', '.join(OPERATIONS)}")
+            title = _concerned(outputs, label, lambda f, i, op=op: f.instruction_id(i) == op)
+            known = ", ".join(OPERATIONS).lower()
+            raise InputError(f"{where}: {title}", f"operation {name.removeprefix('OP_').lower()}", f"one of {known}")
     order = _grouped(steps, n_in - n_still)
     rank = {k: r for r, k in enumerate(order)}
     base = {"input": 0, "constant": n_in}
@@ -210,8 +214,9 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
         kind, number = source
         return n_in + len(constants) + rank[number] if kind == "result" else base[kind] + number
 
-    numbers = np.array([(steps[k][0], *map(place, steps[k][1:])) for k in order], np.int64).reshape(-1, 3)
-    return Tape(n_in, *numbers.T, np.array([*constants], float), np.array([*map(place, ends)], np.int64), n_still)
+    rows = np.array([(steps[k][0], place(steps[k][1]), place(steps[k][2])) for k in order], np.int64).reshape(-1, 3)
+    values, outs = np.array([*constants], float), np.array([*map(place, ends)], np.int64)
+    return Tape(n_in, rows[:, 0], rows[:, 1], rows[:, 2], values, outs, n_still)
 
 
 def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int]:
@@ -245,13 +250,18 @@ def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int
     return order
 
 
-def _concerned(outputs: Any, label: Callable[[int], str]) -> str:
-    """The first of the expressions that holds a number which is not finite."""
+def _not_finite(function: Any, k: int) -> bool:
+    import casadi as ca
+
+    return function.instruction_id(k) == ca.OP_CONST and not np.isfinite(function.instruction_constant(k))
+
+
+def _concerned(outputs: Any, label: Callable[[int], str], wrong: Callable[[Any, int], bool]) -> str:
+    """The first of the expressions with an instruction (function, number) that is wrong."""
     import casadi as ca
 
     for k in range(outputs.numel()):
         function = ca.Function("f", [ca.vertcat(*ca.symvar(outputs[k]))], [outputs[k]])
-        for i in range(function.n_instructions()):
-            if function.instruction_id(i) == ca.OP_CONST and not np.isfinite(function.instruction_constant(i)):
-                return label(k)
+        if any(wrong(function, i) for i in range(function.n_instructions())):
+            return label(k)
     return "the equations"

@@ -41,8 +41,8 @@ LEAST_SCALE = 1e-2
 class Code(NamedTuple):
     """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,).
 
-    Of the inputs the first ``moving`` change from one evaluation to the next; so the first ``still`` operations need not
-    be done again.
+    Of the inputs the first ``moving`` change from one evaluation to the next, the others seldom; on these alone are the
+    first ``still`` operations.
     """
 
     operations: Any

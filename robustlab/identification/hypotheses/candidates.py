@@ -14,9 +14,9 @@ from scipy.ndimage import median_filter
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
-from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import tolerance_of
-from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.hypotheses.effect_fit import Candidate
 from robustlab.identification.hypotheses.nuisance import Nuisance
@@ -44,7 +44,10 @@ ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, wh
 
 
 def candidates(
-    plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
+    plant: AnyPlant,
+    model: PortModel,
+    records: Sequence[PreparedRecord],
+    tuning: NamingTuning = TUNING,
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
@@ -66,7 +69,12 @@ def candidates(
 
 
 def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
-    """The model without the positions that the recorded outputs do not tell: nothing can be said to follow them."""
+    """The model without the positions that the recorded outputs do not tell: nothing can be said to follow them.
+
+    (Of a nonlinear plant all of them are measured.)
+    """
+    if model.A.ndim > 2:
+        return model
     c = model.C[list(records[0].columns)]
     size = max(float(np.linalg.norm(model.A, 2)), 1e-300)
     rows = [c / max(float(np.abs(c).max()), 1e-300)]
@@ -82,7 +90,7 @@ def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) ->
     return replace(model, ports=ports)
 
 
-def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:
+def _recorded(plant: AnyPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:
     return all(site.name in r.record.outputs for r in records)
 
 
@@ -91,7 +99,11 @@ def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
 
 
 def _scales(
-    site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning
+    site: Site,
+    plant: AnyPlant,
+    model: PortModel,
+    records: Sequence[PreparedRecord],
+    tuning: NamingTuning,
 ) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
     if site.kind == "input":
@@ -107,7 +119,7 @@ def _scales(
         return Scales(dt=dt, duration=duration)
     port = model.ports[site.name]
     motion = [_port_motion(port, r) for r in records]
-    inertia = 1.0 / float(port.velocity @ port.force)
+    inertia = port.mean_inertia
     currents = [
         np.abs(r.smoothed.x @ p.velocity).max() for r in records for p in model.ports.values() if p.kind == "current"
     ]
@@ -143,15 +155,25 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
     v = s.x @ port.velocity
     q = s.x @ port.position if port.position is not None else np.zeros(len(v))
     # The smoother's forces are those of the joints, in the order of the ports; a current port has none.
-    j = int(np.argmax([abs(float(port.force @ column)) for column in record.push.T])) if record.push.shape[1] else 0
+    pushed = port.force.reshape(-1, port.force.shape[-1]).mean(axis=0)[: len(record.push)]
+    j = int(np.argmax(np.abs(pushed @ _directions(record.push)))) if record.push.shape[1] else 0
     return q, v, s.d[:, j], s.d_std[:, j]
 
 
+def _directions(push: Array) -> Array:
+    """Dual directions of the pushes, so that each one is seen by itself alone."""
+    return np.linalg.pinv(push).T
+
+
 def _orders_at_output(
-    plant: LinearPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord], tuning: NamingTuning
+    plant: AnyPlant,
+    model: PortModel,
+    site: Site,
+    records: Sequence[PreparedRecord],
+    tuning: NamingTuning,
 ) -> tuple[float, ...]:
     """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
-    row = model.C[[s.name for s in plant.outputs].index(site.name)]
+    row = model.C[..., [s.name for s in plant.outputs].index(site.name), :].reshape(-1, model.C.shape[-1])[0]
     for port in model.ports.values():
         if port.position is not None and np.array_equal(row[: model.own] != 0, port.position != 0):
             return _merged_orders([_port_motion(port, r) for r in records], tuning)
@@ -270,7 +292,7 @@ def _between(power: Array, k: int) -> float:
     return k + side * min(0.5, max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0)))
 
 
-def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
+def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
     """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit.
 
     Parameters
@@ -309,7 +331,7 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
     return result
 
 
-def with_absolute_tolerances(plant: LinearPlant, stated: Mapping[str, tuple[float, bool]]) -> LinearPlant:
+def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> AnyPlant:
     """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
     that no effect has to do it in their stead.
     """
@@ -317,7 +339,7 @@ def with_absolute_tolerances(plant: LinearPlant, stated: Mapping[str, tuple[floa
     return plant.with_parameters(**zero) if zero else plant
 
 
-def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
+def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
     r"""The groups of parameters with a tolerance r, each with a common factor :math:`e^{s z}`, z standard normal.
 
     Of a group only those with a tolerance move, by the widest of theirs.
@@ -344,8 +366,10 @@ def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float
     return tuple(found)
 
 
-def _matters(plant: LinearPlant, name: str) -> bool:
-    """Whether the parameter stands in the plant's equations."""
+def _matters(plant: AnyPlant, name: str) -> bool:
+    """Whether the parameter stands in the plant's equations; of a nonlinear plant its author says so."""
+    if isinstance(plant, NonlinearPlant):
+        return True
     values = plant.values
     moved = plant.matrices({**values, name: values[name] + 0.25 * plant.parameters[name].reference})
     return any(not np.array_equal(a, b) for a, b in zip(moved, plant.matrices(values), strict=True))

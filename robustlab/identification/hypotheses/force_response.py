@@ -22,8 +22,8 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
-from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, averaged
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
@@ -173,7 +173,9 @@ def _of_record(problem: Problem, fit: Fit, place: Site, k: int, simulator: Simul
 
 
 def _shifts(problem: Problem, fit: Fit, simulator: Simulator) -> bool:
-    """Whether a later pulse answers like an earlier one: no force law, no map of an output."""
+    """Whether a later pulse answers like an earlier one: a linear plant, no force law, no map of an output."""
+    if isinstance(problem.plant, NonlinearPlant):
+        return False
     _, values = problem.split(fit.hypothesis, fit.z)
     effects = zip(simulator.effects[:-1], values, strict=True)
     return not any(site.kind == "output" or effect.laws(site, v) for (effect, site), v in effects)
@@ -190,10 +192,10 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> dict[str, Any]:
             "position_unit": "",
         }  # fmt: skip
     factors, _ = problem.split(fit.hypothesis, fit.z)
-    port = port_model(problem.plant, factors).ports[place.name]
+    port = problem.simulators(Hypothesis(()))[k].model(factors, []).ports[place.name]
     x, covariance = record.smoothed.x, record.smoothed.covariance
     v = x @ port.velocity
-    inertia = 1.0 / float(port.velocity @ port.force)
+    inertia = port.mean_inertia
     rms = float(np.sqrt(np.mean((inertia * np.gradient(v, record.record.dt)) ** 2))) or 1.0
     q = None
     if port.position is not None:

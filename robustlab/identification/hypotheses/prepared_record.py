@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,18 +11,21 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.extended.simulator import Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.motion_model import Course, motion_model
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.ports.sampled_input import SampledInput
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["PreparedRecord", "alike", "prepare", "start_std", "window_length"]
+__all__ = ["PreparedRecord", "alike", "ports_of", "prepare", "start_std", "window_length"]
 
 
+POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 CONTENT = 0.99  # share of an output's power up to which its frequencies count as seen
 
 
@@ -55,6 +59,8 @@ class PreparedRecord:
         Samples averaged into one point of the error.
     resolution
         Smallest step of each measured output, (n_measured,); 0 where it has none.
+    motion
+        Of a nonlinear plant: the states about which it is linear, (n, n_x); None for a linear one.
     begun
         Time in s by which it began later than a record whose time an effect counts by (`in_phase`).
     """
@@ -72,6 +78,7 @@ class PreparedRecord:
     push: Array
     thin: int
     resolution: Array
+    motion: Array | None = None
     begun: float = 0.0
 
     @property
@@ -99,12 +106,27 @@ class PreparedRecord:
             The same -> what is recorded where nothing is there.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
-        for j, column in enumerate(self.columns):
-            if (gain := shown.get(column, 1.0)) != 1.0:
-                x0 += (1.0 / gain - 1.0) * self._at(self.told[j], lag)
-            if bias := biased.get(column, 0.0):
-                x0 -= bias / gain * self._at(self.constant[j], lag)
+        for j, share, unit in self._corrections(shown, biased):
+            x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
         return x0
+
+    def motion_seen(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> Array | None:
+        """The motion of a nonlinear plant, (n, n_x), where sensors show it scaled or biased."""
+        if self.motion is None or not (shown or biased):
+            return self.motion
+        x = self.motion.copy()
+        for j, share, unit in self._corrections(shown, biased):
+            x += share * self.told[j] - unit * self.constant[j]
+        return x
+
+    def _corrections(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> list[tuple[int, float, float]]:
+        """Of each measured output, by what factor of its share and of its unit the states are off."""
+        found = []
+        for j, column in enumerate(self.columns):
+            gain, bias = shown.get(column, 1.0), biased.get(column, 0.0)
+            if gain != 1.0 or bias:
+                found.append((j, 1.0 / gain - 1.0, bias / gain))
+        return found
 
     def _at(self, x: Array, lag: float) -> Array:
         """Samples of x (n, n_x) at the window starts, ``lag`` seconds later."""
@@ -114,19 +136,42 @@ class PreparedRecord:
         return (1.0 - part) * x[k] + part * x[k + 1]
 
 
-def window_length(plant: LinearPlant, records: Sequence[Record], tuning: NamingTuning = TUNING) -> int:
+def ports_of(plant: AnyPlant, record: Record) -> PortModel:
+    """Matrices and ports of a plant; of a nonlinear one about some points of the record's motion."""
+    if isinstance(plant, LinearPlant):
+        return port_model(plant)
+    u, y, columns = _signals(plant, record)
+    x = smooth_motion(plant, record.t, u, y, columns).smoothed.x
+    points = np.unique(np.linspace(0, record.n - 2, POINTS).astype(np.int64))
+    return motion_model(Course(plant, x, u, record.dt), {}, points, 1, 1).model
+
+
+def window_length(
+    plant: AnyPlant,
+    records: Sequence[Record],
+    tuning: NamingTuning = TUNING,
+    model: PortModel | None = None,
+) -> int:
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
     the slowest resonance, as far as four windows fit.
+
+    Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
+    which a controller held when the record was made, grows no more than ``tuning.most_growth`` times.
     """
     n, dt = min(r.n for r in records), records[0].dt
-    model = plant.state_space()
-    slowest = min(round(slowest_time_constant(model) / dt), 2 * tuning.longest_window)
     length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
-    return min(max(length, slowest, round(2.0 * longest_period(model) / dt)), n // tuning.fewest_windows)
+    if isinstance(plant, LinearPlant):
+        linear = plant.state_space()
+        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.longest_window)
+        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.fewest_windows)
+    about = ports_of(plant, records[0]) if model is None else model
+    growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
+    stable = math.log(tuning.most_growth) / (growth * dt) if growth > 0.0 else math.inf
+    return int(min(length, max(stable, tuning.shortest_window / 2), n // tuning.fewest_windows))
 
 
 def prepare(
-    plant: LinearPlant,
+    plant: AnyPlant,
     model: PortModel,
     record: Record,
     length: int,
@@ -150,18 +195,9 @@ def prepare(
     InputError
         An input of the plant or every output is missing; fewer than four windows, or four without gaps.
     """
-    missing = [s.name for s in plant.inputs if s.name not in record.inputs]
-    if missing:
-        raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
     names = [s.name for s in plant.outputs]
-    columns = tuple(k for k, name in enumerate(names) if name in (outputs or record.outputs))
+    u, y, columns = _signals(plant, record, outputs)
     own = [j for j, k in enumerate(columns) if names[k] in record.outputs]
-    if not own:
-        raise InputError(
-            f"discover {record.name}", f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}"
-        )
-    u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
-    y = np.column_stack([record.outputs.get(names[k], np.full(record.n, np.nan)) for k in columns])
     resolution = np.array([_resolution(column) if j in own else 0.0 for j, column in enumerate(y.T)])
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
@@ -173,13 +209,9 @@ def prepare(
             f"at least {tuning.fewest_windows * length} ({tuning.fewest_windows} windows)",
         )
     joints = [p for p in model.ports.values() if p.kind == "joint"]
-    push = np.column_stack([p.force for p in joints]) if joints else model.B
-    bare = plant.state_space().select(None, [names[columns[j]] for j in own])
-    smoothed, driven, inputs = _smoothed(bare, push, record.t, u, y[:, own])
-    told, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
-    told[own], constant[own] = _told(driven, push, record.t, inputs, y[:, own], smoothed)
-    noise_std[own] = smoothed.noise_std
-    smoothed = replace(smoothed, noise_std=noise_std)
+    push = np.stack([p.force for p in joints], axis=-1) if joints else model.B[..., : len(plant.inputs)]
+    push = push.reshape(-1, *push.shape[-2:]).mean(axis=0)
+    smoothed, told, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
     stretches = _between_gaps(lost, tuning.longest_guess)
@@ -193,10 +225,12 @@ def prepare(
             "shorter windows, or a record with fewer gaps",
         )
     windows = Windows(np.array(usable, dtype=np.int64), length)
-    smoothed = _with_plausible_currents(smoothed, model, bare.C, u, tuning)
+    if isinstance(plant, LinearPlant):
+        seen = plant.state_space().select(None, [names[columns[j]] for j in own]).C
+        smoothed = _with_plausible_currents(smoothed, model, seen, u, tuning)
     std = start_std(smoothed, windows, tuning)
-    seen = _fastest_seen(plant, y[:, own], record.dt, smoothed.noise_std[own])
-    thin = max(1, min(length // tuning.points_per_window, int(tuning.averaged_share * seen)))
+    fastest = _fastest_seen(model, y[:, own], record.dt, smoothed.noise_std[own])
+    thin = max(1, min(length // tuning.points_per_window, int(tuning.averaged_share * fastest)))
     return PreparedRecord(
         record,
         u,
@@ -211,7 +245,43 @@ def prepare(
         push,
         thin,
         resolution,
+        None if isinstance(plant, LinearPlant) else smoothed.x,
     )
+
+
+def _signals(plant: AnyPlant, record: Record, outputs: Collection[str] = ()) -> tuple[Array, Array, tuple[int, ...]]:
+    """Inputs (n, n_u), measured outputs (n, n_measured) and the index of each among the plant's outputs."""
+    missing = [s.name for s in plant.inputs if s.name not in record.inputs]
+    if missing:
+        raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
+    names = [s.name for s in plant.outputs]
+    columns = tuple(k for k, name in enumerate(names) if name in (outputs or record.outputs))
+    if not any(names[k] in record.outputs for k in columns):
+        raise InputError(
+            f"discover {record.name}", f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}"
+        )
+    u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
+    y = np.column_stack([record.outputs.get(names[k], np.full(record.n, np.nan)) for k in columns])
+    return u, y, columns
+
+
+def _states(
+    plant: AnyPlant, record: Record, u: Array, y: Array, columns: tuple[int, ...], own: list[int],
+    push: Array,
+) -> tuple[SmoothedRecord, Array, Array]:  # fmt: skip
+    """The smoothed record, and of each measured output its share and what a unit of it adds."""
+    seen = y[:, own]
+    if isinstance(plant, LinearPlant):
+        bare = plant.state_space().select(None, [plant.outputs[columns[j]].name for j in own])
+        smoothed, driven, inputs = _smoothed(bare, push, record.t, u, seen)
+        shares = _told(driven, push, record.t, inputs, seen, smoothed)
+    else:
+        moved = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
+        smoothed, shares = moved.smoothed, (moved.told, moved.constant)
+    told, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
+    told[own], constant[own] = shares
+    noise_std[own] = smoothed.noise_std
+    return replace(smoothed, noise_std=noise_std), told, constant
 
 
 def alike(prepared: Sequence[PreparedRecord]) -> list[PreparedRecord]:
@@ -242,9 +312,9 @@ def _with_plausible_currents(
     return replace(smoothed, x=x, x_std=std)
 
 
-def _fastest_seen(plant: LinearPlant, y: Array, dt: float, noise_std: Array) -> float:
+def _fastest_seen(model: PortModel, y: Array, dt: float, noise_std: Array) -> float:
     """Period in samples of the fastest motion that a record shows: of a resonance of the plant, or of the outputs."""
-    poles = plant.state_space().poles()
+    poles = np.linalg.eigvals(model.A).reshape(-1, model.A.shape[-1])[0]
     swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
     periods = [p for p in 2.0 * np.pi / (swings * dt) if p > 2.0]
     window = np.hanning(len(y))

@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import parameter_groups, port_model
+from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.identification.hypotheses.candidates import FEWEST_PERIODS, periods_seen
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 
 __all__ = ["admissible", "beyond_tolerance"]
 
@@ -19,7 +18,7 @@ LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simul
 
 
 def admissible(
-    plant: LinearPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
+    plant: AnyPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
 ) -> Callable[[Problem, Fit], bool]:
     """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen.
 
@@ -31,7 +30,7 @@ def admissible(
         The records: a force over the position must be seen for two of its periods in both.
     """
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
-    positions = _positions(plant)
+    positions = _positions(plant, fitted)
 
     def allowed(problem: Problem, fit: Fit) -> bool:
         _, values = problem.split(fit.hypothesis, fit.z)
@@ -57,13 +56,17 @@ def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: M
     factors, values = problem.split(fit.hypothesis, fit.z)
     k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
     own = candidate.effect.factors(problem.plant, candidate.site, values[k])
+    if not candidate.effect.scale:  # shifts: a coordinate of the value 0 has its tolerance in its unit
+        p = problem.plant.parameters
+        return any(abs(p[n].reference * f - p[n].value) > p[n].radius for n, f in own.items())
     name = next(iter(own))
     total = np.log(factors.get(name, 1.0) * own[name])
     return bool(abs(total) > np.log1p(limits[candidate.site.name]))
 
 
-def _positions(plant: LinearPlant) -> dict[str, Array]:
+def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
     """Row of the states that is the position at each joint, and what each output shows."""
-    model = port_model(plant)
-    rows = {s.name: row for s, row in zip(plant.outputs, model.C, strict=True)}
+    model = problem.simulators(Hypothesis(()))[0].model({}, [])
+    shown = model.C.reshape(-1, *model.C.shape[-2:])[0]
+    rows = {s.name: row for s, row in zip(plant.outputs, shown, strict=True)}
     return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}

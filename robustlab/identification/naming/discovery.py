@@ -18,7 +18,8 @@ import numpy as np
 from robustlab.budget import one_thread
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of, port_model
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (
     candidates,
@@ -26,9 +27,9 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Clock, Problem
+from robustlab.identification.hypotheses.effect_fit import Clock, Problem, deviation
 from robustlab.identification.hypotheses.nuisance import Nuisance
-from robustlab.identification.hypotheses.prepared_record import alike, prepare, window_length
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
 from robustlab.identification.naming.admissible import admissible
 from robustlab.identification.naming.answer import Case, answer
 from robustlab.identification.naming.clock import clock_nuisances
@@ -36,6 +37,7 @@ from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.posterior import weigh
 from robustlab.identification.naming.progress import Progress
 from robustlab.identification.naming.search import search_sets
+from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
 from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
@@ -97,7 +99,7 @@ def discover(
         Records that say nothing: no excitation, dead sensors.
     """
     began = time.perf_counter()
-    linear = _linear(plant)
+    known = _known(plant)
     left_out = {effect(name).id for name in exclude}
     if window is not None and not 0.0 < window < np.inf:
         raise InputError("discover: window", f"{window}", "a length in s above 0")
@@ -105,17 +107,17 @@ def discover(
     kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
     if not measured:
         raise InputError("discover", "no record", "at least one")
-    findings = _checked(linear, [*measured, *kept_out])
-    measured, kept_out, told = _from_near(linear, measured, kept_out)
+    findings = _checked(known, [*measured, *kept_out])
+    measured, kept_out, told = _from_near(known, measured, kept_out)
     findings += told
-    stated = stated_tolerances(linear, tolerances)
-    linear = with_absolute_tolerances(linear, stated)
-    model = port_model(linear)
-    problem, held, held_text = _problems(linear, model, measured, kept_out, stated, window, tuning)
-    pool = [c for c in candidates(linear, model, problem.records, tuning) if c.effect.id not in left_out]
-    case = Case(linear, measured, repeats, period, stated, findings, held_text, pool)
+    stated = stated_tolerances(known, tolerances)
+    known = with_absolute_tolerances(known, stated)
+    model = ports_of(known, _uniform(measured)[0].record)
+    problem, held, held_text = _problems(known, model, measured, kept_out, stated, window, tuning)
+    pool = [c for c in candidates(known, model, problem.records, tuning) if c.effect.id not in left_out]
+    case = Case(known, measured, repeats, period, stated, findings, held_text, pool)
     with Progress(progress) as said:
-        allowed = admissible(linear, stated, problem, held)
+        allowed = admissible(known, stated, problem, held)
         few, some = _spread(problem, tuning.most_windows), _spread(held, tuning.most_held)
         found = search_sets(few, some, pool, allowed, said.step)
         said.tell("what remains")
@@ -123,22 +125,22 @@ def discover(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _linear(plant: Any) -> LinearPlant:
+def _known(plant: Any) -> AnyPlant:
     if isinstance(plant, (LinearPlant, StateSpaceModel)):
         return linear_plant_of(plant, "discover")
-    from robustlab.dynamics.plant_contract import Plant
-
-    if isinstance(plant, Plant):
+    if isinstance(plant, SteppedPlant):
         raise InputError(
             "discover",
-            f"the nonlinear plant {plant.name}",
-            "a linear one",
-            "linearise it first: rl.linearise(plant, at=...)",
+            f"{plant.name} with effects",
+            "a plant without",
+            "give its plant: the effects are found anew, and their parameters with them",
         )
+    if isinstance(plant, NonlinearPlant):
+        return plant
     return linear_plant_of(as_model(plant, "discover"), "discover")
 
 
-def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
+def _checked(plant: AnyPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
     """Findings on the records; raises where one forbids a naming."""
     findings: list[Finding] = []
     for record in records:
@@ -149,12 +151,12 @@ def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ..
 
 
 def _from_near(
-    plant: LinearPlant, measured: list[Record], kept_out: list[Record]
+    plant: AnyPlant, measured: list[Record], kept_out: list[Record]
 ) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
     """The records with positions that are far from zero counted from within the strokes, and a word on it."""
     from robustlab.identification.record_check.position_datum import counted_from, position_datum
 
-    datum = position_datum(plant, [*measured, *kept_out])
+    datum = position_datum(plant, [*measured, *kept_out]) if isinstance(plant, LinearPlant) else {}
     told = tuple(
         Finding(
             "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
@@ -168,7 +170,7 @@ def _from_near(
 
 
 def _problems(
-    plant: LinearPlant,
+    plant: AnyPlant,
     model: PortModel,
     records: Sequence[Record],
     held_out: Sequence[Record],
@@ -177,19 +179,24 @@ def _problems(
     tuning: NamingTuning,
 ) -> tuple[Problem, Problem, str]:
     """The windows to fit, those to judge on, and what the latter are."""
-    from robustlab.identification.record_check.resampling import clock_step, uniform
-
-    dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
-    uniformed = [uniform(r, None if r.is_uniform else dt) for r in (*records, *held_out)]
-    everything = [u.record for u in uniformed]
-    length = window_length(plant, everything, tuning) if window is None else max(8, round(window / dt))
+    uniformed = _uniform([*records, *held_out])
+    everything, dt = [u.record for u in uniformed], uniformed[0].record.dt
+    length = window_length(plant, everything, tuning, model) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
-    prepared = alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
+
+    def cut(length: int) -> list[PreparedRecord]:
+        return alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
+
+    prepared, clock = cut(length), Clock(tuning.least_steps)
+    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.shortest_window:
+        if deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.most_deviation:
+            break
+        length = max(length // 2, tuning.shortest_window)
+        prepared = cut(length)
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)
     nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt, tuning)
-    clock = Clock(tuning.least_steps)
     if judged:
         problem = Problem(plant, fitted, nuisances, tuning=tuning, clock=clock)
         return problem, problem.on(judged), ", ".join(r.name for r in held_out)
@@ -198,6 +205,12 @@ def _problems(
     problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning, clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
     return problem, held, f"every {every}th window of the records, kept from the fit"
+
+
+def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
+    """The records on uniform clocks."""
+    dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
+    return [uniform(r, None if r.is_uniform else dt) for r in records]
 
 
 def _spread(problem: Problem, most: int) -> Problem:

@@ -1,0 +1,189 @@
+r"""A nonlinear plant as a linear one about a recorded motion.
+
+About a motion :math:`(\bar x(t), \bar u(t))`, which need not be one of the plant's own,
+
+.. math::
+    \dot x = A(t)\,x + B(t)\,u + \underbrace{f(\bar x, \bar u) - A \bar x - B \bar u}_{\text{rates}}
+             + \sum_j b_j(t)\,F_j, \qquad y = C x + D u + (h(\bar x, \bar u) - C \bar x - D \bar u)
+
+is right to second order in :math:`x - \bar x`: with a motion told by measurements, the closer a hypothesis is to the
+machine, the more exact its simulation. Matrices stand for a few steps each (they multiply what deviates from the
+motion, and forces), the rates are taken in every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
+from robustlab.dynamics.ports.port_model import Port, PortModel
+
+__all__ = ["Course", "MotionModel", "exponentials", "local_port_model", "motion_model"]
+
+TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
+SMALL = 0.5
+SHARE = 1e-3  # of the largest entry, by which matrices may differ from those of the same steps told one by one
+STRIDES = (16, 8, 4, 2)  # steps for which a matrix may stand
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A motion about which a plant is taken as linear.
+
+    Attributes
+    ----------
+    plant
+        The plant.
+    x, u
+        States (n, n_x) and inputs (n, n_u) at the samples of a record; inputs stand still between them.
+    dt
+        Sample time in s.
+    """
+
+    plant: NonlinearPlant
+    x: Array
+    u: Array
+    dt: float
+
+    @cached_property
+    def _spline(self) -> tuple[Array, Array]:
+        """Slopes at the samples in units of the states per sample, of a not-a-knot spline."""
+        from scipy.interpolate import make_interp_spline
+
+        n = np.arange(len(self.x))
+        spline = make_interp_spline(n, self.x, k=min(3, len(self.x) - 1))
+        return self.x, np.asarray(spline(n, nu=1))
+
+    def at(self, place: Array) -> tuple[Array, Array]:
+        """States and inputs at places in samples (a fraction between them), (k, n_x) and (k, n_u)."""
+        k = np.clip(place.astype(int), 0, len(self.x) - 2)
+        s = (place - k)[:, None]
+        x, slope = self._spline
+        a, b, da, db = x[k], x[k + 1], slope[k], slope[k + 1]
+        hermite = a + s * (da + s * (3.0 * (b - a) - 2.0 * da - db + s * (2.0 * (a - b) + da + db)))
+        held = np.clip(place.astype(int), 0, len(self.u) - 1)
+        return hermite, self.u[held]
+
+    @cached_property
+    def stride(self) -> int:
+        """Samples for which one set of matrices may stand."""
+        n = len(self.x)
+        places = np.unique(np.linspace(0, n - 1, min(n, 24)).astype(int)).astype(float)
+        here = self.plant.local_models(*self.at(places + 0.5))
+        for stride in STRIDES:
+            there = self.plant.local_models(*self.at(np.minimum(places + 0.5 + 0.5 * stride, n - 1.0)))
+            # Half a stride away the error is largest, and of either sign within the stride.
+            off = [np.abs(getattr(here, m) - getattr(there, m)).max() for m in ("push",)]
+            size = [np.abs(getattr(here, m)).max() for m in ("push",)]
+            if all(o <= 10.0 * SHARE * s for o, s in zip(off, size, strict=True)):
+                return stride
+        return 1
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """A plant about the steps of some windows of a course.
+
+    Attributes
+    ----------
+    model
+        Matrices and ports, with an axis of points: of each window one every ``stride`` steps.
+    rates
+        What the motion itself adds to the rates in each step of the windows, (n_steps, n_own).
+    offsets
+        What it adds to the outputs at each sample of the windows, (n_samples, n_y).
+    stride
+        Steps for which a point stands.
+    steps, points
+        Point of each step, (n_steps,), and of each sample, (n_samples,).
+    """
+
+    model: PortModel
+    rates: Array
+    offsets: Array
+    stride: int
+    steps: Indices
+    points: Indices
+
+
+def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int) -> MotionModel:
+    """The plant about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps a sample.
+
+    Parameters
+    ----------
+    factors
+        Plant parameter -> factor of its reference.
+    """
+    plant = course.plant
+    values = dict(plant.values)
+    for name, factor in factors.items():
+        values[name] = plant.parameters[name].reference * factor
+    steps, stride = length * sub, course.stride * sub
+    points = -(-steps // stride)
+    middle = np.minimum((np.arange(points) + 0.5) * stride, 0.5 * (steps + np.arange(points) * stride)) / sub
+    local = plant.local_models(*course.at((starts[:, None] + middle).ravel()), values)
+    own = (np.arange(len(starts))[:, None] * points + np.arange(steps) // stride).ravel()
+    x, u = course.at((starts[:, None] + (np.arange(steps) + 0.5) / sub).ravel())
+    rates = plant.rates_along(x, u, values) - _times(local.A, own, x) - _times(local.B, own, u)
+    seen = (np.arange(len(starts))[:, None] * points + np.arange(length) * sub // stride).ravel()
+    samples = (starts[:, None] + np.arange(length)).ravel()
+    x, u = course.x[samples], course.u[samples]
+    offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
+    return MotionModel(local_port_model(plant, local), rates, offsets, stride, own, seen)
+
+
+def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
+    """Products of the matrices (m, p, q), one for each of the vectors (n, q): (n, p)."""
+    return np.einsum("npq,nq->np", matrices[of], vectors)
+
+
+def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
+    """Models about points, with an axis of these, and the plant's ports."""
+    n = len(plant.states)
+    names = [s.name for s in plant.states]
+    ports = {}
+    for j, place in enumerate(plant.port_places):
+        k = names.index(place.name)
+        q = names.index(place.position) if place.position else None
+        position = None if q is None else np.eye(n)[q]
+        unit = "" if q is None else plant.states[q].unit
+        ports[place.name] = Port(
+            place.name, place.kind, place.unit, plant.states[k].unit, unit, local.push[:, :, j], np.eye(n)[k], position
+        )
+    wide = np.concatenate([local.B, np.broadcast_to(np.eye(n), local.A.shape)], axis=2)
+    return PortModel(local.A, wide, local.C, local.D, ports, n)
+
+
+def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
+    r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds` and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds` of A (m, n, n).
+
+    By their series, after halving until :math:`\|A h\|` is small, and doubling back:
+    :math:`\varphi_1(2 z) = (\varphi_0 + 1) \varphi_1 / 2`, :math:`\varphi_2(2 z) = (\varphi_1^2 + 2 \varphi_2) / 4`.
+
+    References
+    ----------
+    Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010).
+    """
+    size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
+    doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
+    one = np.eye(a.shape[-1])
+    z = a * (h / 2.0**doublings)
+    second = np.broadcast_to(one / _factorial(TERMS + 2), a.shape)
+    for k in range(TERMS - 1, -1, -1):
+        second = one / _factorial(k + 2) + z @ second  # phi_2 by Horner's rule
+    first = one + z @ second
+    zeroth = one + z @ first
+    for _ in range(doublings):
+        second = 0.25 * (first @ first + 2.0 * second)
+        first = 0.5 * (zeroth @ first + first)
+        zeroth = zeroth @ zeroth
+    return zeroth, h * first, h * (2.0 * second - first)
+
+
+def _factorial(k: int) -> float:
+    return float(np.prod(np.arange(1.0, k + 1.0)))

@@ -1,0 +1,355 @@
+r"""States of a nonlinear plant along a record, joint by joint, and the force that the plant lacks at each.
+
+Where every joint's position is measured, its motion is told by the sensors, not by the plant: with what the plant says
+of its acceleration along the motion as a known input,
+
+.. math:: \dot q = v, \qquad \dot v = f_v(\bar x, u) + k\,(q - \bar q) + c\,(v - \bar v) + a, \qquad
+          a \text{ a random walk},
+
+with the means k, c of the plant's own derivatives along the motion is linear and concerns this joint alone; the same in
+first order for any other measured state. Smoothed
+(`robustlab.identification.hypotheses.disturbance_smoother`) it gives a better motion, and with that better known
+inputs. States that no sensor shows follow their own equations along that motion. The lacking force at the joints is
+:math:`F = M a` with M from the plant's pushes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.motion_model import Course, exponentials
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["SmoothedMotion", "lacking_forces", "smooth_motion"]
+
+ROUNDS = 2  # of smoothing with known inputs from the motion before
+UNMEASURED_ROUNDS = 4  # of linear runs of the states that no sensor shows
+STATE_SHARE = 0.05  # standard deviation of such a state, of its own size along the record
+POINTS = 60  # of a motion from which the means are taken
+EDGE = 20  # samples at which a motion is asked for its plant's output rows
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedMotion:
+    """A record's states and forces.
+
+    Attributes
+    ----------
+    smoothed
+        As the smoother of a linear plant gives them; forces ``d`` at the joints, in the order of the plant's places.
+    told, constant
+        As in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`.
+    """
+
+    smoothed: SmoothedRecord
+    told: Array
+    constant: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """A measured state, with the state whose rate is behind it.
+
+    states: (position, velocity) or the one state; outputs: indices among the measured ones, and row of C for each;
+    own: derivatives (n,) of the last state's rate over the states.
+    """
+
+    states: tuple[int, ...]
+    outputs: tuple[int, ...]
+    rows: Array
+    own: Array
+
+    def model(self) -> StateSpaceModel:
+        """Known rates of the last state as input; its own unknown rate is the smoother's force."""
+        n = len(self.states)
+        a = np.eye(n, k=1)
+        a[-1] = self.own
+        return StateSpaceModel(a, np.eye(n)[:, -1:], self.rows, np.zeros((len(self.outputs), 1)))
+
+    @property
+    def push(self) -> Array:
+        """Where the unknown acceleration enters, (n, 1)."""
+        return np.eye(len(self.states))[:, -1:]
+
+
+def smooth_motion(
+    plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], resolution: Array | None = None
+) -> SmoothedMotion:
+    """States along a record.
+
+    Parameters
+    ----------
+    t, u, y
+        Uniform clock (n,), inputs (n, n_u), measured outputs (n, n_measured), NaN where a sample is missing.
+    columns
+        Index of each measured output among the plant's outputs.
+
+    Raises
+    ------
+    InputError
+        A joint whose position is not measured, a measured output that shows more than one state, a plant that no motion
+        of the record suits.
+    """
+    arrays = (np.ascontiguousarray(a) for a in (t, u, y))
+    return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
+
+
+def lacking_forces(
+    plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], x: Array, rates: Array, least: float
+) -> tuple[Array, Array]:
+    """Force at each joint that the plant lacks beside known rates, (n, n_joints), and its standard deviation.
+
+    Parameters
+    ----------
+    t, u, y, columns
+        As for `smooth_motion`.
+    x
+        The motion, (n, n_x).
+    rates
+        What is known of the rates from each sample to the next, (n, n_x), effects included.
+    least
+        Lowest bandwidth of the forces in Hz.
+    """
+    chains, offset = _chains(plant, u, y, columns)
+    course = Course(plant, x, u, float(t[1] - t[0]))
+    middle, _ = course.at(np.minimum(np.arange(len(t)) + 0.5, len(t) - 1.0))
+    chains, _ = _along(chains, course)
+    lacking, std = np.zeros_like(x), np.zeros_like(x)
+    for chain in chains:
+        own = list(chain.states)
+        known = rates[:, own[-1]] - middle[:, own] @ chain.own
+        run = _smoothed(chain, t, known, y - offset)
+        if run.bandwidth[0] < least:
+            run = _smoothed(chain, t, known, y - offset, run, least)
+        lacking[:, own[-1]], std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
+    return _forces(plant, x, u, lacking, std)
+
+
+@lru_cache(maxsize=16)
+def _kept(plant: NonlinearPlant, t: bytes, u: bytes, y: bytes, columns: tuple[int, ...]) -> SmoothedMotion:
+    clock = np.frombuffer(t)
+    n = len(clock)
+    return _smooth(plant, clock, np.frombuffer(u).reshape(n, -1), np.frombuffer(y).reshape(n, -1), columns)
+
+
+def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[int, ...]) -> SmoothedMotion:
+    chains, offset = _chains(plant, u, y, columns)
+    y = y - offset
+    dt, n, n_x = float(t[1] - t[0]), len(t), len(plant.states)
+    measured = sorted(k for c in chains for k in c.states)
+    hidden = np.array([k for k in range(n_x) if k not in measured], dtype=np.int64)
+    runs = [_smoothed(c, t, np.zeros(n), y) for c in chains]
+    x = _assembled(chains, runs, n, n_x)
+    course = Course(plant, x, u, dt)
+    known = np.zeros((n, n_x))
+    for _ in range(ROUNDS):
+        x = _with_hidden(course, hidden)
+        course = replace(course, x=x)
+        chains, known = _along(chains, course)
+        runs = [_smoothed(c, t, known[:, c.states[-1]], y, like=run) for c, run in zip(chains, runs, strict=True)]
+        found = _assembled(chains, runs, n, n_x)
+        found[:, hidden] = x[:, hidden]
+        course = replace(course, x=found)
+    x = _with_hidden(course, hidden)
+    return _collected(plant, chains, runs, hidden, t, u, y, x, known)
+
+
+# --- what the sensors show -------------------------------------------------------------------------------------------
+
+
+def _chains(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> tuple[list[_Chain], Array]:
+    """The measured states, and what each measured output shows where they are zero, (n_measured,)."""
+    names = [s.name for s in plant.states]
+    c, offset = _rows(plant, u, y, columns)
+    position = {p.position: p.name for p in plant.port_places if p.position}
+    shown = {int(np.flatnonzero(row)[0]): [] for row in c}
+    for j, row in enumerate(c):
+        shown[int(np.flatnonzero(row)[0])].append(j)
+    chains, seen = [], set[int]()
+    for q, v in position.items():
+        pair = (names.index(q), names.index(v))
+        if not shown.get(pair[0]):
+            known = ", ".join(plant.outputs[k].name for k in columns)
+            raise InputError(
+                f"discover {plant.name}", f"no measured output shows {q} (measured: {known})",
+                "the position of every joint of a nonlinear plant", "a speed alone does not tell where the plant is",
+            )  # fmt: skip
+        own = [j for k in pair for j in shown.get(k, [])]
+        chains.append(_Chain(pair, tuple(own), c[np.ix_(own, list(pair))], np.zeros(2)))
+        seen.update(pair)
+    for k, outputs in shown.items():
+        if k not in seen:
+            chains.append(_Chain((k,), tuple(outputs), c[np.ix_(outputs, [k])], np.zeros(1)))
+    return chains, offset
+
+
+def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> tuple[Array, Array]:
+    """Rows (n_measured, n_x) of C for the measured outputs, each showing one state; and their values at zero states."""
+    c = _jacobian_of_outputs(plant, np.zeros((1, len(plant.states))), u[:1])[0][list(columns)]
+    for j, row in zip(columns, c, strict=True):
+        if np.count_nonzero(row) != 1:
+            raise InputError(
+                f"discover {plant.name}", f"the output {plant.outputs[j].name} shows {np.count_nonzero(row)} states",
+                "outputs of a nonlinear plant that show one state each", "give the positions and currents as outputs",
+            )  # fmt: skip
+    scale = np.abs(c).sum(axis=1)
+    first = np.zeros((min(EDGE, len(y)), len(plant.states)))
+    for j, row in enumerate(c):
+        k = int(np.flatnonzero(row)[0])
+        first[:, k] = np.nan_to_num(y[: len(first), j]) / row[k]
+    shown = plant.outputs_along(first, u[: len(first)])[:, list(columns)]
+    offset = (shown - first @ c.T).mean(axis=0)
+    if (np.abs(shown - first @ c.T - offset) > 1e-9 * (np.abs(shown) + scale)).any():
+        raise InputError(f"discover {plant.name}", "outputs that are no linear function of a state", "linear ones")
+    return c, offset
+
+
+def _jacobian_of_outputs(plant: NonlinearPlant, x: Array, u: Array) -> Array:
+    return plant.local_models(x, u).C
+
+
+# --- smoothing -------------------------------------------------------------------------------------------------------
+
+
+def _smoothed(
+    chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None, bandwidth: float | None = None
+) -> SmoothedRecord:
+    noise = None if like is None else like.noise_std
+    own = y[:, list(chain.outputs)]
+    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], own, noise, bandwidth, jumps=False)
+
+
+def _assembled(chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], n: int, n_x: int) -> Array:
+    x = np.zeros((n, n_x))
+    for chain, run in zip(chains, runs, strict=True):
+        x[:, list(chain.states)] = run.x
+    return x
+
+
+def _along(chains: Sequence[_Chain], course: Course) -> tuple[list[_Chain], Array]:
+    """The chains with the plant's mean derivatives along the motion, and what is known of the rates beside, (n, n_x):
+    from each sample to the next, those in the middle.
+    """
+    n = len(course.x)
+    x, u = course.at(np.arange(n - 1) + 0.5)
+    rates = course.plant.rates_along(x, u)
+    if not np.isfinite(rates).all():
+        raise NoTrustworthyNumber(course.plant.name, "rates along the record that are no numbers")
+    mean = course.plant.local_models(*course.at(np.linspace(0, n - 1, min(n, POINTS)))).A.mean(axis=0)
+    found = []
+    for chain in chains:
+        own = list(chain.states)
+        found.append(replace(chain, own=mean[own[-1], own]))
+        rates[:, own[-1]] -= x[:, own] @ found[-1].own
+    return found, np.vstack([rates, rates[-1:]])
+
+
+def _with_hidden(course: Course, hidden: Indices) -> Array:
+    """The motion with the states that no sensor shows as their own equations make them, from rest of their own."""
+    x = course.x.copy()
+    if not len(hidden):
+        return x
+    n, plant = len(x), course.plant
+    for _ in range(UNMEASURED_ROUNDS):
+        about = Course(plant, x, course.u, course.dt)
+        at, u = about.at(np.arange(n - 1) + 0.5)
+        local = plant.local_models(at, u)
+        a = local.A[:, hidden[:, None], hidden]
+        phi, psi, _ = exponentials(np.ascontiguousarray(a), course.dt)
+        free = local.rates[:, hidden] - np.einsum("npq,nq->np", a, at[:, hidden])
+        pushed = np.einsum("npq,nq->np", psi, free)
+        state = _resting(a[0], free[0], x[0, hidden])
+        found = np.empty((n, len(hidden)))
+        for k in range(n - 1):
+            found[k] = state
+            state = phi[k] @ state + pushed[k]
+        found[-1] = state
+        if not np.isfinite(found).all():
+            raise InputError(
+                f"discover {plant.name}", "a state without a sensor that does not settle by itself", "a sensor for it"
+            )
+        x[:, hidden] = found
+    return x
+
+
+def _resting(a: Array, free: Array, otherwise: Array) -> Array:
+    """Where the states would settle at the first sample; as they are where they would not."""
+    if np.linalg.eigvals(a).real.max(initial=-1.0) >= -1e-9:
+        return otherwise
+    return np.asarray(-np.linalg.solve(a, free))
+
+
+# --- the result ------------------------------------------------------------------------------------------------------
+
+
+def _collected(
+    plant: NonlinearPlant, chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], hidden: Indices,
+    t: Array, u: Array, y: Array, x: Array, known: Array,
+) -> SmoothedMotion:  # fmt: skip
+    n, n_x, n_y = len(t), x.shape[1], y.shape[1]
+    std, covariance = np.zeros((n, n_x)), np.zeros((n, n_x, n_x))
+    told, constant, noise, innovations = (
+        np.zeros((n_y, n, n_x)),
+        np.zeros((n_y, n, n_x)),
+        np.zeros(n_y),
+        np.empty_like(y),
+    )
+    lacking, lacking_std = np.zeros((n, n_x)), np.zeros((n, n_x))
+    for chain, run in zip(chains, runs, strict=True):
+        own, outputs = list(chain.states), list(chain.outputs)
+        std[:, own] = run.x_std
+        covariance[:, np.array(own)[:, None], own] = run.covariance
+        noise[outputs], innovations[:, outputs] = run.noise_std, run.innovations
+        lacking[:, own[-1]], lacking_std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
+        for j in outputs:
+            share, unit = _share(chain, j, t, known[:, own[-1]], y, run)
+            told[j][:, own], constant[j][:, own] = share, unit
+    if len(hidden):
+        std[:, hidden] = STATE_SHARE * np.maximum(np.abs(x[:, hidden]).max(axis=0), 1e-12)
+        covariance[:, hidden, hidden] = std[:, hidden] ** 2
+    force, force_std = _forces(plant, x, u, lacking, lacking_std)
+    whole = replace(
+        runs[0], x=x, x_std=std, covariance=covariance, d=force, d_std=force_std, noise_std=noise,
+        bandwidth=np.concatenate([r.bandwidth for r in runs]), intensity=np.concatenate([r.intensity for r in runs]),
+        innovations=innovations, log_likelihood=float(sum(r.log_likelihood for r in runs)),
+    )  # fmt: skip
+    return SmoothedMotion(whole, told, constant)
+
+
+def _share(chain: _Chain, j: int, t: Array, known: Array, y: Array, run: SmoothedRecord) -> tuple[Array, Array]:
+    """Share of an output in the smoothed states of its chain, and what a unit more of it at all samples adds."""
+    outputs, at = list(chain.outputs), chain.outputs.index(j)
+    size = float(np.nanmax(np.abs(y[:, j]))) or 1.0
+
+    def changed(column: Array) -> Array:
+        other = y[:, outputs].copy()
+        other[:, at] = column
+        there = smooth_disturbance(
+            chain.model(), chain.push, t, known[:, None], other, run.noise_std, run.bandwidth, jumps=False
+        )
+        return there.x - run.x
+
+    return -2.0 * changed(0.5 * y[:, j]), changed(y[:, j] + size) / size
+
+
+def _forces(plant: NonlinearPlant, x: Array, u: Array, lacking: Array, std: Array) -> tuple[Array, Array]:
+    """The force at each joint that brings about the lacking accelerations, (n, n_joints), and its deviation."""
+    names = [s.name for s in plant.states]
+    joints = [k for k, p in enumerate(plant.port_places) if p.kind == "joint"]
+    if not joints:  # told as an addition to the inputs
+        b = plant.local_models(x, u).B
+        inverse = np.linalg.pinv(b)
+        return np.einsum("npq,nq->np", inverse, lacking), np.sqrt(np.einsum("npq,nq->np", inverse**2, std**2))
+    rows = [names.index(plant.port_places[k].name) for k in joints]
+    push = plant.local_models(x, u).push[:, rows][:, :, joints]
+    inverse = np.linalg.inv(push)
+    force = np.einsum("npq,nq->np", inverse, lacking[:, rows])
+    return force, np.sqrt(np.einsum("npq,nq->np", inverse**2, std[:, rows] ** 2))
