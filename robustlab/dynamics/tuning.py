@@ -119,7 +119,7 @@ class DynamicsTuning:
     # (of a value of 0 over so many half widths). Larger: a function that is none is told from one more surely, but
     # more plants have no linear model that far away.
     family_reach: float = 0.5
-    family_zero: float = 10.0
+    family_zero: float = 30.0
     # Chebyshev nodes along a parameter, the highest degree that is looked for, and the number of highest coefficients
     # that show the rounding. More nodes tell weak functions from polynomials more surely.
     family_nodes: int = 13

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import complex_step_plant as plants
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
+
+MODELS = Path(__file__).parents[2] / "models" / "plants"
 
 
 def off(left, right) -> float:
@@ -254,3 +257,28 @@ class TestBadInput:
         )  # fmt: skip
         with pytest.raises(NoTrustworthyNumber, match=r"no finite linear model with what is held \(c = 1.2\)"):
             bad.uncertain()
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "at", "held"),
+    [
+        ("cart_pole", {"l": 0.1}, {"theta": 0.0}, {"theta": 0.0}),
+        ("cart_pole", {"l": 0.1, "g": 0.01}, {"theta": np.pi}, {"theta": np.pi}),
+        ("two_link_arm", {"c_2": 0.1, "l_1": 0.05}, {"q_1": 0.4, "q_2": 0.7}, {"q_1": 0.4, "q_2": 0.7}),
+        ("water_tank", {}, {"level": 6.0}, {"u": None}),
+    ],
+)
+def test_plant_files_are_exact(name, more, at, held):
+    """Against the plant's own trim and linear model with other parameters, at what was held."""
+    pytest.importorskip("casadi")
+    plant = rl.plant(f"{MODELS / name}.py:{name}")
+    plant = plant.with_parameters(**{key: (plant.values[key], share) for key, share in more.items()})
+    trim = plant.equilibrium(**at)
+    uncertain = plant.uncertain(at=trim)
+    assert uncertain.sampled == ()
+    held = {key: float(trim.u[0]) if value is None else value for key, value in held.items()}
+    for seed in range(6):
+        delta = drawn(uncertain, seed, corner=seed % 2 == 0)
+        other = plant.with_parameters(**{key: value for key, (value, _) in uncertain.physical(delta).items()})
+        again = other.equilibrium(**held, **({"start": (trim.x, trim.u)} if name == "water_tank" else {}))
+        assert off(uncertain.evaluate(delta), rl.linearise(other, at=again)) < 1e-9
