@@ -167,7 +167,7 @@ CLASSES: Mapping[str, Hidden] = {
     "coulomb-friction": Hidden(lambda r, _: {"Fc": GEAR * _log(r, 1.5e-3, 6e-3)}, _at(coulomb="Fc")),
     "viscous-friction": Hidden(_viscous, _at(viscous="c")),
     "stribeck-friction": Hidden(_stribeck, _at(coulomb="Fc", breakaway="dF", stribeck="vs")),
-    "backlash": Hidden(lambda r, _: {"gap": _log(r, 0.015, 0.1)}, _at(gap="gap")),
+    "backlash": Hidden(lambda r, _: {"gap": _log(r, 0.1, 0.5)}, _at(gap="gap")),
     "cogging": Hidden(_ripple, _at(ripple="A", order="order", phase="phase")),
     "torque-constant": Hidden(_off(0.12, 0.3), _times("Km", "Kb"), motors=True),
     "input-gain": Hidden(_off(0.1, 0.25), _times("gain"), motors=False),
