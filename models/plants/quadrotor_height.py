@@ -27,7 +27,7 @@ def quadrotor_height(**given):
     z, v = p.joint("z", "v", "m")
     rotor = p.state("rotor", "rad/s")
 
-    p.rate(v, (4 * kt * rotor**2 - d * v - m * g + p.force("v")) / m)
+    p.rate(v, (4 * kt * rotor**2 - d * v - m * g + p.force(v)) / m)
     p.rate(rotor, (u - rotor) / T)
     p.output("z", z, "m")
     return p.plant(**given)

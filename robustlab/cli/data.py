@@ -338,11 +338,10 @@ def compare(
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     """
     from robustlab.identification.comparison.comparison import compare as compare_with
-    from robustlab.statespace import as_model
 
     system = _plant_or_model(model, settings or [])
     repeat = windows.repeat or []
-    inputs = options.inputs or ",".join(as_model(system, model).input_names)
+    inputs = options.inputs or ",".join(_input_names(system))
     first, *others = (options.read(file, inputs) for file in (data, *repeat))
     found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []

@@ -29,7 +29,9 @@ def trim(plant: Plant, **where: Any) -> Trim:
     where
         What the plant offers: the Stewart platform takes ``pose=(tx, ty, tz, ax, ay, az)`` in m and rad, or
         ``phi=`` six nut angles in rad; home where nothing is given. A plant with effects takes inputs, outputs and
-        states by name: ``trim(axis, u=0.1)``; its trim has ``.holding``, the forces that hold it and their limits.
+        states by name: ``trim(axis, u=0.1)``; its trim has ``.holding``, the forces that hold it and their limits. A
+        plant as from `robustlab.PlantEquations` takes inputs, outputs and states by name too, and ``start=(x, u)``,
+        near to which it rests.
 
     Returns
     -------

@@ -14,8 +14,9 @@ from robustlab.units import amount, share
 __all__ = ["Parameter", "Role", "Sign", "overridden", "tolerance_of"]
 
 Role = Literal[
-    "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain"
-]
+    "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain",
+    "centre-of-mass", "gravity-direction",
+]  # fmt: skip
 GIVEN = "given by the user"
 
 

@@ -31,6 +31,9 @@ class NamingTuning:
     # its start is told by the fit and not by it.
     start_inflation: float = 30.0
     most_growth: float = 20.0  # of what an unstable nonlinear plant deviates by, over a window
+    # RMS deviation of a nonlinear plant as given from the recorded motion, over that motion's range, in a window: about
+    # the motion it is linear, right to the square of this.
+    most_deviation: float = 0.03
     most_windows: int = 24  # that the search fits: more tell weaker effects and take more time
     most_held: int = 12  # that it judges on
     held_out_every: int = 4  # without a held-out record, every so manieth window is kept from the fit
@@ -70,6 +73,7 @@ class NamingTuning:
     rough: float = 0.5  # fall of V at which the first two rounds stop
     first_windows: int = 12  # that the first round looks at, and the second: more judge better and take more time
     second_windows: int = 18
+    most_scored: int = 30  # effects of a nonlinear plant that enter the first round: more find what no score shows
     kept_second: int = 10  # hypotheses that enter the second round, and the last
     kept_last: int = 8
     kept_gains: int = 2  # wrong gains beside them: at the same cost the prior may prefer one

@@ -33,6 +33,7 @@ __all__ = [
     "comparison_figures",
     "harmonics_figure",
     "outline",
+    "outputs_figure",
     "residual_figure",
     "response_figure",
     "spectrum_figure",
@@ -43,6 +44,7 @@ __all__ = [
 
 
 FEW_LINES = 60  # drawn with a marker each
+MOST_INPUTS = 3  # beside each other
 SHOWN_BEYOND = 3.0  # times the highest excited line
 FEWEST_SHOWN = 20  # lines
 DRAWN_POINTS = 2000  # a longer curve is drawn as the smallest and largest value of each of 1000 stretches
@@ -54,8 +56,9 @@ MEASURED, FREE, WINDOWED = COLOURS["measured"], COLOURS["worst"], COLOURS["nomin
 def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
     """All figures of a comparison, for every output q; an output whose name is no plain word is called by its number.
 
-    ``where-q``, ``time-q``, ``speed-q`` (where a speed is known), ``spectrum-q``, ``response-q`` (where the record
-    gives a frequency response), ``residual-q``; and once ``harmonics`` (where the excitation allows the test).
+    ``where-q``, ``time-q``, ``speed-q`` (where a speed is known), ``spectrum-q`` (where the free run is whole),
+    ``response-q`` (where the record gives a frequency response), ``residual-q``; and once ``harmonics`` (where the
+    excitation allows the test) and ``outputs`` (where there are several).
     """
     figures: dict[str, Figure] = {}
     for k, output in enumerate(comparison.outputs, start=1):
@@ -64,10 +67,13 @@ def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
         figures[f"time-{name}"] = time_figure(comparison, output)
         if output in comparison.speed:
             figures[f"speed-{name}"] = speed_figure(comparison, output)
-        figures[f"spectrum-{name}"] = spectrum_figure(comparison, output)
+        if output in comparison.frequency:
+            figures[f"spectrum-{name}"] = spectrum_figure(comparison, output)
         if comparison.linear.get(output):
             figures[f"response-{name}"] = response_figure(comparison, output)
         figures[f"residual-{name}"] = residual_figure(comparison, output)
+    if len(comparison.outputs) > 1:
+        figures["outputs"] = outputs_figure(comparison)
     if comparison.nonlinearity.signals:
         figures["harmonics"] = harmonics_figure(comparison)
     return figures
@@ -80,7 +86,8 @@ def where_figure(comparison: Comparison, output: str) -> Figure:
     need a speed or a position which is not recorded are left out.
     """
     panels = _where_panels(comparison, output)
-    figure, axes = new_figure(1 + (len(panels) + 2) // 2, 2, width=8.2, height=2.15)
+    count = len(panels) + (output in comparison.frequency)
+    figure, axes = new_figure(1 + (count + 1) // 2, 2, width=8.2, height=2.15)
     w, gap, unit = comparison.windows[output], comparison.outputs[output], comparison.outputs[output].unit
     noise = comparison.against_noise.get(output)
     with house_style():
@@ -105,15 +112,16 @@ def where_figure(comparison: Comparison, output: str) -> Figure:
         top = 1.1 * max(p.dataLim.y1 for p in used) or 1.0
         for panel in used:
             panel.set_ylim(0.0, top)
-        _band_bars(axes[2 + len(panels)], comparison, output)
-        for panel in axes[3 + len(panels) :]:
+        if output in comparison.frequency:
+            _band_bars(axes[2 + len(panels)], comparison, output)
+        for panel in axes[2 + count :]:
             panel.remove()
     return figure
 
 
 def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, tuple[Bin, ...]]]:
     """Name, unit and bins of every panel below the first."""
-    motion = comparison.motion
+    motion = comparison.motions[output]
     panels: list[tuple[str, str, tuple[Bin, ...]]] = []
     if output in comparison.direction:
         sides = enumerate(comparison.direction[output].values())
@@ -163,19 +171,26 @@ def _band_bars(axes: Axes, comparison: Comparison, output: str) -> None:
 def time_figure(comparison: Comparison, output: str) -> Figure:
     """Recorded and simulated output, the error of the free run, the error of the windows with the worst one shaded."""
     t, unit = comparison.measured.t, comparison.outputs[output].unit
-    y, free, windowed = (r.outputs[output] for r in (comparison.measured, comparison.simulated, comparison.windowed))
+    y, windowed = (r.outputs[output] for r in (comparison.measured, comparison.windowed))
+    run = comparison.simulated
+    free = np.zeros(0) if run is None else run.outputs[output]
+    n = len(free)
     gap, windows = comparison.outputs[output], comparison.windows[output]
     figure, (above, middle, below) = new_figure(3, 1, width=7.6, height=2.0, sharex=True)
     with house_style():
-        above.plot(*outline(t, free), color=FREE, lw=1.3, ls=(0, (5, 1.5)), label="simulated, free run")
+        above.plot(*outline(t[:n], free), color=FREE, lw=1.3, ls=(0, (5, 1.5)), label="simulated, free run")
         above.plot(*outline(t, y), color=MEASURED, lw=1.3, label="record")
         above.set_ylabel(axis_label(output, unit))
         above.set_title(plain_label(f"{comparison.model} against {comparison.record}"))
         above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.02), ncols=2)
         headroom(above, below=0.22)
-        middle.plot(*outline(t, y - free), color=FREE, lw=1.2)
+        middle.plot(*outline(t[:n], y[:n] - free), color=FREE, lw=1.2)
         middle.set_ylabel(axis_label("error", unit))
-        middle.set_title(f"free run: rms {gap.rms_percent:.3g} %, peak {gap.peak_percent:.3g} % of the range")
+        middle.set_title(
+            f"free run: rms {gap.rms_percent:.3g} %, peak {gap.peak_percent:.3g} % of the range"
+            if comparison.free_run.whole
+            else plain_label(f"free run: ends at {comparison.free_run.end:.4g} s")
+        )
         below.axvspan(
             windows.start[windows.worst],
             windows.stop[windows.worst],
@@ -200,16 +215,17 @@ def time_figure(comparison: Comparison, output: str) -> Figure:
 
 
 def speed_figure(comparison: Comparison, output: str) -> Figure:
-    """Windowed error over speed and direction, and what would have to be added to each input over the same speed."""
-    motion, unit = comparison.motion, comparison.outputs[output].unit
-    figure, axes = new_figure(
-        1, 1 + len(comparison.disturbance), width=4.4 * (1 + len(comparison.disturbance)), height=3.4
-    )
+    """Windowed error over speed and direction, and what would have to be added to each input over the same speed: to
+    those that drive the same joint.
+    """
+    motion, unit = comparison.motions[output], comparison.outputs[output].unit
+    own = {name: d for name, d in comparison.disturbance.items() if d.speed_source == motion.speed_source}
+    figure, axes = new_figure(1, 1 + len(own), width=4.4 * (1 + len(own)), height=3.4)
     with house_style():
         _bars(axes[0], comparison.speed[output], motion.speed_unit)
         axes[0].set_ylabel(axis_label("windowed error", unit))
         axes[0].set_title(f"error of {plain_label(output)} in windows of {comparison.window:.3g} s")
-        for panel, (name, d) in zip(axes[1:], comparison.disturbance.items(), strict=True):
+        for panel, (name, d) in zip(axes[1:], own.items(), strict=True):
             speed = np.zeros(0) if d.speed is None else d.speed
             zero_line(panel)
             panel.axvline(0.0, color="#888888", lw=0.8)
@@ -223,7 +239,9 @@ def speed_figure(comparison: Comparison, output: str) -> Figure:
 
 
 def spectrum_figure(comparison: Comparison, output: str) -> Figure:
-    """Power spectral densities of recorded output, free run and error; below, the inputs' coherence with the error."""
+    """Power spectral densities of recorded output, free run and error; below, the coherence of
+    the inputs (of many those with the largest) with the error.
+    """
     s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
     f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
     figure, (above, below) = new_figure(2, 1, width=7.6, height=2.7, sharex=True)
@@ -244,7 +262,9 @@ def spectrum_figure(comparison: Comparison, output: str) -> Figure:
         if top > 0:
             above.legend(loc="lower left", ncols=1)
             above.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
-        for (name, coherence), colour in zip(s.coherence.items(), _cycle(len(s.coherence)), strict=True):
+        most = sorted(s.coherence, key=lambda name: -float(s.coherence[name].mean()))[:MOST_INPUTS]
+        drawn = {name: coherence for name, coherence in s.coherence.items() if name in most}
+        for (name, coherence), colour in zip(drawn.items(), _cycle(len(drawn)), strict=True):
             label = f"{plain_label(name)} with the error (mean over narrow bands)"
             below.semilogx(*_smoothed(f, coherence[1:]), color=colour, lw=1.2, label=label)
         below.axhline(
@@ -265,16 +285,20 @@ def spectrum_figure(comparison: Comparison, output: str) -> Figure:
 
 
 def residual_figure(comparison: Comparison, output: str) -> Figure:
-    """Autocorrelation of the recursive residual and its correlation with each input, with 99 % bands."""
+    """Autocorrelation of the recursive residual and its correlation with each input, with 99 % bands; of many inputs
+    with those that explain most of it.
+    """
     tests = comparison.residual[output]
-    figure, axes = new_figure(1, 1 + len(tests.inputs), width=4.4 * (1 + len(tests.inputs)), height=3.2)
+    most = sorted(tests.inputs, key=lambda name: -tests.inputs[name].explained_share)[:MOST_INPUTS]
+    drawn = {name: test for name, test in tests.inputs.items() if name in most}
+    figure, axes = new_figure(1, 1 + len(drawn), width=4.4 * (1 + len(drawn)), height=3.2)
     with house_style():
         w = tests.whiteness
         _stems(axes[0], w.lags, w.autocorrelation, w.band)
         axes[0].set_title(f"residual of {plain_label(output)} with itself")
         axes[0].set_ylabel("correlation")
         axes[0].set_ylim(min(-0.1, 1.1 * float(w.autocorrelation.min())), 1.05)
-        for panel, (name, test) in zip(axes[1:], tests.inputs.items(), strict=True):
+        for panel, (name, test) in zip(axes[1:], drawn.items(), strict=True):
             _stems(panel, test.lags, test.correlation, test.band)
             panel.set_title(f"residual of {plain_label(output)} with input {plain_label(name)}")
             size = 1.15 * max(test.band, float(np.abs(test.correlation).max()))
@@ -283,6 +307,30 @@ def residual_figure(comparison: Comparison, output: str) -> Figure:
             panel.set_xlabel("lag [samples]")
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center")
+    return figure
+
+
+def outputs_figure(comparison: Comparison) -> Figure:
+    """RMS of the windowed error of all outputs, in percent of their ranges and, of a nonlinear plant, in multiples of
+    their sensors' scatter.
+    """
+    gaps = comparison.outputs
+    noise = comparison.sensor_noise
+    scales = [("rms error [% of range]", [g.windowed_rms_percent for g in gaps.values()])]
+    if noise:
+        scales.append(("rms error / scatter", [g.windowed_rms / noise[name] for name, g in gaps.items()]))
+    figure, axes = new_figure(len(scales), 1, width=7.6, height=2.2, sharex=True)
+    with house_style():
+        for panel, (label, values) in zip(axes, scales, strict=True):
+            _worst_bars(panel, np.arange(len(gaps) + 1) - 0.5, np.nan_to_num(np.array(values)))
+            panel.set_ylabel(label)
+        if noise:
+            axes[1].axhline(1.0, color=COLOURS["good"], lw=1.2, ls=(0, (4, 2)))
+            axes[1].set_title("in multiples of what the samples scatter about a smooth motion (green)")
+        head = f"{comparison.model} against {comparison.record}: windows of {comparison.window:.3g} s"
+        axes[0].set_title(plain_label(head))
+        axes[-1].set_xticks(range(len(gaps)), [plain_label(name) for name in gaps])
+        axes[-1].set_xlabel("output")
     return figure
 
 

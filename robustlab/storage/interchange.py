@@ -273,8 +273,8 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         File to write; an existing file is replaced once the new one is complete.
     obj
         StateSpaceModel, UncertainModel, Controller, Record, a plant with or without effects, a python-control system,
-        or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or a
-        linear one of the user's own: its equations are stored as coefficients.
+        or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or
+        one of the user's own, whose equations are stored as coefficients (`LinearPlant`) or tapes (`PlantEquations`).
     provenance
         Where it comes from; time and versions of now where left out.
 

@@ -12,10 +12,13 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.files.tree import Tree, text_attr
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, encode_model, entries, find_children
+from robustlab.storage.tapes import decode_equations, encode_equations
 from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
     from robustlab.dynamics.linear_plant import LinearPlant
+    from robustlab.dynamics.parameters import Parameter
+    from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
 
 __all__ = ["decode_plant", "encode_plant"]
 
@@ -42,11 +45,12 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
     base = obj.plant if isinstance(obj, ExtendedPlant) else obj
     own = not _is_rebuilt(base)
     equations = base.affine_equations() if own and _is_linear(base) else None
-    if own and equations is None:
+    tapes = base.equations if own and _is_symbolic(base) else None
+    if own and equations is None and tapes is None:
         raise InputError(
             f"{base.name}: save",
             "a plant of your own making that is not linear: its equations are a program, which a file cannot hold",
-            "a plant as from plant(name), a LinearPlant, or a model",
+            "a plant as from plant(name), a LinearPlant, PlantEquations(...).plant(), or a model",
             "to keep its linear model alone: save(path, linearise(plant))",
         )
     encode_model(tree, _linear(obj))
@@ -61,6 +65,9 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
         for name, values in equations.coefficients.items():
             group.group("equations").put(name, values)
         group.group("equations").put("parameters", np.array(equations.names, np.str_))
+        encode_model(group.group("base"), _linear(base))
+    elif tapes is not None:
+        encode_equations(group.group("tapes"), tapes)
         encode_model(group.group("base"), _linear(base))
     elif base.name == BARE:
         encode_model(group.group("base"), _bare_model(base))
@@ -111,6 +118,13 @@ def _is_linear(base: Plant) -> TypeGuard[LinearPlant]:
     from robustlab.dynamics.linear_plant import LinearPlant
 
     return type(base) is LinearPlant
+
+
+def _is_symbolic(base: Plant) -> TypeGuard[SymbolicPlant]:
+    """True for a plant whose equations are tapes, without methods of its own."""
+    from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
+
+    return type(base) is SymbolicPlant
 
 
 def _is_rebuilt(base: Plant) -> bool:
@@ -171,38 +185,32 @@ def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
 def _base(group: Tree, problems: Problems) -> Plant:
     if "equations" in group.groups:
         return _from_equations(group, problems)
+    if "tapes" in group.groups:
+        return _from_tapes(group, problems)
     return _from_name(group, problems)
 
 
 def _from_equations(group: Tree, problems: Problems) -> Plant:
     """A linear plant of somebody's own, from the coefficients of its equations and the signals of its model."""
     from robustlab.dynamics.linear_plant import AffineEquations, LinearPlant
-    from robustlab.dynamics.parameters import Parameter
 
     held = group.groups["equations"]
     find_children(group, ("parameters", "equations", "base"), problems, kind="group")
     find_children(held, ("parameters", *MATRICES), problems, kind="dataset")
     problems.raise_any()
     model = decode_model(group.groups["base"], problems)
-    columns = _columns(group.groups["parameters"], problems, MORE_TEXTS)
+    parameters = _own_parameters(group.groups["parameters"], problems)
     names = entries(held, "parameters", "U", problems) or []
     arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
         shape = values.shape if isinstance(values, np.ndarray) and values.dtype.kind in "fi" else ()
         if len(shape) != 3 or shape[0] != 1 + len(names):
             problems.add(f"{held.child_path(key)}: expected real numbers, one matrix more than {len(names)} parameters")
-    for sign in columns.get("sign", ()):
-        if sign not in get_args(Sign):
-            problems.add(f"{group.path}/parameters/sign: {sign!r}, expected one of {', '.join(get_args(Sign))}")
     problems.raise_any()
     assert model is not None
-    parameters = {
-        name: Parameter(**{field: columns[field][k] for field in (*TEXTS, *NUMBERS, *MORE_TEXTS)})
-        for k, name in enumerate(columns["name"])
-    }
     unknown = [name for name in names if name not in parameters]
-    if unknown or len(set(names)) < len(names) or len(parameters) < len(columns["name"]):
-        found = f"{unknown[0]!r} is no parameter" if unknown else "a parameter is there twice"
+    if unknown or len(set(names)) < len(names):
+        found = f"{unknown[0]!r} is no parameter" if unknown else "a name is there twice"
         raise InputError(problems.file, f"{held.child_path('parameters')}: {found}", "names of plant/parameters")
     fixed = {name: p.value for name, p in parameters.items() if name not in names}
     equations = AffineEquations(tuple(names), {key: np.asarray(v, float) for key, v in arrays.items()}, fixed)
@@ -210,6 +218,41 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
     return LinearPlant(
         name, parameters, model.inputs, model.outputs, model.states, equations=equations, exact=tuple(fixed)
     )
+
+
+def _from_tapes(group: Tree, problems: Problems) -> Plant:
+    """A nonlinear plant of somebody's own."""
+    from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
+
+    find_children(group, ("parameters", "tapes", "base"), problems, kind="group")
+    problems.raise_any()
+    model = decode_model(group.groups["base"], problems)
+    parameters = _own_parameters(group.groups["parameters"], problems)
+    problems.raise_any()
+    assert model is not None
+    n_moving = len(model.states) + len(model.inputs)
+    equations = decode_equations(group.groups["tapes"], n_moving, len(parameters), problems)
+    name = text_attr(group.attrs, "name") or "plant"
+    return SymbolicPlant(name, parameters, model.inputs, model.outputs, model.states, equations)
+
+
+def _own_parameters(group: Tree, problems: Problems) -> dict[str, Parameter]:
+    """Parameters with all that is said of them; what is wrong is in ``problems``."""
+    from robustlab.dynamics.parameters import Parameter, Role
+
+    columns = _columns(group, problems, MORE_TEXTS)
+    for field, choices in (("sign", get_args(Sign)), ("role", get_args(Role))):
+        for found in columns.get(field, ()):
+            if found not in choices:
+                known = ", ".join(filter(None, choices))
+                problems.add(f"{group.child_path(field)}: {found!r}, expected one of {known}")
+    problems.raise_any()
+    names = columns["name"]
+    if len(set(names)) < len(names):
+        problems.add(f"{group.child_path('name')}: a parameter is there twice")
+        problems.raise_any()
+    fields = (*TEXTS, *NUMBERS, *MORE_TEXTS)
+    return {name: Parameter(**{field: columns[field][k] for field in fields}) for k, name in enumerate(names)}
 
 
 def _from_name(group: Tree, problems: Problems) -> Plant:

@@ -123,7 +123,7 @@ def test_dry_friction_shows_as_its_own_size_at_the_input():
     assert d.forward == pytest.approx(-(friction + offset) / GAIN, rel=0.03)
     assert d.backward == pytest.approx((friction - offset) / GAIN, rel=0.03)
     assert d.explained_share > 0.9
-    assert found.motion.speed_source == "v"
+    assert found.motions["q"].speed_source == "v"
     assert found.residual["q"].whiteness.p_value < 1e-6
     assert "moving forward" in found.summary()
 

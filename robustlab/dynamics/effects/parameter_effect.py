@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -77,6 +78,67 @@ def has_ground_term(plant: LinearPlant, port: Port, role: str, rows: tuple[Port,
             if abs(row @ together) > 1e-9 * np.abs(row).sum():
                 return True
     return False
+
+
+class MotorEffect(ParameterEffect):
+    r"""A parameter effect of motors that can also be wrong in one motor of several: there it scales the terms of its
+    current, :math:`\Delta \dot x = (s - 1)\, T x`, with T those of the plant's own terms that the parameter makes.
+    """
+
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
+        currents = tuple(p.name for p in model.ports.values() if p.kind == "current")
+        one = tuple(Site("current", name) for name in currents) if len(currents) > 1 else ()
+        return (*super().sites(plant, model), *one)
+
+    def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
+        if site.kind != "current":
+            return model
+        k = int(np.argmax(model.ports[site.name].velocity))
+        a = model.A.copy()
+        for row, column in self.terms(model, k):
+            a[..., row, column] += (values["s"] - 1.0) * model.A[..., row, column]
+        return replace(model, A=a)
+
+    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
+        """Rows and columns of A that the parameter of this motor makes; ``current`` is the index of its current."""
+        raise NotImplementedError
+
+
+class MisplacedEffect(ParameterEffect):
+    """Coordinates that are not what the plant says: each is shifted, zero or not.
+
+    Attributes
+    ----------
+    components
+        Names of the shifts; the plant has as many parameters of the effect's role.
+    unit
+        Of the shifts.
+    """
+
+    gain_like = False
+    scale = ""
+    components: tuple[str, ...]
+    unit: str
+
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
+        found = super().sites(plant, model)
+        return tuple(s for s in found if len(s.name.split("+")) == len(self.components))
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("linear", 0.0, self.spread)
+        return tuple(EffectParameter(n, self.unit, f"{self.quantity}, {n}", prior) for n in self.components)
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        return (dict.fromkeys(self.components, 0.1 * self.spread),)
+
+    def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
+        """Of each parameter, over its reference."""
+        names = site.name.split("+")
+        for name in names:
+            if name not in plant.parameters:
+                raise InputError(f"effect {self.id}: site {site.name!r}", "no such parameters", f"of {plant.name}")
+        own = [plant.parameters[name] for name in names]
+        return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.components, strict=True)}
 
 
 class GroundedEffect(ParameterEffect):

@@ -31,10 +31,12 @@ class SensorBias(Effect):
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         """Outputs k for which no equilibrium A x = 0 has C x = e_k: no free initial state takes the bias."""
         offered = []
-        both = np.vstack([model.A / max(np.abs(model.A).max(initial=0.0), 1.0), model.C])
+        n = model.A.shape[-1]
+        a, c = model.A.reshape(-1, n), model.C.reshape(-1, len(plant.outputs), n)[0]  # along a motion at every point
+        both = np.vstack([a / max(np.abs(a).max(initial=0.0), 1.0), c])
         for k, signal in enumerate(plant.outputs):
             wanted = np.zeros(len(both))
-            wanted[len(model.A) + k] = 1.0
+            wanted[len(a) + k] = 1.0
             x = np.linalg.lstsq(both, wanted, rcond=None)[0]
             if np.abs(both @ x - wanted).max() > 1e-9:
                 offered.append(Site("output", signal.name))

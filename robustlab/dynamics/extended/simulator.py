@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -128,6 +129,7 @@ class Simulator:
             if motion is None:
                 raise InputError("simulation", f"the nonlinear plant {plant.name}", "a motion about which it is linear")
             self._course = _course(plant, motion, u, dt)
+            sub = LEAST_STEPS if sub is None else sub
         self.sub = stepping(plant, dt) if sub is None else sub
         if self.sub < 1:
             raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
@@ -138,6 +140,13 @@ class Simulator:
         self._steps: dict[tuple[float, ...], Array] = {}
         self._exponentials: dict[bytes, tuple[Array, Array, Array]] = {}
         self._models: dict[tuple[tuple[str, float], ...], PortModel] = {}
+
+    def about(self, motion: Array | None) -> Simulator:
+        """The same simulator of a nonlinear plant about another motion."""
+        other = copy(self)
+        if isinstance(self.plant, NonlinearPlant) and motion is not None and self._course is not None:
+            other._course = _course(self.plant, motion, self._course.u, self.dt)
+        return other
 
     def run(
         self,
@@ -163,22 +172,45 @@ class Simulator:
         shift
             Time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
         """
+        return self.run_along(factors, values, x0, windows, shift)[0]
+
+    def run_along(
+        self,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        x0: Array,
+        windows: Windows,
+        shift: Sequence[float] | None = None,
+    ) -> tuple[Motion, MotionModel | None, PortModel]:
+        """`run`, with the nonlinear plant about its motion and the equations with effects that it was done with."""
         about = self._about(factors, values, windows) if self._course else None
         model = self._with_effects(about.model, values) if about else self.model(factors, values)
-        laws = [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
         late = self._late(values, shift)
-        motion, forces = self._step(model, laws, self._seen(values, late), x0, windows, about)
-        outputs = motion @ model.C.T if about is None else _seen_along(about, model, motion)
+        states, forces = self._step(model, self.laws(values), self._seen(values, late), x0, windows, about)
+        u = None
         if model.D.any():
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
-            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
-            outputs = outputs + (d @ u[..., None])[..., 0]
+        outputs = self.plain_outputs(states, about, model, u)
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
                 outputs[:, :, k] = effect.output(outputs[:, :, k], v, self.dt)
-        return Motion(motion, outputs, forces)
+        return Motion(states, outputs, forces), about, model
+
+    def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
+        """The force laws of all effects."""
+        return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
+
+    def plain_outputs(self, states: Array, about: MotionModel | None, model: PortModel, u: Array | None) -> Array:
+        """Outputs (n_windows, length, n_y) of states (n_windows, length, n) before what effects do to them; inputs u
+        (n_windows, length, n_u) where the plant passes them on.
+        """
+        outputs = states @ model.C.T if about is None else _seen_along(about, model, states)
+        if u is not None and model.D.any():
+            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
+            outputs = outputs + (d @ u[..., None])[..., 0]
+        return outputs
 
     def model(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> PortModel:
         """The linear equations at these values, extended by the effects; of a nonlinear plant at some points of its

@@ -48,6 +48,7 @@ __all__ = [
 AnyPlant = LinearPlant | NonlinearPlant
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
 INERTIA_UNITS = {"rad/s": "kg m2", "m/s": "kg"}
+COORDINATES = ("centre-of-mass", "gravity-direction")  # roles that parameters of the value 0 can have, too
 ASSUMED = "read off the matrices of the model"
 
 
@@ -228,13 +229,13 @@ def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]],
 
     Those of one role that stand in the same equations belong together (the inertias of a drive train); torque constant
     and back-EMF constant are one quantity in SI units. In a nonlinear plant the masses of two bodies act differently in
-    every equation: there each parameter is one of its own. Parameters without a role, or with the value zero, are left
-    out.
+    every equation: there each parameter is one of its own. Coordinates of one role (`COORDINATES`) belong together,
+    zero or not. Other parameters with the value zero, and those without a role, are left out.
     """
     groups: dict[tuple[str, frozenset[int] | str], list[str]] = {}
     for name, parameter in plant.parameters.items():
-        if parameter.role and parameter.value:
-            if parameter.role == "torque-constant":
+        if parameter.role and (parameter.value or parameter.role in COORDINATES):
+            if parameter.role in ("torque-constant", *COORDINATES):
                 where: frozenset[int] | str = ""
             else:
                 where = _rows(plant, name) if isinstance(plant, LinearPlant) else name

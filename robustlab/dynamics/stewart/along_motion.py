@@ -60,7 +60,7 @@ def _kept_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
 def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
     """Motor torques (n, 6): the inputs, or with motors (18 states) what the currents and the speeds make."""
     if x.shape[1] == 12:
-        return np.ascontiguousarray(u)
+        return np.array(u, order="C")
     return values["Km"] * x[:, 12:] - values["Kf"] * values["ratio"] * x[:, 6:12]
 
 
@@ -68,7 +68,7 @@ def accelerations(geometry: Geometry, constants: Array, x: Array, torque: Array)
     """Of the nuts, (n, 6)."""
     poses, twists = motion(geometry, x)
     phi, rates, found = np.empty_like(poses), np.empty_like(poses), np.empty_like(poses)
-    numbers = np.ascontiguousarray(np.broadcast_to(constants, (len(x), len(constants))))
+    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
     kernels().forward_dynamics(poses, twists, torque, geometry.legs, numbers, phi, rates, found)
     return found
 
@@ -82,7 +82,7 @@ def derivatives(geometry: Geometry, constants: Array, x: Array, torque: Array) -
         A singular pose.
     """
     poses, twists = motion(geometry, x)
-    numbers = np.ascontiguousarray(np.broadcast_to(constants, (len(x), len(constants))))
+    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
     stiffness, damping, gain = np.empty((3, len(x), 6, 6))
     if not kernels().linearisations(poses, twists, torque, geometry.legs, numbers, stiffness, damping, gain):
         raise NoTrustworthyNumber(NAME, "singular pose along the motion: no linear model in nut coordinates")

@@ -106,8 +106,9 @@ _DRIVE = (
     Parameter("ratio", 4.8 * 41 / 21, "rad/rad", 0.0, "Březina 2010, section 6.1.1", "motor turns per nut turn",
               "positive"),
     Parameter("gravity", 9.81, "m/s2", 0.0, "standard", "acceleration of gravity, along -z of a level base"),
-    Parameter("tilt_x", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about its own x axis, on top of tilt_y"),
-    Parameter("tilt_y", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about the level y axis"),
+    Parameter("tilt_x", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about its own x axis, on top of tilt_y",
+              role="gravity-direction"),
+    Parameter("tilt_y", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about the level y axis", role="gravity-direction"),
 )  # fmt: skip
 
 _ALONG: tuple[tuple[str, float, str, Sign], ...] = (
@@ -121,12 +122,20 @@ _ALONG: tuple[tuple[str, float, str, Sign], ...] = (
 )
 
 _BODIES = (
-    Parameter("platform_mass", _PLATFORM_MASS, "kg", 0.0, _FIT, "mass of the platform", "positive"),
+    Parameter("platform_mass", _PLATFORM_MASS, "kg", 0.0, _FIT, "mass of the platform", "positive", "inertia"),
     Parameter("platform_x", _DISC_ACROSS, "kg m2", 0.0, _DISC, "inertia of the platform about its x axis", "positive"),
     Parameter("platform_y", _DISC_ACROSS, "kg m2", 0.0, _DISC, "inertia of the platform about its y axis", "positive"),
     Parameter("platform_z", _DISC_ALONG, "kg m2", 0.0, _DISC, "inertia of the platform about its z axis", "positive"),
     *(
-        Parameter(f"platform_c{a}", 0.0, "m", 0.0, _CENTRED, f"platform: centre of gravity from its origin along {a}")
+        Parameter(
+            f"platform_c{a}",
+            0.0,
+            "m",
+            0.0,
+            _CENTRED,
+            f"platform: centre of gravity from its origin along {a}",
+            role="centre-of-mass",
+        )
         for a in "xyz"
     ),
     *_body("link", "lower link", 0.435, (5.07492e-4, 4.99276e-4, 1.31934e-4)),
@@ -142,15 +151,17 @@ _BODIES = (
         "left out by the thesis (eqs 7.3, 7.4)",
         "inertia of the motor's rotor",
         "nonnegative",
+        "inertia",
     ),
 )
 
 _MOTOR = (
-    Parameter("R", 2.07, "ohm", 0.0, _SHEET, "terminal resistance", "positive"),
-    Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive"),
-    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "positive"),
-    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "nonnegative"),
-    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; cover: section 10.1.1", "viscous friction", "nonnegative"),
+    Parameter("R", 2.07, "ohm", 0.0, _SHEET, "terminal resistance", "positive", "resistance"),
+    Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive", "inductance"),
+    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "positive", "torque-constant"),
+    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "nonnegative", "torque-constant"),
+    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; cover: section 10.1.1", "viscous friction", "nonnegative",
+              "viscous-friction"),
 )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ SIGNS: dict[str, Sign] = {
 }
 # Unit of a joint's coordinate -> units of its velocity and of the force that acts along it.
 JOINT_UNITS = {"m": ("m/s", "N"), "rad": ("rad/s", "N m")}
-# Mass matrices are looked at at this many states, and are symmetric to this share of their largest entry.
+# A mass matrix is looked at at zero and at twice as many states; it is symmetric to this share of its largest entry.
 PROBES = 5
 SYMMETRIC = 1e-9
 
@@ -128,6 +128,7 @@ class PlantEquations:
         kept: Any = "" if role in (None, NONE) else role
         sign = sign or SIGNS.get(kept, "any")
         symbol = self._new(name, "parameter")
+        _unit(unit, where)
         self._parameters[name] = Parameter(name, value, unit, tolerance, source, meaning, sign, kept)
         if role is None:
             self._without_role.add(name)
@@ -136,7 +137,7 @@ class PlantEquations:
     def input(self, name: str, unit: str = "") -> Any:
         """An input; returns its symbol."""
         symbol = self._new(name, "input")
-        self._inputs.append(Signal(name, unit))
+        self._inputs.append(Signal(name, _unit(unit, f"{self._where}: input {name!r}")))
         return symbol
 
     def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
@@ -166,23 +167,23 @@ class PlantEquations:
         if current and unit != "A":
             raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
         symbol = self._new(name, "state")
-        self._states.append(Signal(name, unit))
+        self._states.append(Signal(name, _unit(unit, f"{self._where}: state {name!r}")))
         if current:
             self._currents.append(name)
         return symbol
 
-    def force(self, velocity: str) -> Any:
+    def force(self, velocity: Any) -> Any:
         """Symbol of the force or torque that acts at a joint, for a plant whose rates are given one by one.
 
         Parameters
         ----------
         velocity
-            Name of the joint's velocity. The force accelerates the joint: ``(... + p.force("v")) / m``.
+            The joint's velocity, by its symbol or name. The force accelerates it: ``(... + p.force(v)) / m``.
         """
         return self._push(velocity, [v for _, v, _ in self._joints], "velocity of a joint")
 
-    def voltage(self, current: str) -> Any:
-        """Symbol of the voltage that acts at a current: ``(u - R * i + p.voltage("i")) / L``."""
+    def voltage(self, current: Any) -> Any:
+        """Symbol of the voltage that acts at a current, given by symbol or name: ``(u - R * i + p.voltage(i)) / L``."""
         return self._push(current, self._currents, "current")
 
     # --- equations ---------------------------------------------------------------------------------------------------
@@ -208,7 +209,7 @@ class PlantEquations:
 
     def rate(self, state: Any, expression: Any) -> None:
         """The rate of a state, given by its symbol or name; that of a joint's position is its velocity."""
-        name = state if isinstance(state, str) else self._name_of(state)
+        name = self._name_of(state)
         names = [s.name for s in self._states]
         place = f"{self._where}: rate"
         if name not in names:
@@ -225,7 +226,8 @@ class PlantEquations:
         _title(name, self._where, "output")
         if name in self._outputs:
             raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
-        self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), str(unit)
+        unit = _unit(unit, f"{self._where}: output {name!r}")
+        self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 
     def plant(self, **given: Any) -> SymbolicPlant:
         """The plant.
@@ -274,9 +276,9 @@ class PlantEquations:
         outputs = ca.vertcat(*(e for e, _ in self._outputs.values()))
         self._check_symbols(pushes)
         rates, jacobian, push = self._differentiated(x, u, force, parameters)
+        self._check_affine(push, places)
         zero = ca.SX.zeros(len(pushes))
         rates, jacobian, push = (ca.substitute(e, force, zero) if pushes else e for e in (rates, jacobian, push))
-        self._check_affine(rates, push, force)
         c, d = ca.jacobian(outputs, x), ca.jacobian(outputs, u)
         a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
         blocks = (rates, outputs, a, b, c, d, push)
@@ -284,9 +286,9 @@ class PlantEquations:
         titles = labels(self._states, self._inputs, [Signal(*o) for o in _pairs(self._outputs)], places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
         return Equations(
-            tape_of(everything, ca.cse(rates), name, titles.__getitem__),
-            tape_of(everything, ca.cse(outputs), name, titles[len(self._states) :].__getitem__),
-            tape_of(everything, rows, name, titles.__getitem__),
+            tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
+            tape_of(everything, ca.cse(outputs), len(parameters), name, titles[len(self._states) :].__getitem__),
+            tape_of(everything, rows, len(parameters), name, titles.__getitem__),
             places,
         )
 
@@ -335,8 +337,11 @@ class PlantEquations:
             both = next((v for _, v, _ in self._joints if v in self._rates), None)
             if both is not None:
                 raise InputError(f"{self._where}: {both!r}", "p.rate and p.motion for one joint", "one of them")
-            self._check_mass_matrix(matrix, parameters)
             n = len(self._joints)
+            if matrix.shape[0] != n:
+                found = f"of {matrix.shape[0]} joints, and {n - matrix.shape[0]} came later"
+                raise InputError(f"{self._where}: motion", found, "p.joint(...) of all joints before it")
+            self._check_mass_matrix(matrix, parameters)
             forces = forces + force[:n]
             factor = _factorised(ca, matrix)
             a = _solved(ca, factor, forces)
@@ -377,34 +382,40 @@ class PlantEquations:
                     or "an unknown that depends on itself is an algebraic loop: solve for it, or make it a state",
                 )
 
-    def _check_affine(self, rates: Any, push: Any, force: Any) -> None:
-        ca = self._ca
-        if any(s.element_hash() in {f.element_hash() for f in self._pushes.values()} for s in ca.symvar(push)):
-            raise InputError(self._where, "a force that does not enter the rates linearly", "rates = ... + b * force")
-        nothing = [name for k, name in enumerate(self._pushes) if push[:, k].nnz() == 0]
-        if nothing and force.numel():
-            raise InputError(f"{self._where}: {nothing[0]!r}", "a force that moves nothing", "it in the state's rate")
+    def _check_affine(self, push: Any, places: tuple[PortPlace, ...]) -> None:
+        """Forces enter the rates, and linearly."""
+        forces = {f.element_hash(): name for name, f in self._pushes.items()}
+        for symbol in self._ca.symvar(push):
+            if symbol.element_hash() in forces:
+                where = f"{self._where}: {forces[symbol.element_hash()]!r}"
+                raise InputError(where, "its force does not enter the rates linearly", "rates = ... + b * force")
+        for k, place in enumerate(places):
+            if push[:, k].nnz() == 0:
+                raise InputError(
+                    f"{self._where}: {place.name!r}", "a force that moves nothing", "it in the state's rate"
+                )
 
     def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
-        """Symmetric and positive definite at a few states, with the parameters as they are."""
-        ca = self._ca
-        symbols = list(self._symbols.items())
-        function = ca.Function("M", [ca.vertcat(*(s for _, s in symbols))], [matrix])
-        draw = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, len(symbols)))
-        draw[0] = 0.0
-        for row in draw:
-            point = [parameters[n].value if n in parameters else row[k] for k, (n, _) in enumerate(symbols)]
+        """Symmetric wherever it is looked at, and positive definite somewhere, with the parameters as they are.
+
+        Not everywhere: a mass that is a state is negative where no plant is asked.
+        """
+        names, where = list(self._symbols), f"{self._where}: motion: mass matrix"
+        function = self._ca.Function("M", [self._ca.vertcat(*self._symbols.values())], [matrix])
+        draw = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, len(names)))
+        smallest: list[float] = []
+        for row in (0.0 * draw[0], *draw, *np.abs(draw)):
+            point = [parameters[n].value if n in parameters else row[k] for k, n in enumerate(names)]
             values = np.array(function(point).full())
-            where = f"{self._where}: motion: mass matrix"
             if not np.isfinite(values).all():
-                continue  # a singular state, at which no plant is asked
+                continue
             gap = np.abs(values - values.T)
             if gap.max() > SYMMETRIC * np.abs(values).max():
                 i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
                 raise InputError(where, f"entry [{i}, {j}] is not entry [{j}, {i}]", "a symmetric matrix")
-            smallest = float(np.linalg.eigvalsh(values)[0])
-            if smallest <= 0:
-                raise InputError(where, f"an eigenvalue of {smallest:.3g}", "a positive definite matrix")
+            smallest.append(float(np.linalg.eigvalsh(values)[0]))
+        if smallest and max(smallest) <= 0:
+            raise InputError(where, f"an eigenvalue of {max(smallest):.3g}", "a positive definite matrix")
 
     # --- small things ------------------------------------------------------------------------------------------------
 
@@ -415,17 +426,20 @@ class PlantEquations:
         self._symbols[name] = self._ca.SX.sym(name)
         return self._symbols[name]
 
-    def _push(self, name: str, known: Sequence[str], kind: str) -> Any:
+    def _push(self, state: Any, known: Sequence[str], kind: str) -> Any:
+        name = self._name_of(state)
         if name not in known:
-            hint = did_you_mean(str(name), tuple(known))
+            hint = did_you_mean(name, tuple(known))
             raise InputError(f"{self._where}: {name!r}", f"no {kind}", f"one of {_listed(known)}", hint)
         if self._motion is not None and name not in self._currents:
             raise InputError(f"{self._where}: force at {name!r}", "in a plant with p.motion", "none: it acts by itself")
         return self._pushes.setdefault(name, self._ca.SX.sym(f"push {name}"))
 
     def _name_of(self, symbol: Any) -> str:
+        """Name of a state given by its symbol or name; what else was given, in words."""
         for name, known in self._symbols.items():
-            if isinstance(symbol, self._ca.SX) and known.element_hash() == symbol.element_hash():
+            one = isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1)
+            if one and known.element_hash() == symbol.element_hash():
                 return name
         return str(symbol)
 
@@ -495,6 +509,12 @@ def _title(name: Any, where: str, kind: str) -> str:
     if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
         raise InputError(where, f"{kind} {name!r}", f"a text of 1 to {MAX_NAME} characters")
     return name
+
+
+def _unit(unit: Any, where: str) -> str:
+    if not isinstance(unit, str):
+        raise InputError(where, f"unit {unit!r}", "a text; empty where there is none")
+    return unit
 
 
 def _listed(names: Any) -> str:

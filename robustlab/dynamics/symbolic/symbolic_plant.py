@@ -98,9 +98,13 @@ class SymbolicPlant(NonlinearPlant):
         state, force = self.point(x, u)
         return self.outputs_along(state[None], force[None])[0]
 
-    def outputs_along(self, x: Array, u: Array) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
-        return self._evaluated(self.equations.outputs, x, u, first=len(self.states))
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
+        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
+        return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
+
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
+        """Rates (n, n_x) along a trajectory, at the parameter values of `local_models`."""
+        return self._evaluated(self.equations.rates, x, u, values)
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Exact A, B, C, D at (x, u), at rest or moving."""
@@ -137,7 +141,8 @@ class SymbolicPlant(NonlinearPlant):
         """State and input at which the plant stays, with the given states, inputs and outputs held by name.
 
         What is left open is found by Newton's method from zero, or from the state and input in ``start=(x, u)``; of
-        many points at which the plant may rest, the one nearest to there (each number in its own unit).
+        many points at which the plant may rest, the one nearest to there (each number in its own unit). A name that a
+        state or input has holds that, not an output of the same name.
 
         Raises
         ------
@@ -175,12 +180,12 @@ class SymbolicPlant(NonlinearPlant):
         )
         if outcome == code.DONE:
             return states
-        words = "too many steps"
+        words, hint = "too many steps", "a force that jumps with a velocity is dry friction: add it by with_effects"
         if outcome == code.NOT_FINITE:
-            words = "the step became too small"
+            words, hint = "the step became too small", None
             if culprit >= 0:
                 words = f"the rate of {self.states[culprit].name} has no finite value there"
-        raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
+        raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}", None, hint)
 
     # --- evaluation --------------------------------------------------------------------------------------------------
 

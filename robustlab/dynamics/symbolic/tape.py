@@ -51,6 +51,9 @@ class Tape:
         Finite numbers, shape (n_c,).
     outputs
         Places of the outputs, shape (n_out,).
+    n_still
+        So many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
+        these alone that stand first are done once.
 
     Raises
     ------
@@ -73,6 +76,7 @@ class Tape:
     right: Places
     constants: Array
     outputs: Places
+    n_still: int = 0
 
     def __post_init__(self) -> None:
         for name in ("operations", "left", "right", "outputs"):
@@ -105,7 +109,12 @@ class Tape:
     @cached_property
     def code(self) -> Any:
         """The tape as the kernels take it."""
-        return tape_kernels().Code(self.operations, self.left, self.right, self.constants, self.outputs)
+        rows = (self.operations, self.left, self.right, self.outputs)
+        operations, left, right, outputs = (row.astype(np.uint32) for row in rows)
+        moving = np.minimum(self.left, self.right) < self.n_in - self.n_still
+        still = int(np.argmax(moving)) if moving.any() else len(moving)
+        constants = np.array(self.constants)  # writable, as the kernels ask for
+        return tape_kernels().Code(operations, left, right, constants, outputs, self.n_in - self.n_still, still)
 
     def __call__(self, points: Array) -> Array:
         """Outputs (n, n_out) at the points (n, n_in); NaN and infinite where the function has no value."""
@@ -143,7 +152,7 @@ def _codes() -> dict[int, int]:
     return {**known, ca.OP_CONSTPOW: known[ca.OP_POW]}
 
 
-def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] = str) -> Tape:
+def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable[[int], str] = str) -> Tape:
     """The tape of CasADi expressions.
 
     Parameters
@@ -152,6 +161,8 @@ def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] =
         Column of SX symbols.
     outputs
         Column of SX expressions in these symbols and no others.
+    n_still
+        As of `Tape`.
     where
         What messages call the plant.
     label
@@ -181,7 +192,8 @@ def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] =
         elif op == ca.OP_CONST:
             value = float(function.instruction_constant(k))
             if not np.isfinite(value):
-                raise InputError(where, f"the number {value} in {_concerned(outputs, label)}", "finite numbers")
+                title = _concerned(outputs, label, _not_finite)
+                raise InputError(f"{where}: {title}", f"the number {value} in it", "finite numbers")
             held[to[0]] = ("constant", constants.setdefault(value, len(constants)))
         elif op == ca.OP_ASSIGN:
             held[to[0]] = held[function.instruction_input(k)[0]]
@@ -191,25 +203,65 @@ def tape_of(inputs: Any, outputs: Any, where: str, label: Callable[[int], str] =
             held[to[0]] = ("result", len(steps) - 1)
         else:
             name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
-            raise InputError(where, f"operation {name.removeprefix('OP_').lower()}", f"one of {', '.join(OPERATIONS)}")
-    base = {"input": 0, "constant": n_in, "result": n_in + len(constants)}
+            title = _concerned(outputs, label, lambda f, i, op=op: f.instruction_id(i) == op)
+            known = ", ".join(OPERATIONS).lower()
+            raise InputError(f"{where}: {title}", f"operation {name.removeprefix('OP_').lower()}", f"one of {known}")
+    order = _grouped(steps, n_in - n_still)
+    rank = {k: r for r, k in enumerate(order)}
+    base = {"input": 0, "constant": n_in}
 
     def place(source: Source) -> int:
-        return base[source[0]] + source[1]
+        kind, number = source
+        return n_in + len(constants) + rank[number] if kind == "result" else base[kind] + number
 
-    numbers = np.array([(op, place(a), place(b)) for op, a, b in steps], np.int64).reshape(-1, 3)
-    return Tape(
-        n_in, numbers[:, 0], numbers[:, 1], numbers[:, 2], np.array([*constants], float), np.array([*map(place, ends)])
-    )
+    rows = np.array([(steps[k][0], place(steps[k][1]), place(steps[k][2])) for k in order], np.int64).reshape(-1, 3)
+    values, outs = np.array([*constants], float), np.array([*map(place, ends)], np.int64)
+    return Tape(n_in, rows[:, 0], rows[:, 1], rows[:, 2], values, outs, n_still)
 
 
-def _concerned(outputs: Any, label: Callable[[int], str]) -> str:
-    """The first of the expressions that holds a number which is not finite."""
+def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int]:
+    """The operations in an order in which those come first that no moving input enters, and equal ones in long runs.
+
+    Of what can be done next always the kind of which there is the most.
+    """
+    waits, users = [0] * len(steps), [list[int]() for _ in steps]
+    moving = [False] * len(steps)
+    for k, (_, *arguments) in enumerate(steps):
+        for kind, number in set(arguments):
+            if kind == "result":
+                waits[k] += 1
+                users[number].append(k)
+                moving[k] |= moving[number]
+            moving[k] |= kind == "input" and number < n_moving
+    order: list[int] = []
+    for part in (False, True):
+        ready: dict[int, list[int]] = {}
+        for k in range(len(steps)):
+            if not waits[k] and moving[k] == part:
+                ready.setdefault(steps[k][0], []).append(k)
+        while ready:
+            run = ready.pop(max(ready, key=lambda op: (len(ready[op]), op)))
+            order += run
+            for k in run:
+                for user in users[k]:
+                    waits[user] -= 1
+                    if not waits[user] and moving[user] == part:
+                        ready.setdefault(steps[user][0], []).append(user)
+    return order
+
+
+def _not_finite(function: Any, k: int) -> bool:
+    import casadi as ca
+
+    return function.instruction_id(k) == ca.OP_CONST and not np.isfinite(function.instruction_constant(k))
+
+
+def _concerned(outputs: Any, label: Callable[[int], str], wrong: Callable[[Any, int], bool]) -> str:
+    """The first of the expressions with an instruction (function, number) that is wrong."""
     import casadi as ca
 
     for k in range(outputs.numel()):
         function = ca.Function("f", [ca.vertcat(*ca.symvar(outputs[k]))], [outputs[k]])
-        for i in range(function.n_instructions()):
-            if function.instruction_id(i) == ca.OP_CONST and not np.isfinite(function.instruction_constant(i)):
-                return label(k)
+        if any(wrong(function, i) for i in range(function.n_instructions())):
+            return label(k)
     return "the equations"

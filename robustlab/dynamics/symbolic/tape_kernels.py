@@ -39,13 +39,19 @@ LEAST_SCALE = 1e-2
 
 
 class Code(NamedTuple):
-    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,)."""
+    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,).
+
+    Of the inputs the first ``moving`` change from one evaluation to the next, the others seldom; on these alone are the
+    first ``still`` operations.
+    """
 
     operations: Any
     left: Any
     right: Any
     constants: Any
     outputs: Any
+    moving: Any
+    still: Any
 
 
 @leaf
@@ -139,11 +145,30 @@ def _operate(op, a, b):
 
 
 @leaf
-def _run(code, first, w):
-    """All operations on the row w, the first of whose results has the place ``first``."""
+def _run(code, start, stop, first, w):
+    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all.
+
+    Equal ones stand in runs: one jump for a run, and loops of their own for what there is most of.
+    """
     operations, left, right = code.operations, code.left, code.right
-    for k in range(operations.shape[0]):
-        w[first + k] = _operate(operations[k], w[left[k]], w[right[k]])
+    k = start
+    while k < stop:
+        op, end = operations[k], k + 1
+        while end < stop and operations[end] == op:
+            end += 1
+        if op == 0:
+            for i in range(k, end):
+                w[first + i] = w[left[i]] + w[right[i]]
+        elif op == 1:
+            for i in range(k, end):
+                w[first + i] = w[left[i]] - w[right[i]]
+        elif op == 2:
+            for i in range(k, end):
+                w[first + i] = w[left[i]] * w[right[i]]
+        else:
+            for i in range(k, end):
+                w[first + i] = _operate(op, w[left[i]], w[right[i]])
+        k = end
 
 
 @leaf
@@ -155,8 +180,8 @@ def _row(code, n_in):
     return w
 
 
-_VECTOR, _MATRIX, _PLACES = types.float64[::1], types.float64[:, ::1], types.int64[::1]
-_CODE = types.NamedTuple((_PLACES, _PLACES, _PLACES, _VECTOR, _PLACES), Code)
+_VECTOR, _MATRIX, _PLACES = types.float64[::1], types.float64[:, ::1], types.uint32[::1]
+_CODE = types.NamedTuple((_PLACES, _PLACES, _PLACES, _VECTOR, _PLACES, types.int64, types.int64), Code)
 _INPUTS = types.NamedTuple((_VECTOR, types.float64[:, :, ::1], types.boolean[::1]), Inputs)
 
 
@@ -167,9 +192,13 @@ def evaluate(code, points, results):
     first = n_in + code.constants.shape[0]
     w = _row(code, n_in)
     for p in range(n):
+        same = p > 0
         for i in range(n_in):
+            same = same and (i < code.moving or w[i] == points[p, i])
             w[i] = points[p, i]
-        _run(code, first, w)
+        if not same:
+            _run(code, 0, code.still, first, w)
+        _run(code, code.still, code.operations.shape[0], first, w)
         for j in range(code.outputs.shape[0]):
             results[p, j] = w[code.outputs[j]]
 
@@ -181,7 +210,7 @@ def _rates(code, first, w, x, u, dx):
         w[i] = x[i]
     for i in range(u.shape[0]):
         w[n + i] = u[i]
-    _run(code, first, w)
+    _run(code, code.still, code.operations.shape[0], first, w)
     for i in range(n):
         dx[i] = w[code.outputs[i]]
 
@@ -213,6 +242,7 @@ def integrate(code, start, values, inputs, rtol, x_at):
     w, first = _row(code, n_in), n_in + code.constants.shape[0]
     for i in range(values.shape[0]):
         w[n + n_u + i] = values[i]
+    _run(code, 0, code.still, first, w)
     stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n_u)
     z, f = start.copy(), np.empty((7, n))
     t, sample, evaluations, h, culprit = clock[0], 1, 0, 0.0, -1

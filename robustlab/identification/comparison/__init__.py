@@ -1,6 +1,9 @@
 """How large the gap between model and record is, where it lives, and what the residual still contains.
 
 comparison                  `compare`
+along_motion                the same for a nonlinear plant, about the recorded motion
+joints                      which joint of it each output and input belongs to
+parts                       what linear and nonlinear plants share
 comparison_result           `Comparison`, its parts and its text
 localisation                over time, speed, position, amplitude, direction and frequency
 residual_tests              is the residual white, is it independent of the input

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 
-__all__ = ["Comparison", "OutputGap", "ResidualTests", "WindowErrors"]
+__all__ = ["Comparison", "FreeRun", "Linearisation", "OutputGap", "ResidualTests", "WindowErrors"]
 
 LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
+MOST_INPUTS_TOLD = 3  # one by one
 ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
 
 REFERENCE = (
@@ -41,7 +42,7 @@ class OutputGap(Evidence):
     name, unit, range
         The output and its measured range.
     peak, rms, peak_percent, rms_percent, fit
-        Free run. ``peak_time`` is when its peak error occurs [s].
+        Free run; NaN where it does not reach the end of the record. ``peak_time`` is when its peak error occurs [s].
     windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit
         The same of the windowed simulation.
     """
@@ -71,11 +72,12 @@ class WindowErrors(Evidence):
     start, stop
         First and last time of each window in s.
     rms, share
-        RMS of the free run's error, and its share of the record's squared error (sum 1).
+        RMS of the free run's error, and its share of the record's squared error (sum 1); NaN where it does not reach
+        the end of the record.
     windowed_rms, windowed_share
         The same of the windowed simulation.
     worst, worst_free
-        Index of the window with the largest windowed RMS, and with the largest free-run RMS.
+        Index of the window with the largest windowed RMS, and with the largest free-run RMS (None without).
     """
 
     start: Array
@@ -85,7 +87,7 @@ class WindowErrors(Evidence):
     windowed_rms: Array
     windowed_share: Array
     worst: int
-    worst_free: int
+    worst_free: int | None
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,51 @@ class ResidualTests(Evidence):
 
 
 @dataclass(frozen=True)
+class FreeRun(Evidence):
+    """How far the free run goes.
+
+    Attributes
+    ----------
+    end
+        Time of its last sample in s.
+    reason
+        Why it ends there; empty where it reaches the end of the record. Where it does not, nothing that rests on it has
+        a number: what is told is of the windows only.
+    """
+
+    end: float
+    reason: str
+
+    @property
+    def whole(self) -> bool:
+        """Whether it reaches the end of the record."""
+        return not self.reason
+
+
+@dataclass(frozen=True)
+class Linearisation(Evidence):
+    """Windows that are linear about the recorded motion, against the nonlinear plant from the same starts.
+
+    Attributes
+    ----------
+    windows
+        Times in s at which the checked windows start.
+    difference
+        Output name -> RMS of nonlinear minus linear simulation over these windows, in its unit.
+    share
+        Output name -> the same over the RMS of the error in these windows: far below 1, the error is the model's and
+        not of the linearisation.
+    broken
+        Times at which those windows start whose nonlinear simulation does not reach their end; they count nowhere.
+    """
+
+    windows: Array
+    difference: Mapping[str, float]
+    share: Mapping[str, float]
+    broken: Array
+
+
+@dataclass(frozen=True)
 class Comparison(Evidence):
     """Result of `compare`.
 
@@ -123,10 +170,10 @@ class Comparison(Evidence):
         Output name -> `WindowErrors`.
     speed, position
         Output name -> bins of the windowed error over the measured speed and position; empty where neither is recorded.
-    motion
-        The speed and position signals used for that.
+    motions
+        Output name -> the speed and position signals used for that: one for all, or of several joints each its own.
     frequency
-        Output name -> `Spectrum`.
+        Output name -> `Spectrum`; empty where the free run does not reach the end of the record.
     residual
         Output name -> `ResidualTests`.
     initial_state
@@ -134,8 +181,8 @@ class Comparison(Evidence):
     window
         Length of the windows in s.
     measured, simulated, windowed, recursive
-        The compared signals: measured, free run, windowed simulation, and the recursive residual (n,) by output, NaN
-        where a sample only fixes the state of its window.
+        The compared signals: measured, free run (as far as it goes; None where that is nowhere), windowed simulation,
+        and the recursive residual (n,) by output, NaN where a sample only fixes the state of its window.
     disturbance
         Input name -> the addition to it that would explain the record piece by piece, `InputDisturbance`.
     warnings
@@ -154,6 +201,15 @@ class Comparison(Evidence):
         missing.
     nonlinearity
         Even/odd test; its ``reason`` says why it could not be made, or not wholly.
+    free_run
+        How far the free run goes.
+    linearisation
+        Of a nonlinear plant, what the windows' linearisation is worth; None of a linear one.
+    sensor_noise
+        Of a nonlinear plant: output name -> standard deviation of its samples about the smooth motion that they tell,
+        in its unit. Empty of a linear one.
+    left_out
+        What is not told, and why.
     """
 
     status: Status
@@ -163,13 +219,13 @@ class Comparison(Evidence):
     windows: Mapping[str, WindowErrors]
     speed: Mapping[str, tuple[Bin, ...]]
     position: Mapping[str, tuple[Bin, ...]]
-    motion: Motion
+    motions: Mapping[str, Motion]
     frequency: Mapping[str, Spectrum]
     residual: Mapping[str, ResidualTests]
     initial_state: InitialState
     window: float
     measured: Record
-    simulated: Record
+    simulated: Record | None
     windowed: Record
     recursive: Mapping[str, Array]
     disturbance: Mapping[str, InputDisturbance]
@@ -182,6 +238,10 @@ class Comparison(Evidence):
     linear: Mapping[str, Mapping[str, BestLinearApproximation]]
     linear_reason: str
     nonlinearity: EvenOdd
+    free_run: FreeRun
+    linearisation: Linearisation | None = None
+    sensor_noise: Mapping[str, float] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     def summary(self) -> str:
         """The result as a few lines of text."""
@@ -197,8 +257,8 @@ class Comparison(Evidence):
             "outputs": self.outputs,
             "windows": self.windows,
             "worst_window": {name: [w.start[w.worst], w.stop[w.worst]] for name, w in self.windows.items()},
-            "speed": {"signal": self.motion.speed_source, "unit": self.motion.speed_unit, "bins": self.speed},
-            "position": {"signal": self.motion.position_name, "unit": self.motion.position_unit, "bins": self.position},
+            "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
+            "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
             "direction": self.direction,
             "amplitude": self.amplitude,
@@ -215,6 +275,10 @@ class Comparison(Evidence):
             "residual_reference": REFERENCE,
             "residual": self.residual,
             "initial_state": self.initial_state,
+            "free_run": self.free_run,
+            "linearisation": self.linearisation,
+            "sensor_noise": self.sensor_noise,
+            "left_out": list(self.left_out),
             "window": self.window,
             "warnings": list(self.warnings),
         }
@@ -223,10 +287,16 @@ class Comparison(Evidence):
                 "t": self.measured.t,
                 "input": self.measured.inputs,
                 "measured": self.measured.outputs,
-                "simulated": self.simulated.outputs,
+                "simulated": self.simulated.outputs if self.simulated else {},
                 "windowed": self.windowed.outputs,
             }
         return data
+
+    def _of_motions(self, **fields: str) -> dict[str, object]:
+        """These fields of the motion, or of each output's own by its name."""
+        alike = all(m is next(iter(self.motions.values())) for m in self.motions.values())
+        told = {key: {y: getattr(m, name) for y, m in self.motions.items()} for key, name in fields.items()}
+        return {key: next(iter(by.values())) if alike else by for key, by in told.items()}
 
 
 # --- the text --------------------------------------------------------------------------------------------------------
@@ -238,15 +308,39 @@ def _text(c: Comparison) -> str:
         f"{c.model} against {c.record}: {c.measured.n} samples, {c.measured.duration:.4g} s; "
         f"windows of {c.window:.4g} s; percent of the record's range"
     )
-    lines = [head]
+    lines = [head, *_run_lines(c)]
     for name in c.outputs:
         lines += ["", *_gap_lines(c, name), *_noise_lines(c, name), *_place_lines(c, name)]
         lines += [*_response_lines(c, name), *_residual_lines(c, name)]
     lines += ["", *_repetition_lines(c), *_harmonic_lines(c)]
     lines += _disturbance_lines(c)
+    lines += ["", *(f"left out: {text}" for text in c.left_out)] if c.left_out else []
     if c.warnings:
         lines += ["", *(f"warning: {text}" for text in c.warnings)]
     return "\n".join(lines)
+
+
+def _run_lines(c: Comparison) -> list[str]:
+    """What the free run and the linearisation of the windows are worth."""
+    lines: list[str] = []
+    if not c.free_run.whole:
+        lines.append(
+            f"free run: ends at {c.free_run.end:.4g} s of {c.measured.t[-1]:.4g} s ({c.free_run.reason}); "
+            "what follows is of the windows only"
+        )
+    if c.linearisation is not None and len(c.linearisation.windows):
+        name = max(c.linearisation.share, key=lambda key: c.linearisation.share[key] if c.linearisation else 0.0)
+        lines.append(
+            f"windows: linear about the recorded motion; from the same starts the nonlinear plant differs in "
+            f"{len(c.linearisation.windows)} of {len(next(iter(c.windows.values())).start)} windows by at most "
+            f"{_percent(c.linearisation.share[name])} of the error ({name}, "
+            f"{c.linearisation.difference[name]:.2g} {c.outputs[name].unit})"
+        )
+    return lines
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
 def _gap_lines(c: Comparison, name: str) -> list[str]:
@@ -260,22 +354,35 @@ def _gap_lines(c: Comparison, name: str) -> list[str]:
         f"  windowed   peak {g.windowed_peak:.4g}{unit} ({g.windowed_peak_percent:.3g} %), "
         f"rms {g.windowed_rms:.4g}{unit} ({g.windowed_rms_percent:.3g} %), fit {g.windowed_fit:.2f} %"
     )
-    return [f"{name}: range {g.range:.4g}{unit}", free, windowed]
+    lines = [f"{name}: range {g.range:.4g}{unit}", *([free] if c.free_run.whole else []), windowed]
+    if noise := c.sensor_noise.get(name):
+        lines.append(
+            f"  sensor     its samples scatter by {noise:.3g}{unit} about a smooth motion; "
+            f"the windowed error is {g.windowed_rms / noise:.3g} times that"
+        )
+    return lines
 
 
 def _place_lines(c: Comparison, name: str) -> list[str]:
-    w, s = c.windows[name], c.frequency[name]
+    w = c.windows[name]
     time = (
         f"  time       worst window {w.start[w.worst]:.4g} to {w.stop[w.worst]:.4g} s holds "
         f"{100 * w.windowed_share[w.worst]:.1f} % of the windowed squared error "
         f"({100 / len(w.start):.1f} % if spread evenly)"
     )
+    return [time, *_speed_lines(c, name), *_amplitude_lines(c, name), *_frequency_lines(c, name)]
+
+
+def _frequency_lines(c: Comparison, name: str) -> list[str]:
+    s = c.frequency.get(name)
+    if s is None:
+        return []
     top = int(s.error_share.argmax())
-    frequency = (
+    text = (
         f"  frequency  {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz holds {100 * s.error_share[top]:.0f} % of the "
         f"free run's squared error, where it is {100 * s.relative_error[top]:.3g} % of the recorded signal"
     )
-    return [time, *_speed_lines(c, name), *_amplitude_lines(c, name), frequency]
+    return [text]
 
 
 def _speed_lines(c: Comparison, name: str) -> list[str]:
@@ -288,7 +395,7 @@ def _speed_lines(c: Comparison, name: str) -> list[str]:
     worst = max(b, key=lambda x: x.rms)
     text = (
         f"  speed      windowed squared error: {shares}; largest rms {worst.rms:.3g} {c.outputs[name].unit} "
-        f"at {worst.low:.3g} to {worst.high:.3g} {c.motion.speed_unit}"
+        f"at {worst.low:.3g} to {worst.high:.3g} {c.motions[name].speed_unit}"
     )
     return [text]
 
@@ -316,8 +423,9 @@ def _noise_lines(c: Comparison, name: str) -> list[str]:
         return ["  noise      none: the repeats are equal to the last bit"]
     e = gap.excess
     verdict = "the model leaves something to explain" if (e.p_value or 0.0) < 0.01 else "nothing is left to explain"
+    free = f"{_times(gap.rms_percent)} (free run), " if c.free_run.whole else ""
     text = (
-        f"  noise      {gap.std:.3g} {unit} a sample; the error is {_times(gap.rms_percent)} (free run), "
+        f"  noise      {gap.std:.3g} {unit} a sample; the error is {free}"
         f"{_times(gap.windowed_rms_percent)} (windowed) the noise"
     )
     test = (
@@ -391,7 +499,7 @@ def _disturbance_lines(c: Comparison) -> list[str]:
         text = f"as an addition to input {name}: {share} in pieces of {d.seconds:.3g} s"
         if np.isfinite(d.forward) and np.isfinite(d.backward):
             text += f"; mean {d.forward:+.3g} {unit} moving forward, {d.backward:+.3g} {unit} backward"
-        lines += ["", text]
+        lines += [text] if len(c.disturbance) > MOST_INPUTS_TOLD and lines else ["", text]
     return lines
 
 
@@ -404,16 +512,29 @@ def _residual_lines(c: Comparison, name: str) -> list[str]:
         f"  residual   {_verdict(w.p_value, 'white', 'not white')} (Ljung-Box {w.statistic:.4g}, {w.dof} lags, "
         f"p {_p(w.p_value)}); {100 * w.predictable_share:.1f} % of its variance is predictable from its past"
     )
+    if len(r.inputs) > MOST_INPUTS_TOLD:
+        return [past, _many_inputs(r)]
     lines = [past]
     for u, test in r.inputs.items():
         text = (
-            f"  input {u:<5}{_verdict(test.p_value, 'independent of the residual', 'still in the residual')} "
+            f"  input {u + ' ':<5}{_verdict(test.p_value, 'independent of the residual', 'still in the residual')} "
             f"(statistic {test.statistic:.4g}, {test.dof} degrees, p {_p(test.p_value)}); "
             f"explains {100 * test.explained_share:.1f} % of its variance; "
             f"largest correlation {np.abs(test.correlation).max():.3f} (99 % band {test.band:.3f})"
         )
         lines.append(text)
     return lines
+
+
+def _many_inputs(r: ResidualTests) -> str:
+    found = {u: test for u, test in r.inputs.items() if test.p_value < 0.01}
+    if not found:
+        return f"  inputs     the residual is independent of all {len(r.inputs)}"
+    most = max(found, key=lambda u: found[u].explained_share)
+    return (
+        f"  inputs     {len(found)} of {len(r.inputs)} still in the residual; {most} explains most of its variance, "
+        f"{100 * found[most].explained_share:.1f} %"
+    )
 
 
 def _verdict(p_value: float, accepted: str, rejected: str) -> str:

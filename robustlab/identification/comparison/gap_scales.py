@@ -13,8 +13,8 @@ Where a record repeats, the same gap is set against its noise floor: 1 is a mode
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,10 +25,17 @@ from robustlab.identification.comparison.localisation import REST, Motion
 from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
 from robustlab.identification.response.response import Response, Stretch
 from robustlab.identification.response.windowed_simulation import fit_state, weighted_least_squares, window_edges
-from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = ["InputDisturbance", "NoiseGap", "input_disturbance", "noise_gaps"]
+__all__ = [
+    "InputDisturbance",
+    "NoiseGap",
+    "input_disturbance",
+    "noise_gaps",
+    "repeated",
+    "sorted_disturbance",
+    "windowed_error",
+]
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,8 @@ class InputDisturbance(Evidence):
         Means of d over the pieces that move throughout in one direction; NaN where there are none.
     explained_share
         Share of the squared error of all pieces (each with its own initial state) that d removes, 0..1.
+    speed_source
+        The speed it is sorted by, as in `robustlab.identification.comparison.localisation.Motion`.
     """
 
     seconds: float
@@ -60,6 +69,7 @@ class InputDisturbance(Evidence):
     forward: float
     backward: float
     explained_share: float
+    speed_source: str = ""
 
 
 def input_disturbance(response: Response, name: str, whole: Stretch, length: int, motion: Motion) -> InputDisturbance:
@@ -87,15 +97,23 @@ def input_disturbance(response: Response, name: str, whole: Stretch, length: int
         value[k], std[k] = both[-1], spread[-1]
         before += float((((error - free @ x0) * weight) ** 2).sum())
         after += float((((error - free @ both[:-1] - held @ both[-1:]) * weight) ** 2).sum())
+    return sorted_disturbance(t, edges, value, std, 1.0 - after / before if before else 0.0, motion)
+
+
+def sorted_disturbance(
+    t: Array, edges: NDArray[np.int_], value: Array, std: Array, share: float, motion: Motion
+) -> InputDisturbance:
+    """Additions to an input in pieces between ``edges``, all equally long, sorted by the speed of a motion."""
+    length = int(edges[1] - edges[0]) if len(edges) > 1 else 0
     middle = 0.5 * (t[edges[:-1]] + t[edges[1:] - 1])
-    share = 1.0 - after / before if before else 0.0
     seconds = length * float(t[-1] - t[0]) / (len(t) - 1)
-    if motion.speed is None:
+    if motion.speed is None or not length:
         return InputDisturbance(seconds, middle, None, value, std, np.nan, np.nan, share)
     pieces = motion.speed[: edges[-1]].reshape(-1, length)
     rest = REST * float(np.abs(motion.speed).max())
     forward, backward = _mean(value, pieces.min(axis=1) > rest), _mean(value, pieces.max(axis=1) < -rest)
-    return InputDisturbance(seconds, middle, pieces.mean(axis=1), value, std, forward, backward, share)
+    speed = pieces.mean(axis=1)
+    return InputDisturbance(seconds, middle, speed, value, std, forward, backward, share, motion.speed_source)
 
 
 def _responses(response: Response, name: str, t: Array) -> tuple[Array, Array]:
@@ -130,48 +148,38 @@ class NoiseGap(Evidence):
     excess: Excess
 
 
+def repeated(floor: NoiseFloor, whole: Stretch, others: Sequence[Stretch]) -> list[Stretch]:
+    """The repeats that a floor is of, at equal phases: periods of the record, or the record and the others."""
+    if floor.source == "periods":
+        starts = floor.first + floor.samples * np.arange(floor.count)
+        return [whole.cut(int(a), int(a) + floor.samples) for a in starts]
+    return [replace(s.cut(0, floor.samples), weight=whole.weight) for s in (whole, *others)]
+
+
 def noise_gaps(
-    response: Response,
-    whole: Stretch,
-    repeats: tuple[Record, ...],
-    floor: NoiseFloor,
-    length: int,
-    rms: Mapping[str, tuple[float, float]],
+    outputs: Sequence[str], errors: Array, floor: NoiseFloor, rms: Mapping[str, tuple[float, float]]
 ) -> dict[str, NoiseGap]:
     """Gap against the floor for every output.
 
     Parameters
     ----------
-    response, whole
-        Model and record as `compare` uses them.
-    repeats
-        The further records, matched with the model, where the floor comes from such.
-    floor
-        Noise floor of the outputs.
-    length
-        Samples of a window; it is shortened so that every repeat is cut at the same phases.
+    errors
+        Measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
     rms
-        Output name -> RMS of the free run's error and of the windowed error.
+        Output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
     """
-    if floor.source == "periods":
-        starts = floor.first + floor.samples * np.arange(floor.count)
-        stretches = [whole.cut(int(a), int(a) + floor.samples) for a in starts]
-    else:
-        stretches = [s.cut(0, floor.samples) for s in (whole, *(response.stretch(r) for r in repeats))]
-    errors = np.stack([_windowed_error(response, s, length, whole.weight) for s in stretches])
     result: dict[str, NoiseGap] = {}
-    for k, name in enumerate(response.output_names):
+    for k, name in enumerate(outputs):
         std = floor.std[name]
         free, windowed = (100.0 * value / std if std else None for value in rms[name])
         result[name] = NoiseGap(std, free, windowed, floor.excess(errors[:, :, k]))
     return result
 
 
-def _windowed_error(response: Response, part: Stretch, length: int, weight: Array) -> Array:
+def windowed_error(response: Response, part: Stretch, length: int) -> Array:
     """Measured minus windowed simulation of one repeat, shape (samples, n_y)."""
     edges = window_edges(len(part.t), length)
     free = response.free_response(part.t[: int(np.diff(edges).max())])
-    part = Stretch(part.t, part.u, part.y, weight)
     error = np.empty_like(part.y)
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         window = part.cut(a, b)

@@ -14,7 +14,6 @@ from scipy.ndimage import median_filter
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
-from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
@@ -332,7 +331,7 @@ def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dic
     return result
 
 
-def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> LinearPlant:
+def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> AnyPlant:
     """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
     that no effect has to do it in their stead.
     """

@@ -53,6 +53,7 @@ __all__ = [
     "NoiseModel",
     "Problem",
     "Setting",
+    "deviation",
     "predicted",
     "refit_distance",
     "simulated_outputs",
@@ -263,7 +264,8 @@ class Problem:
 
     def _moving(self, hypothesis: Hypothesis) -> list[bool]:
         """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
-        wrong = {c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"}
+        sites = [c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"]
+        wrong = {*sites, *(name for site in sites for name in site.split("+"))}
         return [n.label not in wrong for n in self.nuisances]
 
     def shift(self, z: Array) -> tuple[float, ...] | None:
@@ -317,10 +319,18 @@ class Problem:
         x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
+        simulator = self._about_what_happened(k, simulator, values)
         self.work.append(len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
         motion = simulator.run(factors, values, x0[used], windows, shift)
         outputs = motion.outputs[:, :, list(record.columns)]
         return outputs[chosen] if everything else outputs
+
+    def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
+        """Of a nonlinear plant whose sensors are scaled or biased: the simulator about the motion as it was."""
+        shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
+        if self.records[k].motion is None or not (shown or biased):
+            return simulator
+        return simulator.about(self.records[k].motion_seen(shown, biased))
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
@@ -563,6 +573,19 @@ def predicted(problem: Problem, fit: Fit) -> Problem:
             )
         records.append(replace(record, y=y))
     return problem.on(records, problem.chosen)
+
+
+def deviation(problem: Problem) -> float:
+    """Largest RMS error of the plant as given, in the windows from their smoothed starts, over the output's range."""
+    alone, found = Hypothesis(()), 0.0
+    z, starts = np.zeros(len(problem.nuisances)), [np.zeros_like(r.x0) for r in problem.records]
+    errors = problem.errors(alone, z, starts)
+    for record, error in zip(problem.records, errors, strict=True):
+        ranges = np.nanmax(record.y, axis=0) - np.nanmin(record.y, axis=0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rms = np.sqrt(np.nanmean(error**2, axis=(0, 1))) / np.where(ranges > 0.0, ranges, np.inf)
+        found = max(found, float(np.nanmax(rms, initial=0.0)))
+    return found
 
 
 def refit_distance(problem: Problem, true: Fit, rival: Fit) -> float:

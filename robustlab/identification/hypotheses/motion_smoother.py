@@ -28,7 +28,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["SmoothedMotion", "smooth_motion"]
+__all__ = ["SmoothedMotion", "lacking_forces", "smooth_motion"]
 
 ROUNDS = 2  # of smoothing with known inputs from the motion before
 UNMEASURED_ROUNDS = 4  # of linear runs of the states that no sensor shows
@@ -100,6 +100,37 @@ def smooth_motion(
     """
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
+
+
+def lacking_forces(
+    plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], x: Array, rates: Array, least: float
+) -> tuple[Array, Array]:
+    """Force at each joint that the plant lacks beside known rates, (n, n_joints), and its standard deviation.
+
+    Parameters
+    ----------
+    t, u, y, columns
+        As for `smooth_motion`.
+    x
+        The motion, (n, n_x).
+    rates
+        What is known of the rates from each sample to the next, (n, n_x), effects included.
+    least
+        Lowest bandwidth of the forces in Hz.
+    """
+    chains, offset = _chains(plant, u, y, columns)
+    course = Course(plant, x, u, float(t[1] - t[0]))
+    middle, _ = course.at(np.minimum(np.arange(len(t)) + 0.5, len(t) - 1.0))
+    chains, _ = _along(chains, course)
+    lacking, std = np.zeros_like(x), np.zeros_like(x)
+    for chain in chains:
+        own = list(chain.states)
+        known = rates[:, own[-1]] - middle[:, own] @ chain.own
+        run = _smoothed(chain, t, known, y - offset)
+        if run.bandwidth[0] < least:
+            run = _smoothed(chain, t, known, y - offset, run, least)
+        lacking[:, own[-1]], std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
+    return _forces(plant, x, u, lacking, std)
 
 
 @lru_cache(maxsize=16)
@@ -188,8 +219,10 @@ def _jacobian_of_outputs(plant: NonlinearPlant, x: Array, u: Array) -> Array:
 # --- smoothing -------------------------------------------------------------------------------------------------------
 
 
-def _smoothed(chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None) -> SmoothedRecord:
-    noise, bandwidth = (None, None) if like is None else (like.noise_std, None)
+def _smoothed(
+    chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None, bandwidth: float | None = None
+) -> SmoothedRecord:
+    noise = None if like is None else like.noise_std
     own = y[:, list(chain.outputs)]
     return smooth_disturbance(chain.model(), chain.push, t, known[:, None], own, noise, bandwidth, jumps=False)
 

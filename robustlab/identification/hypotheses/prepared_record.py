@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 
 import numpy as np
 
@@ -107,12 +106,27 @@ class PreparedRecord:
             The same -> what is recorded where nothing is there.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
-        for j, column in enumerate(self.columns):
-            if (gain := shown.get(column, 1.0)) != 1.0:
-                x0 += (1.0 / gain - 1.0) * self._at(self.told[j], lag)
-            if bias := biased.get(column, 0.0):
-                x0 -= bias / gain * self._at(self.constant[j], lag)
+        for j, share, unit in self._corrections(shown, biased):
+            x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
         return x0
+
+    def motion_seen(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> Array | None:
+        """The motion of a nonlinear plant, (n, n_x), where sensors show it scaled or biased."""
+        if self.motion is None or not (shown or biased):
+            return self.motion
+        x = self.motion.copy()
+        for j, share, unit in self._corrections(shown, biased):
+            x += share * self.told[j] - unit * self.constant[j]
+        return x
+
+    def _corrections(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> list[tuple[int, float, float]]:
+        """Of each measured output, by what factor of its share and of its unit the states are off."""
+        found = []
+        for j, column in enumerate(self.columns):
+            gain, bias = shown.get(column, 1.0), biased.get(column, 0.0)
+            if gain != 1.0 or bias:
+                found.append((j, 1.0 / gain - 1.0, bias / gain))
+        return found
 
     def _at(self, x: Array, lag: float) -> Array:
         """Samples of x (n, n_x) at the window starts, ``lag`` seconds later."""
@@ -141,25 +155,19 @@ def window_length(
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
     the slowest resonance, as far as four windows fit.
 
-    Of a nonlinear plant (``model`` about its motion) the middle one of these along the motion counts; and over a window
-    its fastest instability, which a controller held when the record was made, grows no more than
-    ``tuning.most_growth`` times.
+    Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
+    which a controller held when the record was made, grows no more than ``tuning.most_growth`` times.
     """
     n, dt = min(r.n for r in records), records[0].dt
-    if isinstance(plant, LinearPlant):
-        models = [plant.state_space()]
-    else:
-        about = ports_of(plant, records[0]) if model is None else model
-        models = [StateSpaceModel(a, a[:, :0], a[:0], np.zeros((0, 0))) for a in about.A]
-    slowest = min(round(median([slowest_time_constant(m) for m in models]) / dt), 2 * tuning.longest_window)
-    period = median([longest_period(m) for m in models])
     length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
-    length = min(max(length, slowest, round(2.0 * period / dt)), n // tuning.fewest_windows)
     if isinstance(plant, LinearPlant):
-        return length
-    growth = max(float(m.poles().real.max(initial=0.0)) for m in models)
+        linear = plant.state_space()
+        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.longest_window)
+        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.fewest_windows)
+    about = ports_of(plant, records[0]) if model is None else model
+    growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
     stable = math.log(tuning.most_growth) / (growth * dt) if growth > 0.0 else math.inf
-    return int(min(length, max(stable, tuning.shortest_window / 2)))
+    return int(min(length, max(stable, tuning.shortest_window / 2), n // tuning.fewest_windows))
 
 
 def prepare(

@@ -56,6 +56,9 @@ def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: M
     factors, values = problem.split(fit.hypothesis, fit.z)
     k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
     own = candidate.effect.factors(problem.plant, candidate.site, values[k])
+    if not candidate.effect.scale:  # shifts: a coordinate of the value 0 has its tolerance in its unit
+        p = problem.plant.parameters
+        return any(abs(p[n].reference * f - p[n].value) > p[n].radius for n, f in own.items())
     name = next(iter(own))
     total = np.log(factors.get(name, 1.0) * own[name])
     return bool(abs(total) > np.log1p(limits[candidate.site.name]))

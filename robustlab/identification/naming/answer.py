@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from robustlab.dynamics.extended.simulator import Windows
-from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
@@ -54,7 +55,7 @@ T = TypeVar("T")
 class Case:
     """One call of `discover`: what was given, checked and prepared."""
 
-    plant: LinearPlant
+    plant: AnyPlant
     records: Sequence[Record]
     repeats: Sequence[Record]
     period: float | None
@@ -149,7 +150,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         remaining_lines=judged.lines,
         findings=tuple(findings),
         series=gaps.series,
-        model=updated_plant(problem, fit, f"fitted to {', '.join(names)}"),
+        model=stages.run("updated plant", lambda: updated_plant(problem, fit, f"fitted to {', '.join(names)}"), None),
         next_experiment=experiment,
     )
 
@@ -260,7 +261,7 @@ def _search_findings(found: Found) -> list[Finding]:
 
 def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative]) -> NextExperiment | None:
     """What would separate the named effects from their rivals."""
-    if not rivals:
+    if not rivals or isinstance(problem.plant, NonlinearPlant):  # whose motion in an experiment is not known
         return None
     from robustlab.identification.experiment.next_experiment import propose_experiment
 

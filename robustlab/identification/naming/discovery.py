@@ -27,9 +27,9 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Clock, Problem
+from robustlab.identification.hypotheses.effect_fit import Clock, Problem, deviation
 from robustlab.identification.hypotheses.nuisance import Nuisance
-from robustlab.identification.hypotheses.prepared_record import alike, ports_of, prepare, window_length
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
 from robustlab.identification.naming.admissible import admissible
 from robustlab.identification.naming.answer import Case, answer
 from robustlab.identification.naming.clock import clock_nuisances
@@ -184,11 +184,19 @@ def _problems(
     length = window_length(plant, everything, tuning, model) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
-    prepared = alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
+
+    def cut(length: int) -> list[PreparedRecord]:
+        return alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
+
+    prepared, clock = cut(length), Clock(tuning.least_steps)
+    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.shortest_window:
+        if deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.most_deviation:
+            break
+        length = max(length // 2, tuning.shortest_window)
+        prepared = cut(length)
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)
     nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt, tuning)
-    clock = Clock(tuning.least_steps)
     if judged:
         problem = Problem(plant, fitted, nuisances, tuning=tuning, clock=clock)
         return problem, problem.on(judged), ", ".join(r.name for r in held_out)

@@ -8,24 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
+from robustlab.identification.naming.score import Start, best_scored
 
 __all__ = ["Start", "akin", "may_follow", "promising", "without"]
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """An effect on top of a set, and the standardised parameters from which a fit of both begins."""
-
-    candidate: Candidate
-    hypothesis: Hypothesis
-    z: Array
 
 
 def akin(a: Candidate, b: Candidate) -> bool:
@@ -81,6 +74,8 @@ def promising(
     few, some = few.under(rough), some.under(rough)
     few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
     some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
+    if isinstance(problem.plant, NonlinearPlant):  # many joints, and every moved parameter costs its matrices anew
+        jobs = best_scored(few, few_base, jobs, tuning.most_scored, workers, said)
     borrowed = few.derivatives(few_base)
     # A few windows show a small part of what all of them may bring.
     rough_fall, least = tuning.rough / noise.excess, tuning.promising / noise.excess

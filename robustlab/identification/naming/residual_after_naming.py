@@ -31,10 +31,12 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.naming.residual_along_motion import joint_residuals
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.identification.unnamed.block_regression import (
     BlockRegression,
@@ -100,10 +102,11 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     """
     everything = problem.on(problem.records)
     placed = everything.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
-    parts = [
-        _of_record(everything, placed, k, simulator)
-        for k, simulator in enumerate(everything.simulators(fit.hypothesis))
-    ]
+    simulators = everything.simulators(fit.hypothesis)
+    if isinstance(problem.plant, NonlinearPlant):
+        parts = _at_worst_joint(everything, placed, simulators)
+    else:
+        parts = [_of_record(everything, placed, k, simulator) for k, simulator in enumerate(simulators)]
     known = [p for p in parts if p is not None]
     if not known:
         return None
@@ -122,9 +125,43 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     return LeftOver(port, known[0][1], known[0][5], force, std, coordinates, labels, structure)
 
 
-def _of_record(
-    problem: Problem, fit: Fit, k: int, simulator: Simulator
-) -> tuple[str, str, Array, Array, dict[str, Array], dict[str, str]] | None:
+_Part = tuple[str, str, Array, Array, dict[str, Array], dict[str, str]]
+
+
+def _at_worst_joint(problem: Problem, fit: Fit, simulators: Sequence[Simulator]) -> list[_Part | None]:
+    """What `_of_record` gives, of a nonlinear plant: at the joint where most is left, in standard deviations."""
+    found = [joint_residuals(problem, fit, k, s, _least(problem, k)) for k, s in enumerate(simulators)]
+    known = [f for f in found if f is not None]
+    if not known:
+        return []
+    j = int(np.argmax(np.sum([np.mean((f.force / f.std) ** 2, axis=0) for f in known], axis=0)))
+    parts: list[_Part | None] = []
+    for k, f in enumerate(found):
+        if f is None:
+            parts.append(None)
+            continue
+        port, record = f.ports[j], problem.records[k]
+        coordinates = {"time": record.record.t[f.used], "speed": f.x @ port.velocity}
+        units = {"time": "s", "speed": port.speed_unit}
+        if port.position is not None:
+            coordinates["position"], units["position"] = f.x @ port.position, port.position_unit
+        for i, signal in enumerate(problem.plant.inputs):
+            coordinates[f"input {signal.name}"], units[f"input {signal.name}"] = record.u[f.used, i], signal.unit
+        parts.append((port.name, port.unit, f.force[:, j], f.std[:, j], coordinates, units))
+    return parts
+
+
+def _least(problem: Problem, k: int) -> float:
+    """Lowest bandwidth in Hz of the force in one record.
+
+    The test turns the signs of whole blocks, which must not hang together by the smoother's own memory: where there is
+    hardly any force the likelihood makes that longer than a block, and chance would look like structure.
+    """
+    windows, dt = problem.records[k].windows, problem.records[k].record.dt
+    return max(4, problem.tuning.residual_blocks // len(problem.records)) / (len(windows.starts) * windows.length * dt)
+
+
+def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
     """Port, unit, force, std, coordinates and their units along one record."""
     record = problem.records[k]
     factors, values = problem.split(fit.hypothesis, fit.z)
@@ -150,9 +187,7 @@ def _of_record(
     contiguous = np.all(np.diff(used) == 1)
     if not contiguous:
         return None
-    # The test turns the signs of whole blocks, which must not hang together by the smoother's own memory: where there
-    # is hardly any force the likelihood makes that longer than a block, and chance would look like structure.
-    least = max(4, problem.tuning.residual_blocks // len(problem.records)) / (len(t) * record.record.dt)
+    least = _least(problem, k)
     try:
         smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
         if smoothed.bandwidth[0] < least:

@@ -75,7 +75,7 @@ def _refitted(plant: LinearPlant, factors: dict[str, float], spread: dict[str, f
     changes = {
         name: _new_value(plant.parameters[name], factor, SIGMAS * spread.get(name, 0.0))
         for name, factor in factors.items()
-        if name not in plant.exact
+        if name not in getattr(plant, "exact", ())
     }
     made = plant.with_parameters(**changes)
     told = {n: replace(p, source=source) if n in changes else p for n, p in made.parameters.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +21,11 @@ __all__ = [
     "Response",
     "Stretch",
     "longest_period",
+    "matched",
     "response_of",
     "slowest_time_constant",
+    "stretch_of",
+    "with_units",
 ]
 
 
@@ -93,15 +96,11 @@ class Response:
 
     def with_units(self, record: Record) -> Record:
         """The record, with the model's unit for every shared signal whose own is not stated."""
-        units = {name: unit for name, unit in (*self.model.inputs, *self.outputs) if not record.unit(name)}
-        return Record(record.t, record.inputs, record.outputs, {**record.units, **units}, record.name, record.meaning)
+        return with_units(record, (*self.model.inputs, *self.outputs))
 
     def stretch(self, record: Record) -> Stretch:
         """The compared signals of the whole record."""
-        y = np.column_stack([record.outputs[name] for name in self.output_names])
-        spread = np.ptp(y, axis=0)
-        u = {name: record.inputs[name] for name in self.model.input_names}
-        return Stretch(record.t, u, y, 1.0 / np.where(spread > 0, spread, 1.0))
+        return stretch_of(record, self.model.input_names, self.output_names)
 
     def simulate(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
         """Outputs (n, n_y) for the inputs ``u`` held between samples, from the state ``x0`` (n_x,).
@@ -177,7 +176,7 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
     ------
     InputError
         An input of the model is not recorded, no output is, a discrete model has another sample time than the
-        record, or the plant is nonlinear (a plant with effects).
+        record, or the plant is nonlinear.
     UnitMismatch
         A signal carries a unit in the model and another one in the record.
     """
@@ -190,8 +189,31 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
             "discover shows the gap of a plant with effects; rl.simulate runs it",
         )
     model = as_model(plant_or_model, "compare")
+    outputs, warnings = matched(model.inputs, model.outputs, record)
+    if model.is_discrete and abs(model.dt - record.dt) > 1e-3 * record.dt:
+        raise InputError(
+            f"compare {record.name}",
+            f"the model has dt = {model.dt:g} s, the record {record.dt:g} s",
+            "equal sample times",
+            "use the continuous model",
+        )
+    return Response(model, outputs, warnings)
+
+
+def matched(
+    inputs: Sequence[Signal], outputs: Sequence[Signal], record: Record
+) -> tuple[tuple[Signal, ...], tuple[str, ...]]:
+    """The outputs that a record shares with a model, with their unit as recorded or else as in the model; warnings.
+
+    Raises
+    ------
+    InputError
+        An input is not recorded, or no output is.
+    UnitMismatch
+        A signal carries a unit in the model and another one in the record.
+    """
     where = f"compare {record.name}"
-    for signal in model.inputs:
+    for signal in inputs:
         if signal.name in record.inputs:
             continue
         have = ", ".join(record.inputs) or "none"
@@ -201,21 +223,26 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
         raise InputError(
             where, f"the record has no input {signal.name!r} (its inputs: {have})", "every input of the model", hint
         )
-    compared = tuple(s for s in model.outputs if s.name in record.outputs)
+    compared = tuple(s for s in outputs if s.name in record.outputs)
     if not compared:
         have = ", ".join(record.outputs) or "none"
-        known = ", ".join(model.output_names)
+        known = ", ".join(s.name for s in outputs)
         raise InputError(where, f"no output in common (record: {have}; model: {known})", "at least one common output")
-    if model.is_discrete and abs(model.dt - record.dt) > 1e-3 * record.dt:
-        raise InputError(
-            where,
-            f"the model has dt = {model.dt:g} s, the record {record.dt:g} s",
-            "equal sample times",
-            "use the continuous model",
-        )
-    warnings = _check_units(where, (*model.inputs, *compared), record)
-    outputs = tuple(Signal(s.name, record.unit(s.name) or s.unit) for s in compared)
-    return Response(model, outputs, tuple(warnings))
+    warnings = _check_units(where, (*inputs, *compared), record)
+    return tuple(Signal(s.name, record.unit(s.name) or s.unit) for s in compared), tuple(warnings)
+
+
+def with_units(record: Record, signals: Sequence[Signal]) -> Record:
+    """The record, with the unit of a signal wherever its own is not stated."""
+    units = {name: unit for name, unit in signals if not record.unit(name)}
+    return Record(record.t, record.inputs, record.outputs, {**record.units, **units}, record.name, record.meaning)
+
+
+def stretch_of(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Stretch:
+    """These signals of a whole record; errors are weighed by the ranges of the outputs."""
+    y = np.column_stack([record.outputs[name] for name in outputs])
+    spread = np.ptp(y, axis=0)
+    return Stretch(record.t, {name: record.inputs[name] for name in inputs}, y, 1.0 / np.where(spread > 0, spread, 1.0))
 
 
 def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) -> list[str]:

@@ -25,6 +25,7 @@ Brown, Durbin, Evans, "Techniques for testing the constancy of regression relati
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -39,6 +40,7 @@ __all__ = [
     "InitialState",
     "StateFit",
     "WindowedSimulation",
+    "consistent_start",
     "fit_state",
     "recursive_residual",
     "starting_state",
@@ -132,20 +134,29 @@ def starting_state(response: Response, whole: Stretch, longest: int) -> InitialS
     ----------
     Goldenshluger and Nemirovski, "On spatially adaptive estimation of nonparametric regression" (1997).
     """
-    n = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
-    low, high = np.full(response.n_states, -np.inf), np.full(response.n_states, np.inf)
+    shortest = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
+    names, longest = response.model.state_names, min(longest, len(whole.t))
+    return consistent_start(lambda n: fit_state(response, whole.cut(0, n)), whole.t, names, shortest, longest)
+
+
+def consistent_start(
+    fit_to: Callable[[int], StateFit], t: Array, names: tuple[str, ...], shortest: int, longest: int
+) -> InitialState:
+    """`starting_state` from the fits ``fit_to(n)`` to the first n samples of the clock ``t``."""
+    n = shortest
+    low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     best: tuple[int, StateFit] | None = None
     while True:
-        fit = fit_state(response, whole.cut(0, n))
+        fit = fit_to(n)
         low, high = np.maximum(low, fit.x0 - 3.0 * fit.std), np.minimum(high, fit.x0 + 3.0 * fit.std)
         if best is not None and (low > high).any():
             break
         best = n, fit
-        if 2 * n > min(longest, len(whole.t)) or not response.n_states:
+        if 2 * n > longest or not names:
             break
         n *= 2
     n, fit = best
-    return InitialState(fit.x0, fit.std, response.model.state_names, n, float(whole.t[n - 1] - whole.t[0]), fit.rank)
+    return InitialState(fit.x0, fit.std, names, n, float(t[n - 1] - t[0]), fit.rank)
 
 
 def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Array, Array, int]:
@@ -247,22 +258,10 @@ def recursive_residual(free: Array, error: Array) -> Array:
     numpy.ndarray
         NaN at the samples that only fix the state.
     """
-    n, n_x = free.shape
+    from robustlab.identification.response.recursion_kernel import predict
+
     size = np.linalg.norm(free, axis=0)
     floor = NO_INFORMATION * np.where(size > 0, size, 1.0)
-    result = np.empty_like(error)
-    R, z = np.zeros((n_x, n_x)), np.zeros((n_x, error.shape[1]))
-    for k in range(n):
-        row, value = free[k].copy(), error[k]
-        for i in range(n_x):
-            if abs(row[i]) <= floor[i]:
-                continue
-            if R[i, i] == 0.0:  # the row fixes a direction that was free: it says nothing about the error
-                R[i, i:], z[i], value = row[i:], value, np.nan
-                break
-            norm = np.hypot(R[i, i], row[i])
-            c, s = abs(R[i, i]) / norm, np.sign(R[i, i]) * row[i] / norm
-            R[i, i:], row[i:] = c * R[i, i:] + s * row[i:], c * row[i:] - s * R[i, i:]
-            z[i], value = c * z[i] + s * value, c * value - s * z[i]
-        result[k] = value
+    result = np.array(error, order="C")
+    predict(np.array(free, order="C"), result, floor)
     return result

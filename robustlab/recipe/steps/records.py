@@ -116,16 +116,26 @@ class CompareStep(Step):
                 gap.windowed_rms_percent,
                 gap.windowed_fit,
             )
-            facts.append(Fact(f"{name}: free run", _errors(gap.unit, free)))
+            ends = f"ends at {quantity(found.free_run.end, 's', 3)}: {found.free_run.reason}"
+            facts.append(Fact(f"{name}: free run", _errors(gap.unit, free) if found.free_run.whole else ends))
             facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, windowed)))
             facts.append(Fact(f"{name}: where", _where(found, name)))
         for name, figure in comparison_figures(found).items():
             work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
-        most = max(found.outputs.values(), key=lambda gap: gap.rms_percent)
-        summary = (
-            f"{self.of} against {self.record}, a {work.origin(self.record)} record: in free run {most.name} is off by "
-            f"{most.rms_percent:.3g} % of its range (rms), most at {quantity(most.peak_time, 's', 3)}."
-        )
+        head = f"{self.of} against {self.record}, a {work.origin(self.record)} record:"
+        if found.free_run.whole:
+            most = max(found.outputs.values(), key=lambda gap: gap.rms_percent)
+            summary = (
+                f"{head} in free run {most.name} is off by {most.rms_percent:.3g} % of its range (rms), most at "
+                f"{quantity(most.peak_time, 's', 3)}."
+            )
+        else:
+            most = max(found.outputs.values(), key=lambda gap: gap.windowed_rms_percent)
+            summary = (
+                f"{head} in windows of {quantity(found.window, 's', 3)} {most.name} is off by "
+                f"{most.windowed_rms_percent:.3g} % of its range (rms); the free run ends at "
+                f"{quantity(found.free_run.end, 's', 3)}."
+            )
         numbers = found.to_json(series=False)
         return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
@@ -142,7 +152,7 @@ def _as_record(found: Record, summary: str, notes: tuple[str, ...]) -> Outcome:
 
 def _where(found: Comparison, name: str) -> str:
     """When, at what speed and at what position the windowed error of an output is largest."""
-    w, motion = found.windows[name], found.motion
+    w, motion = found.windows[name], found.motions[name]
     told = [f"{w.start[w.worst]:.3g} to {w.stop[w.worst]:.3g} s"]
     for bins, over, unit in (
         (found.speed.get(name), "of speed", motion.speed_unit),

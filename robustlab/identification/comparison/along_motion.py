@@ -1,0 +1,358 @@
+r"""`compare` for a nonlinear plant: windows linear about the recorded motion, a free run as far as it goes.
+
+The motion is told by the sensors (`robustlab.identification.hypotheses.motion_smoother`). An unstable plant, which a
+controller held when the record was made, leaves it as :math:`e^{t / \tau}` whatever its start: so the windows are short
+enough for its own instability, and each has its own start. What the linearisation is worth is told by the plant itself,
+simulated from the same starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.dynamics.plant_contract import NonlinearPlant, input_signal
+from robustlab.dynamics.ports.motion_model import Course
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.comparison.comparison_result import Comparison, FreeRun, Linearisation
+from robustlab.identification.comparison.gap_scales import (
+    InputDisturbance,
+    noise_gaps,
+    repeated,
+    sorted_disturbance,
+)
+from robustlab.identification.comparison.joints import motions_of_inputs, motions_of_outputs, without_a_joint
+from robustlab.identification.comparison.localisation import Motion, motion_of
+from robustlab.identification.comparison.parts import even_odd_test, kept, localised, noise_of, samples_of, title
+from robustlab.identification.hypotheses.motion_smoother import smooth_motion
+from robustlab.identification.hypotheses.prepared_record import window_length
+from robustlab.identification.record_check.resampling import clock_step, uniform
+from robustlab.identification.record_check.suitability import channel_warnings
+from robustlab.identification.response.motion_response import (
+    FitOfWindows,
+    MotionResponse,
+    WindowResponses,
+    fit_windows,
+    start_along,
+    windows_along,
+)
+from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units
+from robustlab.identification.response.windowed_simulation import WindowedSimulation, window_edges
+from robustlab.record import Record
+from robustlab.result import Status
+from robustlab.statespace import Signal
+
+__all__ = ["compare_along"]
+
+SHORTEST_RECORD = 40  # samples
+SHORTEST_PIECE = 20  # samples
+PIECES_PER_WINDOW = 4
+ASKED = 10  # pieces that tell how short they may be
+WELL_TOLD = 0.02  # standard deviation of an addition to an input, of what that input does
+CHECKED = 6  # windows that the nonlinear plant goes through, too
+LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
+LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighed by its rounding
+DIVERGED = 10.0  # times the recorded range from the record: the free run says nothing beyond
+SECTION = 100  # samples that the free run goes at once
+RTOL = 1e-9
+TOLD = 1e-6  # an input's answer below this share of itself, once the start is fitted, is not told from it
+
+
+def compare_along(
+    plant: NonlinearPlant,
+    record: Record,
+    *,
+    window: float | None,
+    start: float | None,
+    lags: int,
+    speed: str | None,
+    position: str | None,
+    period: float | None,
+    repeats: Sequence[Record],
+) -> Comparison:
+    """`robustlab.identification.comparison.comparison.compare` for a nonlinear plant.
+
+    Raises
+    ------
+    InputError
+        As there; a joint whose position is not recorded, an output that shows more than one state, samples missing.
+    NoTrustworthyNumber
+        A motion that the plant cannot have: its equations have no value there.
+    """
+    response, outputs, record, noted = _response(plant, record)
+    names, inputs = [s.name for s in outputs], [s.name for s in plant.inputs]
+    whole, x, u = response.whole, response.course.x, response.course.u
+    length = window_length(plant, [record]) if window is None else samples_of("window", window, record)
+    initial = start_along(response, length if start is None else samples_of("start", start, record))
+    windows = windows_along(response, length)
+    run, ran = _free_run(response, initial.x0, names)
+    stated = motion_of(record, speed, position, length) if speed or position else None
+    motions = motions_of_outputs(plant, x, u, record, response.columns)
+    of_inputs = motions_of_inputs(plant, x, u, record)
+    if stated is not None:
+        motions, of_inputs = dict.fromkeys(names, stated), dict.fromkeys(inputs, stated)
+    size = {name: np.abs(v) for name, v in whole.u.items() if np.ptp(v)} if len(inputs) == 1 else {}
+    found = localised(whole, outputs, ran if run.whole else None, windows, motions, size, min(lags, record.n // 4))
+    others = [_response(plant, other) for other in repeats]
+    noise, noise_reason = noise_of(record, tuple(taken for _, _, taken, _ in others), names, period)
+    rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
+    errors = []
+    if noise:
+        stretches = repeated(noise, whole, [other.whole for other, *_ in others])
+        owners = [response, *(other for other, *_ in others)]
+        owners = [response] * len(stretches) if noise.source == "periods" else owners
+        errors = [_windowed_error(r, s, length) for r, s in zip(owners, stretches, strict=True)]
+    linearisation = _linearisation(response, windows, names)
+    noise_std = 1.0 / whole.weight
+    return Comparison(
+        status=Status.CONVERGED,
+        model=title(plant),
+        record=record.name,
+        motions=motions,
+        initial_state=initial,
+        window=length * record.dt,
+        measured=kept(record, inputs, names, whole.y, record.name),
+        simulated=kept(record, inputs, names, ran, f"{record.name} (free run)") if len(ran) > 1 else None,
+        windowed=kept(record, inputs, names, windows.y, f"{record.name} (windowed simulation)"),
+        recursive={name: windows.residual[:, k] for k, name in enumerate(names)},
+        disturbance=_disturbances(response, _piece(response, length), of_inputs),
+        warnings=(
+            *noted,
+            *channel_warnings(record, tuple(inputs), tuple(names)),
+            *_unseen(plant, initial.rank),
+            *_nonlinear(linearisation),
+        ),
+        noise=noise,
+        noise_reason=noise_reason,
+        against_noise=noise_gaps(names, np.stack(errors), noise, rms) if noise else {},
+        linear={},
+        linear_reason="a nonlinear plant has no one frequency response",
+        nonlinearity=even_odd_test(record, inputs, names, noise),
+        free_run=run,
+        linearisation=linearisation,
+        sensor_noise={name: float(std) for name, std in zip(names, noise_std, strict=True)},
+        left_out=_left_out(run, motions, inputs),
+        **found,
+    )
+
+
+# --- plant and record ------------------------------------------------------------------------------------------------
+
+
+def _response(
+    plant: NonlinearPlant, record: Record
+) -> tuple[MotionResponse, tuple[Signal, ...], Record, tuple[str, ...]]:
+    """The plant about the record's motion, the compared outputs, the record as it was taken, warnings."""
+    outputs, warnings = matched(plant.inputs, plant.outputs, record)
+    where = f"compare {record.name}"
+    if record.n < SHORTEST_RECORD:
+        raise InputError(where, f"{record.n} samples", f"at least {SHORTEST_RECORD}")
+    if not record.is_uniform:
+        level = uniform(record, clock_step(record.t))
+        if level.gaps:
+            gap = level.gaps[0]
+            raise InputError(
+                where,
+                f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s",
+                "a clock without gaps",
+                "compare the stretches between the gaps: record.between(start, stop)",
+            )
+        record = level.record
+        warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
+    record = with_units(record, (*plant.inputs, *outputs))
+    names = [s.name for s in outputs]
+    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
+    u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
+    whole = stretch_of(record, [s.name for s in plant.inputs], names)
+    try:
+        smoothed = smooth_motion(plant, record.t, u, whole.y, columns).smoothed
+    except InputError as wrong:  # it speaks of naming
+        raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
+    noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
+    whole = Stretch(whole.t, whole.u, whole.y, 1.0 / noise)
+    return MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole), outputs, record, warnings
+
+
+# --- simulations of the nonlinear plant ------------------------------------------------------------------------------
+
+
+def _free_run(response: MotionResponse, x0: Array, names: Sequence[str]) -> tuple[FreeRun, Array]:
+    """The nonlinear plant from the start of the record, (m, n_y), as far as it goes."""
+    t, y, plant = response.whole.t, response.whole.y, response.plant
+    spread = np.ptp(y, axis=0)
+    limit = np.where(spread > 0, DIVERGED * spread, np.inf)
+    u, states, reason = response.course.u, x0[None], ""
+    while len(states) < len(t) and not reason:
+        first = len(states) - 1
+        more, reason = _onward(plant, t, u, states[-1], first, min(first + SECTION, len(t) - 1))
+        states = np.vstack([states, more])
+        made = plant.outputs_along(states[first:], u[first : len(states)])[:, list(response.columns)]
+        beyond = np.abs(made - y[first : len(states)]) > limit
+        if beyond.any():
+            k = int(beyond.any(axis=1).argmax())
+            worst = names[int(beyond[k].argmax())]
+            reason = f"{worst} is {DIVERGED:g} times its recorded range off"
+            states = states[: first + max(k, 1)]
+    made = plant.outputs_along(states, u[: len(states)])[:, list(response.columns)]
+    return FreeRun(float(t[len(states) - 1]), reason), made
+
+
+def _onward(plant: NonlinearPlant, t: Array, u: Array, x: Array, first: int, last: int) -> tuple[Array, str]:
+    """States after sample ``first`` up to ``last``, or as far as the plant goes and why no further."""
+
+    def run(x: Array, a: int, b: int) -> Array:
+        middle = np.concatenate([t[a:b], [0.5 * (t[b - 1] + t[b]), t[b]]])  # three times at least
+        held = np.vstack([u[a:b], u[b - 1 : b], u[b : b + 1]])
+        found = np.delete(plant.trajectory(input_signal(middle, held, "zoh"), x, RTOL), -2, axis=0)[1:]
+        if not np.isfinite(found).all():
+            raise NoTrustworthyNumber(plant.name, "the free run overflows")
+        return found
+
+    try:
+        return run(x, first, last), ""
+    except NoTrustworthyNumber:
+        pass  # where in it, and why, is found sample by sample
+    states: list[Array] = []
+    for k in range(first, last):
+        try:
+            states.append(run(states[-1] if states else x, k, k + 1)[0])
+        except NoTrustworthyNumber as end:
+            return np.array(states).reshape(len(states), len(x)), end.found
+    return np.array(states), ""
+
+
+def _linearisation(response: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:
+    """Some windows and the worst one, by the nonlinear plant from the fitted starts."""
+    whole, plant, edges = response.whole, response.plant, windows.edges
+    error = ((whole.y - windows.y) * whole.weight) ** 2
+    worst = int((np.add.reduceat(error.sum(axis=1), edges[:-1]) / np.diff(edges)).argmax())
+    chosen = np.unique([worst, *np.linspace(0, len(edges) - 2, CHECKED).astype(int)])
+    different, missed, checked, broken = [], [], [], []
+    for k in chosen:
+        a, b = int(edges[k]), int(edges[k + 1])
+        more, reason = _onward(plant, whole.t, response.course.u, windows.x0[k], a, b - 1)
+        if reason:
+            broken.append(whole.t[a])
+            continue
+        states = np.vstack([windows.x0[k], more])
+        made = plant.outputs_along(states, response.course.u[a:b])[:, list(response.columns)]
+        different.append(made - windows.y[a:b])
+        missed.append(whole.y[a:b] - windows.y[a:b])
+        checked.append(whole.t[a])
+    if not checked:
+        return Linearisation(np.zeros(0), {}, {}, np.array(broken))
+    rms, error_rms = (np.sqrt((np.vstack(x) ** 2).mean(axis=0)) for x in (different, missed))
+    share = np.divide(rms, error_rms, out=np.zeros_like(rms), where=error_rms > 0)
+    return Linearisation(
+        np.array(checked),
+        dict(zip(names, rms.tolist(), strict=True)),
+        dict(zip(names, share.tolist(), strict=True)),
+        np.array(broken),
+    )
+
+
+# --- windows and pieces of the linear one ----------------------------------------------------------------------------
+
+
+def _windowed_error(response: MotionResponse, part: Stretch, length: int) -> Array:
+    """Measured minus windowed simulation of a stretch of the response's record, (samples, n_y)."""
+    first = int(np.searchsorted(response.whole.t, part.t[0]))
+    edges = first + window_edges(len(part.t), length)
+    error = np.empty_like(part.y)
+    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        windows = next(response.responses([a], b - a))
+        left = fit_windows(windows, response.errors(windows), part.weight).left
+        error[a - first : b - first] = left.reshape(b - a, -1) / part.weight
+    return error
+
+
+def _piece(response: MotionResponse, length: int) -> int:
+    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or a quarter of a window."""
+    size, n = min(length, SHORTEST_PIECE), len(response.whole.t)
+    moved = response.course.u.std(axis=0)
+    moving = moved > 0
+    while 2 * size <= length // PIECES_PER_WINDOW:
+        starts = np.unique(np.linspace(0, n - size, ASKED).astype(np.int64))
+        square = np.concatenate([_told(p, response)[0] for p in response.responses(starts, size)])
+        std = 1.0 / np.sqrt(np.maximum(np.median(square, axis=0), 1e-300))
+        if (std[moving] <= WELL_TOLD * moved[moving]).all():
+            break
+        size *= 2
+    return size
+
+
+def _told(pieces: WindowResponses, response: MotionResponse) -> tuple[Array, Array, Array, FitOfWindows]:
+    """Square of what a unit more of each input does that no start can do, and of all it does, (n_pieces, n_u) each; the
+    former itself (n_pieces, length * n_y, n_u), and the fit of the starts.
+    """
+    weight = response.whole.weight
+    fit = fit_windows(pieces, response.errors(pieces), weight)
+    held = (pieces.held * weight[:, None]).reshape(*fit.left.shape, -1)
+    own = held - fit.basis @ (np.swapaxes(fit.basis, 1, 2) @ held)
+    return (own**2).sum(axis=1), (held**2).sum(axis=1), own, fit
+
+
+def _disturbances(response: MotionResponse, length: int, motions: dict[str, Motion]) -> dict[str, InputDisturbance]:
+    """What would have to be added to each input, and to no other, in pieces of ``length`` samples."""
+    names = list(motions)
+    edges = np.arange(0, len(response.whole.t) + 1, length)
+    value, std = np.full((2, len(names), len(edges) - 1), np.nan)
+    before, after = np.zeros((2, len(names)))
+    for pieces in response.responses(edges[:-1], length):
+        at = np.searchsorted(edges, pieces.starts)
+        square, whole, own, fit = _told(pieces, response)
+        told = square > TOLD**2 * whole
+        d = np.divide(np.einsum("wmi,wm->wi", own, fit.left), square, out=np.zeros_like(square), where=told)
+        total = (fit.left**2).sum(axis=1)[:, None]
+        left = np.maximum(total - d**2 * square, 0.0)
+        spare = np.maximum(1, fit.left.shape[1] - fit.rank - 1)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):  # pieces that do not tell it are NaN
+            spread = np.sqrt(left / spare / square)
+        value[:, at], std[:, at] = np.where(told, d, np.nan).T, np.where(told, spread, np.nan).T
+        before += np.where(told, total, 0.0).sum(axis=0)
+        after += np.where(told, left, 0.0).sum(axis=0)
+    share = 1.0 - np.divide(after, before, out=np.ones_like(after), where=before > 0)
+    t = response.whole.t
+    return {
+        name: sorted_disturbance(t, edges, value[i], std[i], float(share[i]), motions[name])
+        for i, name in enumerate(names)
+    }
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def _unseen(plant: NonlinearPlant, rank: int) -> list[str]:
+    if rank == len(plant.states):
+        return []
+    seen = f"the recorded outputs determine {rank} of {len(plant.states)} states at the start"
+    return [f"{seen}; the rest was taken from the motion"]
+
+
+def _nonlinear(found: Linearisation) -> list[str]:
+    told = []
+    large = {name: share for name, share in found.share.items() if share > LINEAR_SHARE}
+    if large:
+        worst = max(large, key=lambda name: large[name])
+        told.append(
+            f"the windows are linear about the recorded motion, and that makes {100 * large[worst]:.0f} % of the error "
+            f"of {worst}: take shorter windows"
+        )
+    if len(found.broken):
+        told.append(
+            f"from the fitted start the nonlinear plant does not reach the end of the window at {found.broken[0]:.4g} s"
+        )
+    return told
+
+
+def _left_out(run: FreeRun, motions: dict[str, Motion], inputs: Sequence[str]) -> tuple[str, ...]:
+    told = ["frequency response: a nonlinear plant has no one"]
+    if not run.whole:
+        told.append("places in frequency: they are told of the free run")
+    if len(inputs) > 1:
+        told.append("error over the size of an input: it is told of a plant with one input")
+    if loose := without_a_joint(motions):
+        told.append(f"speed, direction and position of {', '.join(loose)}: no one joint is behind it")
+    return tuple(told)

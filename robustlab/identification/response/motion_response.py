@@ -1,0 +1,224 @@
+r"""A nonlinear plant's response to a record in windows, linear about the recorded motion.
+
+With the plant about a motion (`robustlab.dynamics.ports.motion_model`) each window has
+
+.. math:: y(t_k) = y_u(t_k) + S(t_k)\,(x_0 - \bar x_0) + \sum_i h_i(t_k)\,d_i
+
+with the outputs :math:`y_u` from the motion's own state at its start, the free response S, and the answers h to one
+unit more of each input. Unlike a linear plant's, S is another one in each window. All windows of one length go side by
+side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.motion_model import Course, exponentials, motion_model
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.response.response import Stretch
+from robustlab.identification.response.windowed_simulation import (
+    RANK_TOLERANCE,
+    InitialState,
+    StateFit,
+    WindowedSimulation,
+    consistent_start,
+    recursive_residual,
+    window_edges,
+)
+
+__all__ = ["FitOfWindows", "MotionResponse", "WindowResponses", "fit_windows", "start_along", "windows_along"]
+
+STEPS = 2  # a sample: the motion's curvature within a sample is then far below what deviates from it
+AT_ONCE = 4_000_000  # numbers in the responses of the windows that go side by side: bounds the memory
+SHORTEST_START = 20  # samples
+
+
+@dataclass(frozen=True, eq=False)
+class WindowResponses:
+    """Responses in windows of one length that start at the samples ``starts`` (n_windows,).
+
+    Attributes
+    ----------
+    y
+        Outputs from ``x0``, (n_windows, length, n_y).
+    x0
+        The motion's states at the starts, (n_windows, n_x).
+    free
+        Outputs per unit more of each state at the start, (n_windows, length, n_y, n_x).
+    held
+        Outputs per unit more of each input throughout the window, (n_windows, length, n_y, n_u).
+    """
+
+    starts: Indices
+    y: Array
+    x0: Array
+    free: Array
+    held: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FitOfWindows:
+    """Least-squares fits of the states at the starts of windows.
+
+    Attributes
+    ----------
+    x0, std, rank
+        States (n_windows, n_x), their standard deviations for white errors, and how many directions of each are told.
+    left
+        What they leave of the weighted errors, (n_windows, length * n_y).
+    basis
+        Orthonormal basis of what they can do to these, padded with zeros, (n_windows, length * n_y, n_x).
+    """
+
+    x0: Array
+    std: Array
+    rank: Indices
+    left: Array
+    basis: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MotionResponse:
+    """A nonlinear plant about the motion of one record.
+
+    Attributes
+    ----------
+    course
+        The motion.
+    columns
+        Index of each compared output among the plant's.
+    whole
+        The compared signals; its weight is one over the noise of each sensor.
+    """
+
+    course: Course
+    columns: tuple[int, ...]
+    whole: Stretch
+
+    @property
+    def plant(self) -> NonlinearPlant:
+        """The plant."""
+        return self.course.plant
+
+    @property
+    def n_states(self) -> int:
+        """Number of states n_x."""
+        return len(self.plant.states)
+
+    def responses(self, starts: Sequence[int] | Indices, length: int) -> Iterator[WindowResponses]:
+        """Windows of ``length`` samples, as many side by side as the memory takes."""
+        n_x, n_u = self.n_states, self.course.u.shape[1]
+        size = length * (len(self.columns) * (1 + n_x + n_u) + STEPS * n_x * (2 * n_x + n_u))
+        count = max(1, AT_ONCE // size)
+        for k in range(0, len(starts), count):
+            yield self._responses(np.asarray(starts[k : k + count], dtype=np.int64), length)
+
+    def _responses(self, starts: Indices, length: int) -> WindowResponses:
+        dt, n_x, n_u = self.course.dt, self.n_states, self.course.u.shape[1]
+        about = motion_model(self.course, {}, starts, length, STEPS)
+        phi, psi, _ = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
+        b, columns = about.model.B[..., :n_u], list(self.columns)
+        entering = psi @ b
+        steps = about.steps.reshape(len(starts), -1)
+        rates = about.rates.reshape(*steps.shape, n_x)
+        points = about.points.reshape(len(starts), -1)
+        c, d = about.model.C[:, columns], about.model.D[:, columns]
+        offsets = about.offsets[:, columns].reshape(len(starts), length, len(columns))
+        found = np.empty((len(starts), length, len(columns), 1 + n_x + n_u))
+        # Columns: the window itself, a unit of each state at the start, a unit of each input throughout.
+        x = np.zeros((len(starts), n_x, 1 + n_x + n_u))
+        x[:, :, 0], x[:, :, 1 : 1 + n_x] = self.course.x[starts], np.eye(n_x)
+        for k in range(length):
+            u = self.course.u[starts + k]
+            at = points[:, k]
+            found[:, k] = c[at] @ x
+            found[:, k, :, 0] += offsets[:, k] + (d[at] @ u[..., None])[..., 0]
+            found[:, k, :, 1 + n_x :] += d[at]
+            for step in range(k * STEPS, (k + 1) * STEPS):
+                own = steps[:, step]
+                x = phi[own] @ x
+                pushed = entering[own]
+                x[:, :, 0] += (pushed @ u[..., None] + psi[own] @ rates[:, step, :, None])[..., 0]
+                x[:, :, 1 + n_x :] += pushed
+        if not np.isfinite(found).all():
+            name = self.plant.name
+            raise NoTrustworthyNumber(f"compare {name}", "a window's simulation overflows", None, "shorter windows")
+        return WindowResponses(
+            starts, found[..., 0], self.course.x[starts], found[..., 1 : 1 + n_x], found[..., 1 + n_x :]
+        )
+
+    def errors(self, windows: WindowResponses) -> Array:
+        """Measured outputs less those from the motion's own states, (n_windows, length, n_y)."""
+        return self.whole.y[windows.starts[:, None] + np.arange(windows.y.shape[1])] - windows.y
+
+
+def fit_windows(windows: WindowResponses, error: Array, weight: Array) -> FitOfWindows:
+    """States at the starts that suit the windows best, by weighted least squares.
+
+    Parameters
+    ----------
+    error, weight
+        As of `MotionResponse.errors`, and the factor of each output's error (n_y,).
+    """
+    count, n_x = windows.x0.shape
+    lhs = (windows.free * weight[:, None]).reshape(count, -1, n_x)
+    rhs = (error * weight).reshape(count, -1)
+    scale = np.linalg.norm(lhs, axis=1)
+    scale[scale == 0] = 1.0
+    left, sigma, right = np.linalg.svd(lhs / scale[:, None], full_matrices=False)
+    known = sigma > RANK_TOLERANCE * sigma[:, :1]
+    basis = left * known[:, None]
+    inverse = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=known)
+    coordinates = np.einsum("wmk,wm->wk", basis, rhs)
+    x0 = np.einsum("wkn,wk->wn", right, coordinates * inverse) / scale
+    rest = rhs - np.einsum("wmk,wk->wm", basis, coordinates)
+    rank = known.sum(axis=1)
+    variance = (rest**2).sum(axis=1) / np.maximum(1, rhs.shape[1] - rank)
+    std = np.sqrt(variance[:, None] * ((right * inverse[:, :, None]) ** 2).sum(axis=1)) / scale
+    return FitOfWindows(windows.x0 + x0, std, rank, rest, basis)
+
+
+def start_along(response: MotionResponse, longest: int) -> InitialState:
+    """State at the start of the record (`robustlab.identification.response.windowed_simulation.starting_state`)."""
+    whole, plant = response.whole, response.plant
+    weight, n_y = whole.weight, whole.y.shape[1]
+
+    def fit_to(n: int) -> StateFit:
+        windows = next(response.responses([0], n))
+        found = fit_windows(windows, response.errors(windows), weight)
+        left = found.left.reshape(n, n_y) / weight
+        return StateFit(found.x0[0], found.std[0], int(found.rank[0]), whole.y[:n] - left)
+
+    longest = min(longest, len(whole.t))
+    shortest = min(longest, max(SHORTEST_START, 4 * response.n_states // n_y))
+    return consistent_start(fit_to, whole.t, tuple(s.name for s in plant.states), shortest, longest)
+
+
+def windows_along(response: MotionResponse, length: int) -> WindowedSimulation:
+    """Simulate every window of ``length`` samples from its own least-squares initial state.
+
+    The recursive residual predicts sample k of an output from all outputs of its window before k, and from those at k
+    that come before it in their order.
+    """
+    y, weight = response.whole.y, response.whole.weight
+    edges = window_edges(len(y), length)
+    sizes = np.diff(edges)
+    simulated, residual, states = np.empty_like(y), np.empty_like(y), np.empty((len(sizes), response.n_states))
+    for size in np.unique(sizes):
+        order = np.flatnonzero(sizes == size)
+        for windows in response.responses(edges[order], int(size)):
+            error = response.errors(windows)
+            found = fit_windows(windows, error, weight)
+            at = windows.starts[:, None] + np.arange(size)
+            simulated[at] = y[at] - found.left.reshape(error.shape) / weight
+            rows, values = windows.free * weight[:, None], error * weight
+            for k, place in enumerate(at):
+                told = recursive_residual(rows[k].reshape(-1, response.n_states), values[k].reshape(-1, 1))
+                residual[place] = told.reshape(values[k].shape) / weight
+            states[np.searchsorted(edges, windows.starts)] = found.x0
+    return WindowedSimulation(edges, simulated, states, residual)

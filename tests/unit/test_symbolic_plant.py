@@ -1,0 +1,182 @@
+"""Plants of one's own beside plants of the registry, and what they offer."""
+
+import pickle
+import subprocess
+import sys
+import time
+
+import numpy as np
+import own_plants
+import pytest
+from plant_files import NAMES, maker
+
+import robustlab as rl
+from robustlab.dynamics.plant_contract import input_signal
+from robustlab.dynamics.ports.port_model import port_model
+
+
+def motor():
+    p = rl.PlantEquations("my-motor")
+    known = rl.plant("dc-motor").parameters
+    R, L, Km, Kb, Kf, J = (
+        p.parameter(q.name, q.value, q.unit, tolerance=q.tolerance, role=q.role, sign=q.sign, meaning=q.meaning)
+        for q in known.values()
+    )
+    u = p.input("u", "V")
+    phi, omega = p.joint("phi", "omega", "rad")
+    i = p.state("i", "A", current=True)
+    p.motion(J, Km * i - Kf * omega)
+    p.rate(i, (u - R * i - Kb * omega + p.voltage(i)) / L)
+    for name, symbol, unit in (("phi", phi, "rad"), ("omega", omega, "rad/s"), ("i", i, "A")):
+        p.output(name, symbol, unit)
+    return p.plant()
+
+
+def test_a_linear_plant_is_that_of_the_registry():
+    own, known = motor(), rl.plant("dc-motor")
+    model, truth = rl.linearise(own), rl.linearise(known)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(model, name), getattr(truth, name), rtol=1e-12, atol=1e-15)
+    t = np.linspace(0.0, 0.1, 201)
+    u = np.where(t < 0.05, 5.0, -5.0)
+    np.testing.assert_allclose(
+        rl.simulate(own, t, u, rtol=1e-11)["phi"], rl.simulate(known, t, u)["phi"], atol=1e-9, rtol=1e-9
+    )
+    ports = port_model(known).ports
+    local = own.local_models(np.zeros((1, 3)), np.zeros((1, 1)))
+    assert [(p.name, p.kind, p.unit, p.position) for p in own.port_places] == [
+        ("omega", "joint", "N m", "phi"),
+        ("i", "current", "V", ""),
+    ]
+    for k, place in enumerate(own.port_places):
+        np.testing.assert_allclose(local.push[0, :, k], ports[place.name].force, rtol=1e-12)
+
+
+def test_a_role_says_the_sign_and_none_is_no_role():
+    p = rl.PlantEquations("signs")
+    signs = {"inertia": "positive", "viscous-friction": "nonnegative", "torque-constant": "either", "none": "any"}
+    for role in signs:
+        p.parameter(role, 1.0, tolerance=0.1, role=role)
+    p.parameter("length", 1.0, sign="positive")
+    p.rate(p.state("x"), 0.0)
+    p.output("one", 1.0)
+    found = p.plant().parameters
+    assert {name: q.sign for name, q in found.items()} == {**signs, "length": "positive"}
+    assert [q.role for q in found.values()] == ["inertia", "viscous-friction", "torque-constant", "", ""]
+
+
+def test_a_mass_may_be_a_state():
+    """A rocket: v' = T / m, m' = -T / c; the speed is c log(m0 / m)."""
+    p = rl.PlantEquations("rocket")
+    thrust = p.input("thrust", "N")
+    (_, v), m = p.joint("height", "v", "m"), p.state("mass", "kg")
+    p.motion(m, thrust)
+    p.rate(m, -thrust / p.parameter("c", 2000.0, "m/s"))
+    p.output("v", v, "m/s")
+    t = np.linspace(0.0, 10.0, 11)
+    record = rl.simulate(p.plant(), t, np.full(11, 100.0), [0.0, 0.0, 2.0], rtol=1e-10)
+    np.testing.assert_allclose(record["v"], 2000 * np.log(2 / (2 - t / 20)), rtol=1e-9)
+
+
+def test_a_plant_without_inputs():
+    p = rl.PlantEquations("decay")
+    x = p.state("x")
+    p.rate(x, -x * p.parameter("a", 2.0, "1/s"))
+    p.output("x", x)
+    plant, t = p.plant(a=3.0), np.linspace(0.0, 1.0, 11)
+    record = rl.simulate(plant, t, np.zeros((11, 0)), [1.0], rtol=1e-10)
+    np.testing.assert_allclose(record["x"], np.exp(-3 * t), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_plants_of_the_files_say_where_their_values_are_from(name):
+    plant = maker(name)()
+    for parameter in plant.parameters.values():
+        assert parameter.unit
+        assert parameter.meaning
+        assert parameter.source
+    joints = {"cart_pole": 2, "two_link_arm": 2, "water_tank": 0, "quadrotor_height": 1}
+    assert len(plant.port_places) == joints[name]
+
+
+def test_other_parameters_are_another_plant():
+    make = maker("cart_pole")
+    plant = make(M=(2.0, 0.1))
+    again = make().with_parameters(M=(2.0, 0.1))
+    assert plant.parameters == again.parameters
+    x, u = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0])
+    np.testing.assert_array_equal(plant.derivative(x, u), again.derivative(x, u))
+    assert abs(plant.derivative(x, u) - make().derivative(x, u)).max() > 0.1
+
+
+def test_it_goes_to_other_processes():
+    plant = maker("two_link_arm")()
+    x, u = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0, 2.0])
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(plant)).derivative(x, u), plant.derivative(x, u))
+
+
+def test_inputs_that_break_are_honoured_exactly():
+    """x'' = u with steps in u between samples of different lengths: the motion is a parabola in each."""
+    p = rl.PlantEquations("mass")
+    F = p.input("F", "N")
+    x, _ = p.joint("x", "v", "m")
+    p.motion(1.0, F)
+    p.output("x", x, "m")
+    t = np.cumsum(np.r_[0.0, np.random.default_rng(0).uniform(0.01, 0.5, 30)])
+    u = np.random.default_rng(1).choice([-1.0, 0.0, 1.0], 31)
+    states = p.plant().trajectory(input_signal(t, u[:, None], "zoh"), np.zeros(2), 1e-8)
+    v = np.r_[0.0, np.cumsum(u[:-1] * np.diff(t))]
+    truth = np.r_[0.0, np.cumsum(v[:-1] * np.diff(t) + 0.5 * u[:-1] * np.diff(t) ** 2)]
+    np.testing.assert_allclose(states, np.column_stack([truth, v]), atol=1e-13)
+
+
+# --- twelve states ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return own_plants.chain()
+
+
+def test_the_chain_keeps_its_energy(chain):
+    t = np.linspace(0.0, 3.0, 301)
+    states = chain.trajectory(input_signal(t, np.zeros((301, 1)), "zoh"), own_plants.START, 1e-11)
+    m, length = (np.array([chain.values[f"{name}_{k}"] for k in range(6)]) for name in ("m", "l"))
+    q, w = states[:, ::2], states[:, 1::2]
+    vx, vy = np.cumsum(length * np.cos(q) * w, axis=1), np.cumsum(length * np.sin(q) * w, axis=1)
+    height = -np.cumsum(length * np.cos(q), axis=1)
+    energy = (m * (0.5 * (vx**2 + vy**2) + 9.81 * height)).sum(axis=1)
+    assert np.ptp(energy) < 1e-8 * np.abs(energy).max()
+
+
+def test_its_tapes_are_short(chain):
+    """A mass matrix of 6 x 6 is factorised, not inverted; the Jacobian's tape is some four times that of the rates."""
+    assert len(chain.equations.rates.operations) < 500
+    assert len(chain.equations.models.operations) < 2000
+
+
+def test_a_second_of_twelve_states_is_quick(chain):
+    """The bar of 20 ms (benchmarks/results/own_plants.txt), with room for a busy machine."""
+    t = np.linspace(0.0, 1.0, 1001)
+    u = np.sin(20 * t)
+
+    def spent():
+        start = time.process_time()
+        rl.simulate(chain, t, u, own_plants.START)
+        return time.process_time() - start
+
+    spent()
+    assert min(spent() for _ in range(5)) < 0.06
+
+
+def test_nothing_is_compiled_for_a_plant(chain):
+    from robustlab.dynamics.symbolic.tape import tape_kernels
+
+    before = len(tape_kernels().integrate.signatures)
+    maker("quadrotor_height")().derivative([0, 0, 0], [0])
+    assert len(tape_kernels().integrate.signatures) == before == 1
+
+
+def test_the_name_costs_no_import():
+    code = "import sys, robustlab as rl; rl.PlantEquations; assert not {'casadi', 'numba'} & sys.modules.keys()"
+    subprocess.run([sys.executable, "-c", code], check=True)

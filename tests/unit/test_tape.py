@@ -1,0 +1,137 @@
+"""Tapes: every operation against numpy, and tapes that are none."""
+
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy import special
+
+from robustlab.dynamics.symbolic.tape import OPERATIONS, Tape, tape_of
+from robustlab.errors import InputError
+
+A = np.array([-1.7, -0.4, 0.0, 0.3, 0.9, 1.0, 2.5])
+B = np.array([0.3, -0.4, 1.2, 0.0, 2.0, 1.0, -1.5])
+TRUTH = {
+    "ADD": lambda a, b: a + b,
+    "SUB": lambda a, b: a - b,
+    "MUL": lambda a, b: a * b,
+    "DIV": lambda a, b: a / b,
+    "NEG": lambda a, b: -a,
+    "SQ": lambda a, b: a * a,
+    "TWICE": lambda a, b: 2 * a,
+    "INV": lambda a, b: 1 / a,
+    "SQRT": lambda a, b: np.sqrt(a),
+    "SIN": lambda a, b: np.sin(a),
+    "COS": lambda a, b: np.cos(a),
+    "TAN": lambda a, b: np.tan(a),
+    "ASIN": lambda a, b: np.arcsin(a),
+    "ACOS": lambda a, b: np.arccos(a),
+    "ATAN": lambda a, b: np.arctan(a),
+    "ATAN2": np.arctan2,
+    "EXP": lambda a, b: np.exp(a),
+    "LOG": lambda a, b: np.log(a),
+    "POW": np.power,
+    "SINH": lambda a, b: np.sinh(a),
+    "COSH": lambda a, b: np.cosh(a),
+    "TANH": lambda a, b: np.tanh(a),
+    "ASINH": lambda a, b: np.arcsinh(a),
+    "ACOSH": lambda a, b: np.arccosh(a),
+    "ATANH": lambda a, b: np.arctanh(a),
+    "EXPM1": lambda a, b: np.expm1(a),
+    "LOG1P": lambda a, b: np.log1p(a),
+    "HYPOT": np.hypot,
+    "FABS": lambda a, b: np.abs(a),
+    "SIGN": lambda a, b: np.sign(a),
+    "FMIN": np.minimum,
+    "FMAX": np.maximum,
+    "LT": lambda a, b: a < b,
+    "LE": lambda a, b: a <= b,
+    "EQ": lambda a, b: a == b,
+    "NE": lambda a, b: a != b,
+    "NOT": lambda a, b: a == 0,
+    "AND": lambda a, b: (a != 0) & (b != 0),
+    "OR": lambda a, b: (a != 0) | (b != 0),
+    "IF_ELSE_ZERO": lambda a, b: np.where(a != 0, b, 0.0),
+    "ERF": lambda a, b: special.erf(a),
+    "COPYSIGN": np.copysign,
+}
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_every_operation_is_that_of_numpy(name):
+    k = OPERATIONS.index(name)
+    tape = Tape(2, np.array([k]), np.array([0]), np.array([1]), np.zeros(0), np.array([2]))
+    with np.errstate(all="ignore"):
+        expected = np.asarray(TRUTH[name](A, B), dtype=float)
+    np.testing.assert_allclose(tape(np.column_stack([A, B]))[:, 0], expected, rtol=1e-15, atol=1e-16)
+
+
+def test_expressions_of_casadi_keep_their_values():
+    x = ca.SX.sym("x", 4)
+    y = ca.vertcat(
+        ca.if_else(x[0] > 0.5, ca.sqrt(x[1]), x[2] ** 3),
+        x[0] ** x[1] + x[2] ** 1.5,
+        ca.atan2(x[0], x[3]) / (1 + x[1] ** 2) + 7.25,
+        3.0,
+        x[2],
+        ca.dot(x, x) * ca.exp(-x[0]),
+    )
+    points = np.random.default_rng(1).uniform(0.0, 1.0, (50, 4))
+    truth = ca.Function("f", [x], [y])
+    for still in range(5):
+        found = tape_of(x, y, still, "test")(points)
+        np.testing.assert_allclose(found, [truth(p).full().ravel() for p in points], rtol=1e-14)
+
+
+def test_what_stands_on_parameters_alone_is_done_anew_when_they_change():
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    tape = tape_of(ca.vertcat(x, p), ca.sin(p) * x, 1, "test")
+    points = np.array([[1.0, 0.1], [2.0, 0.1], [2.0, 0.7], [3.0, 0.1]])
+    assert tape.code.still == 1
+    np.testing.assert_allclose(tape(points)[:, 0], np.sin(points[:, 1]) * points[:, 0], rtol=1e-15)
+
+
+def test_a_tape_goes_to_other_processes():
+    x = ca.SX.sym("x")
+    tape = tape_of(x, ca.cos(x) + 1, 0, "test")
+    before = tape(np.array([[0.3]]))
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(tape))(np.array([[0.3]])), before)
+
+
+GOOD = {
+    "n_in": 2,
+    "operations": np.array([2, 0]),
+    "left": np.array([0, 3]),
+    "right": np.array([2, 1]),
+    "constants": np.array([2.0]),
+    "outputs": np.array([4]),
+}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"operations": np.array([2, len(OPERATIONS)])}, "operations: entry 1 is 42"),
+        ({"operations": np.array([-1, 0])}, "operations: entry 0 is -1"),
+        ({"operations": np.array([2.0, 0.0])}, "operations: float64"),
+        ({"left": np.array([0, 4])}, "left: entry 1 is 4"),
+        ({"left": np.array([3, 3])}, "left: entry 0 is 3"),
+        ({"right": np.array([2, -5])}, "right: entry 1 is -5"),
+        ({"right": np.array([2])}, "2 and 1 arguments"),
+        ({"outputs": np.array([5])}, "outputs: entry 0 is 5"),
+        ({"outputs": np.array([2**40])}, "outputs: entry 0"),
+        ({"constants": np.array([np.nan])}, "constants: entry 0"),
+        ({"constants": np.array([[2.0]])}, "constants: shape"),
+        ({"constants": np.array(["2"])}, "constants"),
+    ],
+)
+def test_what_is_no_tape_is_refused(wrong, message):
+    Tape(**GOOD)
+    with pytest.raises(InputError, match=message):
+        Tape(**{**GOOD, **wrong})
+
+
+def test_points_of_another_width_are_refused():
+    with pytest.raises(InputError, match=r"expected \(n, 2\)"):
+        Tape(**GOOD)(np.zeros((3, 3)))
