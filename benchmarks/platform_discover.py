@@ -35,7 +35,7 @@ Line = dict[str, Any]
 Said = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)
 
 LAST = range(77001, 77100)
-LIMIT = 600.0  # s of wall time a case
+LIMIT = 1200.0  # s of wall time a case
 CACHE = Path("out/platform_cases")
 
 # What a hidden effect may be called besides its own name, where the two are one to the records or to the catalogue: an
@@ -79,7 +79,7 @@ def verdict_of(case: PlatformCase, verdict: str, complete: bool, said: Said, ope
     return {"right": right, "in_answer": found, "sure_wrong": verdict == "named" and not is_truth(said, case)}
 
 
-def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path) -> Line:
+def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclude: Sequence[str] = ()) -> Line:
     """Name one case in this process; whatever goes wrong is in the line."""
     import robustlab as rl
 
@@ -90,7 +90,7 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path) -> Lin
         line = {"truth": case.truth()}
         plant.derivative(*(np.zeros(len(s)) for s in (plant.states, plant.inputs)))  # compiled code is loaded
         wall, cpu = time.perf_counter(), time.process_time()
-        found = rl.discover(plant, [case.record], held_out=[case.held_out])
+        found = rl.discover(plant, [case.record], held_out=[case.held_out], exclude=tuple(exclude))
         line |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         named = [(e.name, e.site) for e in found.effects]
         sets = [[tuple(e.partition("@")[::2]) for e in p.effects] for p in found.collection]
@@ -118,7 +118,7 @@ def _key(name: str, seed: int, motors: bool, noise: str) -> str:
 def _in_a_process(name: str, seed: int, asked: argparse.Namespace) -> Line:
     """One case in a process of its own, which is ended when it takes too long."""
     command = [sys.executable, __file__, "--one", name, str(seed), "--noise", asked.noise, "--cache", str(asked.cache)]
-    command += ["--torques"] if asked.torques else []
+    command += [*(["--torques"] if asked.torques else []), *(["--exclude", *asked.exclude] if asked.exclude else [])]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     child = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
@@ -184,6 +184,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", metavar="CLASS", help="classes (all that the machine can have)")
     parser.add_argument("--torques", action="store_true", help="without motors: torques in, encoders out")
     parser.add_argument("--noise", choices=NOISE, default="mid")
+    parser.add_argument("--exclude", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be tried")
     parser.add_argument("--store", type=Path, default=Path("out/platform_discover.jsonl"), help="one JSON line a case")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the records")
     parser.add_argument("--limit", type=float, default=LIMIT, help="wall time in s after which a case is given up")
@@ -194,7 +195,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--one", nargs=2, metavar=("CLASS", "SEED"), help=argparse.SUPPRESS)
     asked = parser.parse_args(argv)
     if asked.one:
-        print(json.dumps(run_case(asked.one[0], int(asked.one[1]), not asked.torques, asked.noise, asked.cache)))
+        name, seed = asked.one
+        print(json.dumps(run_case(name, int(seed), not asked.torques, asked.noise, asked.cache, asked.exclude)))
         return
     possible = names(not asked.torques)
     if strange := set(asked.only or ()) - set(possible):
