@@ -211,10 +211,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         if asked.report or (key in done and not asked.again) or time.time() - began > 60 * asked.minutes:
             continue
         line = {"key": key, "name": name, "seed": seed, **_in_a_process(name, seed, asked)}
+        if "truth" not in line:
+            line["truth"] = cached_case(asked.cache, name, seed, motors=not asked.torques, noise=asked.noise).truth()
         done[key] = line
         with asked.store.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")
-        legs = line.get("truth", {}).get("legs")
+        legs = line["truth"]["legs"]
         told = line.get("named", line.get("error", "")[-200:])
         good = "right" if line.get("right") else "SURE WRONG" if line.get("sure_wrong") else "not right"
         said = f"{line.get('verdict', line['status'])} {told} CPU {line.get('cpu_s', 0.0):.0f} s"
