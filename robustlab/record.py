@@ -9,21 +9,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.clocks import is_uniform
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Traced
 from robustlab.statespace import MAX_NAME, real_array
 
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
 __all__ = ["Record"]
-
-
-# A clock that jitters by less than this share of the sample time counts as uniform.
-UNIFORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -120,7 +121,7 @@ class Record(Traced):
     @property
     def is_uniform(self) -> bool:
         """True where every step is within 0.1 % of the mean sample time."""
-        return bool(np.abs(np.diff(self.t) - self.dt).max() <= UNIFORM_TOLERANCE * self.dt)
+        return is_uniform(self.t)
 
     def unit(self, name: str) -> str:
         """Unit of the named signal; empty where not stated."""
@@ -153,18 +154,21 @@ class Record(Traced):
         dt: float | None = None,
         **options: Any,
     ) -> Record:
-        """Read a measured record from HDF5 (format 1 or plain), MATLAB ``.mat``, or CSV/TXT.
+        """Read a measured record: HDF5 (format 1 or plain), MATLAB ``.mat``, Parquet, ROS 2 bag in MCAP, CSV/TXT.
 
         Parameters
         ----------
         path
             The file; its kind is told by its content.
         group
-            HDF5 group or MATLAB struct that holds the signals.
+            HDF5 group, MATLAB struct or topic of a bag that holds the signals.
         inputs, outputs
-            Names of the signals to take. With neither given, all are outputs; with inputs only, all others are.
+            Names of the signals to take; ``"u=SIGNAL"`` takes SIGNAL and calls it u. With neither given, all are
+            outputs; with inputs only, all others are. Of a bag: ``"/joint_states.position[0]"``.
         dt
-            Sample time in s; wins over what the file says.
+            Sample time in s; wins over what the file says. Signals of several clocks (topics of a bag, logs of
+            Simulink) are brought on one of this sample time, or on the coarsest of theirs: inputs held, outputs
+            interpolated, and ``meaning["t"]`` says how much.
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
             `robustlab.files.records.RecordOptions`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
@@ -178,12 +182,137 @@ class Record(Traced):
         ------
         InputError
             What is wrong with the file: signals that are missing or no columns of numbers, no clock, missing samples.
+        DependencyMissing
+            The package that reads such files is not installed: extras ``parquet``, ``ros``.
         """
         from robustlab.files.records import RecordOptions, read_record
 
         reading = {name: options.pop(name) for name in ("limits", "isolate") if name in options}
         wanted = RecordOptions(group, inputs, outputs, dt, **options)
         return cls(**read_record(path, wanted, **reading))
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The record as a data frame of pandas (extra ``frames``).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index ``t`` in s, a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``, ``meaning``,
+            ``inputs`` and ``outputs``; with them `from_pandas` gives the same record, bit for bit.
+
+        Raises
+        ------
+        DependencyMissing
+            pandas is not installed.
+
+        Examples
+        --------
+        >>> frame = Record([0.0, 0.1], {"u": [0, 1]}, {"q": [0.0, 0.3]}, {"q": "m"}).to_pandas()
+        >>> list(frame.columns), frame.index.name, frame.attrs["units"]
+        (['u', 'q'], 't', {'t': 's', 'u': '', 'q': 'm'})
+        """
+        from robustlab.files.frames import frame_of
+
+        return frame_of(vars(self))
+
+    @classmethod
+    def from_pandas(
+        cls,
+        frame: pandas.DataFrame,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Record:
+        """A record of the columns of a data frame (extra ``frames``).
+
+        Parameters
+        ----------
+        frame
+            Rows are samples. The index holds the times: numbers in s, durations, or dates (which then count from the
+            first); of numbered rows a column ``t`` or ``time`` does.
+        inputs, outputs
+            As in `read`; what ``frame.attrs`` says where left out.
+        units
+            Unit that the numbers of a column are in: they are converted to SI. A unit in ``frame.attrs["units"]`` is a
+            label.
+
+        Raises
+        ------
+        InputError
+            Columns that are no numbers, have one name, or are nested; NaN; no clock, or one that does not run forwards.
+        DependencyMissing
+            pandas is not installed.
+
+        Examples
+        --------
+        >>> import pandas
+        >>> frame = pandas.DataFrame({"u": [0.0, 1.0], "phi": [0.0, 180.0]})
+        >>> frame.index = pandas.to_timedelta([0, 2], unit="ms")
+        >>> r = Record.from_pandas(frame, ["u"], ["phi"], {"phi": "deg"})
+        >>> r.t.tolist(), r["phi"].round(6).tolist(), r.unit("phi")
+        ([0.0, 0.002], [0.0, 3.141593], 'rad')
+        """
+        from robustlab.files.frames import keywords_of_frame
+
+        return cls(**keywords_of_frame(frame, inputs, outputs, units))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The record as a data set of xarray (extra ``frames``).
+
+        Returns
+        -------
+        xarray.Dataset
+            A variable for each signal over the coordinate ``t`` in s; attributes ``units``, ``meaning``, ``side`` of
+            each, ``name`` of the data set; with them `from_xarray` gives the same record, bit for bit.
+
+        Raises
+        ------
+        InputError
+            A signal is called ``t``.
+        DependencyMissing
+            xarray is not installed.
+
+        Examples
+        --------
+        >>> data = Record([0.0, 0.1], {"u": [0, 1]}, {"q": [0.0, 0.3]}, {"q": "m"}).to_xarray()
+        >>> dict(data.sizes), data.q.attrs
+        ({'t': 2}, {'units': 'm', 'side': 'output'})
+        """
+        from robustlab.files.frames import dataset_of
+
+        return dataset_of(vars(self))
+
+    @classmethod
+    def from_xarray(
+        cls,
+        dataset: xarray.Dataset,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Record:
+        """A record of the variables of a data set, all over one axis: that of time (extra ``frames``).
+
+        Parameters
+        ----------
+        dataset
+            Its coordinate holds the times: numbers in s (or in what its attribute ``units`` says), durations, or dates.
+        inputs, outputs, units
+            As in `from_pandas`; ``units`` and ``side`` of a variable's attributes where left out.
+
+        Raises
+        ------
+        InputError, DependencyMissing
+            As `from_pandas`; variables over several axes.
+
+        Examples
+        --------
+        >>> r = Record([0.0, 0.1], {"u": [0, 1]}, {"q": [0.0, 0.3]}, {"q": "m"})
+        >>> Record.from_xarray(r.to_xarray())
+        Record('record': 2 samples, 0.1 s, [u] -> [q])
+        """
+        from robustlab.files.frames import keywords_of_dataset
+
+        return cls(**keywords_of_dataset(dataset, inputs, outputs, units))
 
     def to_json(self) -> dict[str, object]:
         """All samples as plain types."""

@@ -44,9 +44,11 @@ PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
 app = typer.Typer(help="Check, convert and compare measured records; name what a model lacks.", no_args_is_help=True)
 
-FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="FILE")]
+FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="FILE")]
 ModelArgument = Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")]
-DataArgument = Annotated[str, typer.Argument(help="Record: HDF5, MATLAB, CSV or TXT file.", metavar="DATA")]
+DataArgument = Annotated[
+    str, typer.Argument(help="Record: HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="DATA")
+]
 SettingsOption = Annotated[
     list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
 ]
@@ -63,17 +65,19 @@ class RecordOptions:
     """How the file of a record is to be read."""
 
     group: Annotated[
-        str | None, typer.Option("--group", help="HDF5 group or MATLAB struct with the signals.", show_default=False)
+        str | None, typer.Option("--group", help="HDF5 group, MATLAB struct or topic of a bag.", show_default=False)
     ] = None
     inputs: Annotated[
-        str | None, typer.Option("--inputs", help="Names of the inputs: u or u,w.", show_default=False)
+        str | None,
+        typer.Option("--inputs", help="Inputs: u or u,w; u=SIGNAL renames.", show_default=False),
     ] = None
     outputs: Annotated[
         str | None, typer.Option("--outputs", help="Names of the outputs: q or q,v.", show_default=False)
     ] = None
     dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None
     clock: Annotated[
-        str | None, typer.Option("--clock", help="Signal with the times; t or time if left out.", show_default=False)
+        str | None,
+        typer.Option("--clock", help="Signal with the times; of a bag: stamp or log.", show_default=False),
     ] = None
     unit: Annotated[
         list[str] | None,
@@ -85,8 +89,8 @@ class RecordOptions:
     decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
 
-    def read(self, file: str, inputs: str | None, group: str | None = None) -> Record:
-        """The record in a file, with these inputs; of this group, where one is given."""
+    def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> Record:
+        """The record in a file, with these inputs; of this group, where one is given. What was done to it is told."""
         from robustlab.record import Record
 
         units = _units(self.unit or [])
@@ -98,6 +102,9 @@ class RecordOptions:
         for name in record.units:
             if name in units and not same_unit(units[name], record.unit(name)):
                 note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
+        if tell:
+            for line in record.meaning.get("t", "").splitlines():
+                note(f"{file}: {line}")
         return record
 
 
@@ -275,6 +282,7 @@ def check(
 
     Example: robustlab data check run3.csv --inputs u --outputs q
     Example: robustlab data check run3.csv --model servo-axis
+    Example: robustlab data check bag.mcap --inputs u=/command.data --outputs q=/joint_states.position[0]
     """
     from robustlab.identification.record_check.suitability import check_record, suitability
 
@@ -282,7 +290,7 @@ def check(
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
     system = _plant_or_model(model, settings or []) if model else None
     inputs = options.inputs or (",".join(_input_names(system)) if system is not None else None)
-    record = options.read(file, inputs)
+    record = options.read(file, inputs, tell=False)
     found = check_record(record)
     clock_line = f"{record.n} samples, {record.duration:.6g} s, dt {record.dt:.6g} s, " + (
         "uniform" if record.is_uniform else "not uniform"
@@ -305,7 +313,7 @@ def check(
 @grouped
 def convert(
     *,
-    source: Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="IN")],
+    source: Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="IN")],
     target: Annotated[str, typer.Argument(help="HDF5 file to write.", metavar="OUT")],
     options: RecordOptions,
     as_json: JsonOption = False,

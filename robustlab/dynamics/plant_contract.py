@@ -280,6 +280,15 @@ class NonlinearPlant(Plant):
         """The rates of `local_models` alone, (n, n_x); where these cost less they are given without the rest."""
         return self.local_models(x, u, values).rates
 
+    def check_reach(self, t: Array, x: Array) -> None:
+        """Whether the machine can be in the states x (n, n_x) at the times t; any by default.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            A state beyond its range; the message names the first time.
+        """
+
     @abstractmethod
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Exact A, B, C, D = df/dx, df/du, dh/dx, dh/du at (x, u); no finite differences."""

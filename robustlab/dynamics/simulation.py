@@ -62,7 +62,8 @@ def simulate(
         Nonlinear plants: relative local error of a step, 1e-8 where left out.
     step
         Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s, without error
-        control. Plants with effects: their longest step, 1 ms where left out.
+        control. Plants with effects: their longest step, 1 ms where left out; of a nonlinear plant steps are then
+        halved until the states change by no more than 1e-4 of their size.
 
     Returns
     -------

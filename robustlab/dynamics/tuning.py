@@ -74,6 +74,10 @@ class DynamicsTuning:
     # The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
     # reversals are located less well.
     nominal_step: float = 1e-3
+    # Of a nonlinear plant the steps are halved until the states change by no more than this share of their root mean
+    # square, so many times at most. Larger: quicker, less exact.
+    halved: float = 1e-4
+    most_halvings: int = 5
     # Matrix exponentials and models that a simulator keeps.
     kept: int = 64
     # Sweeps over joints that rest together, and the share of the largest force at which they agree.

@@ -43,8 +43,9 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
     """
     limits = limits or Limits()
     kind = content_of(path, limits)
-    if kind == "text":
-        raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
+    if kind in ("text", "parquet", "mcap"):
+        found = {"text": "a text file", "parquet": "a Parquet file", "mcap": "an MCAP file"}[kind]
+        raise InputError(str(path), found, "an HDF5 or MATLAB file")
     if isolate:
         tree = read_isolated(kind, path, limits, group)
     elif kind == "hdf5":

@@ -15,12 +15,12 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
+from h5py import h5a, h5d, h5g, h5l, h5o, h5r, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
-from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
 
 __all__ = ["read_hdf5"]
 
@@ -32,6 +32,7 @@ MAX_EXPANSION = 2000
 MAX_ATTRIBUTE = 1 << 20
 MAX_PROBLEMS = 20
 MAX_TEXTS = 100_000
+MAX_REFERENCES = 1000
 TEXTS_AT_A_TIME = 16
 OCTAVE_RANGE = "compound (base, limit, increment)"
 DAMAGED = "copy or export the file again; if it was made by robustlab, run the command that made it again"
@@ -55,7 +56,11 @@ class _Walk:
 
     def is_wanted(self, path: str) -> bool:
         """True for datasets below the wanted group, and for those that lie in the root itself."""
-        return self.wanted is None or path.startswith(f"/{self.wanted}/") or path.count("/") == 1
+        return (
+            self.wanted is None
+            or path.startswith((f"/{self.wanted}/", "/#refs#/"))  # the latter: fields of MATLAB's struct arrays
+            or path.count("/") == 1
+        )
 
 
 def read_hdf5(
@@ -201,11 +206,28 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
         return Dataset(Unread("no values (null dataspace)", ()), attrs)
     if kind == OCTAVE_RANGE and not shape and "OCTAVE_RANGE_NELEM" in attrs:
         return Dataset(np.array(h5py.Dataset(did)[()].tolist(), np.float64), attrs)
+    if kind == "reference" and 0 < math.prod(shape) <= MAX_REFERENCES and walk.is_wanted(path):
+        paths = _references(did)
+        if paths is not None:
+            return Dataset(paths, {**attrs, REFERENCES: np.array(True)})
     if kind not in ("number", "bool", "complex", "text") or not walk.is_wanted(path):
         return Dataset(Unread(kind if kind not in ("number", "text") else "not read", shape), attrs)
     if not _may_be_read(walk, did, plist, path, kind):
         return Dataset(Unread("too large", shape), attrs)
     return Dataset(_values(walk, did, path, kind, shape), attrs)
+
+
+def _references(did: h5d.DatasetID) -> AnyArray | None:
+    """Where the references of a dataset lead, as paths; None where one leads nowhere. They are not followed."""
+    references = np.asarray(h5py.Dataset(did)[()]).ravel().tolist()
+    if not all(isinstance(item, h5py.Reference) and item for item in references):
+        return None
+    names = [h5r.get_name(item, did) for item in references]
+    try:
+        texts = [name.decode() for name in names if name]
+    except UnicodeDecodeError:
+        return None
+    return np.array(texts, np.str_).reshape(did.shape) if len(texts) == len(names) else None
 
 
 def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: str) -> bool:

@@ -25,9 +25,9 @@ HOSTILE = "do not open it with other programs either; get the file again from wh
 
 
 def read_isolated(kind: str, path: str | Path, limits: Limits, group: str | None = None, **options: Any) -> Tree:
-    """Read a file of kind ``hdf5``, ``matlab5`` or ``table`` in a fresh interpreter.
+    """Read a file of kind ``hdf5``, ``matlab5``, ``parquet``, ``mcap`` or ``table`` in a fresh interpreter.
 
-    ``options`` go to the reader of a table: ``delimiter``, ``decimal``.
+    ``options`` go to the reader: of a table ``delimiter``, ``decimal``; of Parquet and MCAP ``wanted``.
 
     Raises
     ------

@@ -28,7 +28,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
-from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
 
 __all__ = ["check_matlab5_sizes", "from_matlab73", "read_matlab5", "write_matlab5"]
 
@@ -37,10 +37,12 @@ MAX_EMPTY = 1 << 31  # longest side of an array without entries
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 HEADER = 128  # bytes
 MATRIX, COMPRESSED = 14, 15  # data types of elements
-CELL, STRUCT, OBJECT, CHAR, SPARSE = 1, 2, 3, 4, 5  # classes of matrices; 6 to 15 are numbers
+OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object as scipy hands it over: variable, system, class, content
+CELL, STRUCT, OBJECT, CHAR, SPARSE, OPAQUE = 1, 2, 3, 4, 5, 17  # classes of matrices; 6 to 15 are numbers
 COMPLEX = 0x800  # flag
 LONGEST_HEADER = 256  # bytes of flags, of 32 sizes, of a name
 MAX_ELEMENTS = 100_000
+MAX_NESTED, MAX_STRUCTS = 32, 10_000  # of struct arrays in version 7.3
 PIECE = 1 << 16  # bytes inflated at a time
 # What one value of each class takes once it is read: numbers become float64, a struct is a Python object.
 BYTES_OF_VALUE = {CELL: 8, STRUCT: 400, OBJECT: 400, CHAR: 8}
@@ -73,6 +75,8 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
         raise InputError(where, f"damaged MATLAB file ({type(error).__name__}: {str(error)[:100]})") from error
     for name, value in variables.items():
         if not (name.startswith("__") and name.endswith("__")):
+            if isinstance(value, np.ndarray) and value.dtype.names == OPAQUE_FIELDS and value.size == 1:
+                name = _latin(value["s0"].flat[0])  # scipy calls objects None, or by nothing
             _variable(tree, name, value, limits, 0)
     return tree
 
@@ -87,6 +91,11 @@ def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> 
         group, struct = tree.group(name), array.flat[0]
         for key in struct._fieldnames:
             _variable(group, key, getattr(struct, key), limits, depth + 1)
+        return
+    if array.dtype.kind == "O" and array.size > 1 and all(hasattr(item, "_fieldnames") for item in array.flat):
+        group = tree.group(name)
+        for k, item in enumerate(array.ravel(order="F").tolist()):  # a struct array: one group an element
+            _variable(group, str(k + 1), item, limits, depth + 1)
         return
     tree.datasets[name] = Dataset(_matlab_values(array))
 
@@ -103,8 +112,14 @@ def _matlab_values(array: AnyArray) -> Any:
         if all(cell.dtype.kind == "U" and cell.size <= 1 for cell in cells):
             texts = [str(cell.flat[0]) if cell.size else "" for cell in cells]
             return np.array(texts, dtype=np.str_).reshape(array.shape)
-        return Unread("struct array" if cells and hasattr(array.flat[0], "_fieldnames") else "cell array", array.shape)
+        return Unread("cell array", array.shape)
+    if array.dtype.names == OPAQUE_FIELDS and array.size == 1:
+        return Unread(f"MATLAB object ({_latin(array['s2'].flat[0])})", array.shape)
     return Unread("MATLAB object", array.shape)
+
+
+def _latin(text: Any) -> str:
+    return text.decode("latin-1") if isinstance(text, bytes) else str(text)
 
 
 def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
@@ -239,7 +254,7 @@ class _Walk:
         if depth > self.limits.depth:
             raise self._refused(f"cells and structs are nested deeper than {self.limits.depth}")
         self._count(BYTES_OF_MATRIX)
-        place, of_value, expected = 0, 0, 0
+        place, of_value, expected, opaque = 0, 0, 0, False
         while left >= 8:
             raw = source.take(8)
             kind, length = struct.unpack(self.order + "II", raw)
@@ -261,10 +276,13 @@ class _Walk:
                     source.skip(padded)
             if place == 0 and len(data) >= 4:
                 flags = struct.unpack(self.order + "I", data[:4])[0]
+                opaque = flags & 0xFF == OPAQUE  # of these name, system and class follow, no sizes
                 of_value = BYTES_OF_VALUE.get(flags & 0xFF, 16 if flags & COMPLEX else 8)
-            elif place == 1 and len(data) >= 4:
+            elif place == 1 and len(data) >= 4 and not opaque:
                 expected = of_value * math.prod(struct.unpack(f"{self.order}{len(data) // 4}I", data[: len(data) & ~3]))
-            elif place == 2:
+            elif place == 1 and opaque:
+                self.name = self.name if depth else data.decode("latin-1") or "?"
+            elif place == 2 and not opaque:
                 self.name = self.name if depth else data.decode("latin-1") or "?"
                 self._count(expected)
             place += 1
@@ -294,19 +312,57 @@ class _Walk:
 
 def from_matlab73(tree: Tree) -> Tree:
     """The same tree with everything that MATLAB marked in MATLAB's own shape; unmarked datasets stay as they are."""
+    # Where MATLAB keeps the contents of cells and of fields of struct arrays; only the latter are put in their places.
+    return _group73(tree, tree.groups.get("#refs#", Tree()), 0, [0])
+
+
+def _group73(tree: Tree, stored: Tree, depth: int, count: list[int]) -> Tree:
     result = Tree(dict(tree.attrs), {}, {}, tree.path, tree.file)
+    elements = _elements73(tree)
+    if elements:
+        count[0] += len(elements)
+        if depth > MAX_NESTED or count[0] > MAX_STRUCTS:  # references may lead to one struct from many, and in circles
+            raise InputError(tree.file, f"{tree.path}: more than {MAX_STRUCTS} structs, or nested too deep")
+        for k, fields in enumerate(elements, start=1):
+            element = Tree({}, {}, {}, f"{tree.path}/{k}", tree.file)
+            for name, path in fields.items():
+                key = path.removeprefix("/#refs#/")
+                if key in stored.datasets:
+                    element.datasets[name] = stored.datasets[key]
+                elif key in stored.groups:
+                    element.groups[name] = stored.groups[key]
+            result.groups[str(k)] = _group73(element, stored, depth + 1, count)
+        return result
     for name, dataset in tree.datasets.items():
         result.datasets[name] = _from_matlab73(dataset)
     for name, group in tree.groups.items():
-        # Where MATLAB keeps the contents of cells and objects; they are reached by references, which are not followed.
         if name not in ("#refs#", "#subsystem#"):
-            result.groups[name] = from_matlab73(group)
+            result.groups[name] = _group73(group, stored, depth + 1, count)
     return result
+
+
+def _elements73(tree: Tree) -> list[dict[str, str]]:
+    """Field -> path, for each element of a struct array; it is stored as a group with a list of references a field."""
+    marker = np.asarray(tree.attrs.get("MATLAB_class", ""))
+    if marker.size != 1 or str(marker.flat[0]) != "struct" or not tree.datasets or tree.groups:
+        return []
+    lists: dict[str, list[str]] = {}
+    for name, dataset in tree.datasets.items():
+        if not isinstance(dataset.values, np.ndarray) or REFERENCES not in dataset.attrs:
+            return []
+        lists[name] = dataset.values.ravel().tolist()
+    if len({len(paths) for paths in lists.values()}) > 1:
+        return []
+    return [dict(zip(lists, paths, strict=True)) for paths in zip(*lists.values(), strict=True)]
 
 
 def _from_matlab73(dataset: Dataset) -> Dataset:
     marker = np.asarray(dataset.attrs.get("MATLAB_class", ""))
     values = dataset.values
+    if REFERENCES in dataset.attrs:
+        values = Unread("reference", np.shape(values) if isinstance(values, np.ndarray) else values.shape)
+        attrs = {key: item for key, item in dataset.attrs.items() if key != REFERENCES}
+        dataset = Dataset(values, attrs)
     if marker.dtype.kind != "U" or marker.size != 1 or not marker.flat[0]:
         return dataset
     kind = str(marker.flat[0])

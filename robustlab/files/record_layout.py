@@ -9,7 +9,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, not_finite
 from robustlab.errors import InputError
-from robustlab.files.tree import Tree, link_name, signal_name, type_name
+from robustlab.files.tree import Tree, link_name, signal_name, text_attr, type_name
 
 __all__ = ["decode_record", "encode_record"]
 
@@ -17,7 +17,8 @@ __all__ = ["decode_record", "encode_record"]
 def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
     """Put the arguments of a Record into ``tree``."""
     tree.attrs["name"] = keywords["name"]
-    tree.put("t", keywords["t"], unit="s")
+    of_clock = {"meaning": keywords["meaning"]["t"]} if "t" in keywords["meaning"] else {}
+    tree.put("t", keywords["t"], unit="s", **of_clock)
     for side in ("inputs", "outputs"):
         group = tree.group(side)
         for position, (name, values) in enumerate(keywords[side].items()):
@@ -45,6 +46,8 @@ def decode_record(node: Tree, where: str) -> dict[str, Any]:
     else:
         keywords["t"] = _column(node, "t", problems)
         n = len(keywords["t"])
+        if text := text_attr(node.datasets["t"].attrs, "meaning"):
+            keywords["meaning"]["t"] = text
     for side in ("inputs", "outputs"):
         keywords[side] = {}
         group = node.groups.get(side, Tree())

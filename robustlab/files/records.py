@@ -1,53 +1,41 @@
-"""Measured records from HDF5, MATLAB and text files, as the arguments of `robustlab.record.Record`."""
+"""Measured records from HDF5, MATLAB, Parquet, MCAP and text files, as the arguments of `robustlab.record.Record`.
+
+What is done to a record's clock is told in its meaning of ``t``, a line each: stamps that count from the first one, a
+sample time given against what the file's clock says, signals of several clocks brought on one.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array, not_finite
+from robustlab.arrays import Array, Mask, not_finite
+from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
+from robustlab.files.logs import opaque_class, recipe_of
 from robustlab.files.record_layout import decode_record
+from robustlab.files.record_source import CLOCK_NAMES, Source, from_bag, from_parquet, from_text, from_tree, one_of
 from robustlab.files.signature import Limits, content_of
-from robustlab.files.text_table import read_table
-from robustlab.files.tree import Tree, Unread, check_header, is_stamped, text_attr, type_name
+from robustlab.files.tree import Tree, Unread, check_header, is_stamped, type_name
 from robustlab.units import factor_to_si, same_unit
 
-__all__ = ["CLOCK_NAMES", "RecordOptions", "read_record"]
+__all__ = ["CLOCK_NAMES", "RecordOptions", "choose", "read_record"]
 
-CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "zeit", "Zeit")
-SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
+SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 # A step longer than this many median steps, in a clock that is otherwise regular, is a hole.
 GAP = 1.5
-
-
-@dataclass
-class _Channel:
-    values: AnyArray | Unread
-    unit: str = ""
-    meaning: str = ""
-    dt: float = 0.0  # sample time stated at the channel itself; 0 = not stated
-
-
-@dataclass
-class _Source:
-    """All channels of a file (or of one group of it) before anything is chosen."""
-
-    where: str
-    name: str
-    prefix: str
-    channels: dict[str, _Channel]
-    dt: float = 0.0
-    groups: list[str] = field(default_factory=list)
-
-    def label(self, name: str) -> str:
-        return f"{self.prefix}{name}"
+# s; three years. A clock of whole numbers that begins later counts from its first sample, which keeps all digits.
+LONG = 1e8
+# s; some 3000 years. A clock beyond it shows smaller units since 1970, whatever it says.
+TOO_LATE = 1e11
+# A sample time given beside a clock that differs by more than this is told.
+SAME_RATE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -57,15 +45,18 @@ class RecordOptions:
     Attributes
     ----------
     group
-        HDF5 group or MATLAB struct that holds the signals.
+        HDF5 group, MATLAB struct or topic of a bag that holds the signals.
     inputs, outputs
-        Names of the signals to take. With neither given, all signals are outputs, because only the user knows which are
-        inputs (a format 1 record knows). With inputs only, all others are outputs.
+        Names of the signals to take; ``"u=SIGNAL"`` takes SIGNAL and calls it u. With neither given, all signals are
+        outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only, all others
+        are outputs. Of a bag the outputs are to be named, or its topic.
     dt
         Sample time in s; wins over what the file says. Without it and without a clock, the attribute ``Ts`` (or ``dt``,
-        in s, or ``fs`` in Hz) of the signals, else of their group, else of the file is used.
+        in s, or ``fs`` in Hz) of the signals, else of their group, else of the file is used. Signals of several clocks
+        are brought on one of this sample time, or on the coarsest of theirs.
     clock
-        Name of the signal with the times; ``t`` or ``time`` where left out. A unit of ms, us or min is converted to s.
+        Name of the signal with the times; ``t`` or ``time`` where left out. A unit of ms, us, ns or min is converted to
+        s. Of a bag: ``stamp`` or ``log``.
     units
         Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
         rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
@@ -98,7 +89,7 @@ def read_record(
     Parameters
     ----------
     path
-        HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file; told by content.
+        HDF5 (format 1 or plain), MATLAB 5 or 7.3, Parquet, MCAP (ROS 2), or a text file; told by content.
     options
         What to take of it.
     limits, isolate
@@ -108,77 +99,51 @@ def read_record(
     ------
     InputError
         Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no
-        clock; missing samples; a unit for no signal, or another one than the file states.
+        clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than the file states.
+    DependencyMissing
+        The package that reads such files is not installed.
     """
-    group = options.group
-    if content_of(path, limits) == "text":
-        return _choose(_from_text(path, options, limits, isolate), options)
+    group, content = options.group, content_of(path, limits)
+    if content == "text":
+        return choose(from_text(path, group, options.delimiter, options.decimal, limits, isolate), options)
+    if content == "parquet":
+        return choose(from_parquet(path, group, _wanted(options), limits or Limits(), isolate), options)
+    if content == "mcap":
+        source = from_bag(path, group, _wanted(options, bool(group)), options.clock, limits or Limits(), isolate)
+        if group is None and options.outputs is None:
+            raise InputError(
+                str(path), "no outputs chosen", source.listing, "--outputs, or --group TOPIC for all of one"
+            )
+        return choose(source, replace(options, clock=None))
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
         return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
     node = tree.find(group) if group else tree
     if node is None:
         known = tree.group_names()
-        raise InputError(str(path), f"missing group /{group}", _list("one of", known), did_you_mean(group or "", known))
+        raise InputError(
+            str(path), f"missing group /{group}", one_of("one of", known), did_you_mean(group or "", known)
+        )
     if {"inputs", "outputs"} & set(node.groups):
         return _stored(node, str(path), options)
-    return _choose(_from_tree(path, tree, node, group), options)
+    return choose(from_tree(path, tree, node, group), options)
 
 
-# --- what the file holds ---------------------------------------------------------------------------------------------
+def _wanted(options: RecordOptions, others: bool = True) -> list[str] | None:
+    """The signals that may be meant: each text, and what stands behind its sign of equality; None for all."""
+    if options.outputs is None and (others or options.inputs is None):
+        return None
+    texts = [
+        *_texts(options.inputs),
+        *_texts(options.outputs),
+        *([options.clock] if options.clock else []),
+        *CLOCK_NAMES,
+    ]
+    return list(dict.fromkeys(part for text in texts for part in (text, text.partition("=")[2].strip()) if part))
 
 
-def _from_text(path: str | Path, options: RecordOptions, limits: Limits | None, isolate: bool) -> _Source:
-    where = str(path)
-    if options.group:
-        raise InputError(where, f"group {options.group!r} of a text file", "no group: text files have none")
-    table = read_table(path, options.delimiter, options.decimal, limits, isolate)
-    columns = zip(table.names, table.units, table.values.T, strict=True)
-    return _Source(
-        where, Path(path).stem, "", {name: _Channel(np.array(values), unit) for name, unit, values in columns}
-    )
-
-
-def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _Source:
-    channels = {}
-    for name, dataset in node.datasets.items():
-        attrs = dataset.attrs
-        channels[name] = _Channel(
-            _column(dataset.values),
-            text_attr(attrs, "unit") or "",
-            text_attr(attrs, "meaning") or "",
-            _sample_time(attrs),
-        )
-    own = _sample_time(node.attrs) or _sample_time(tree.attrs)
-    for name in ("Ts", "dt"):  # MATLAB has no attributes: there the sample time is a variable
-        if (
-            not own
-            and name in channels
-            and isinstance(values := channels[name].values, np.ndarray)
-            and values.size == 1
-        ):
-            own = float(channels.pop(name).values.flat[0])
-    stem = Path(path).stem
-    prefix = f"{node.path.rstrip('/')}/"
-    return _Source(
-        str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, tree.group_names()
-    )
-
-
-def _column(values: AnyArray | Unread) -> AnyArray | Unread:
-    """MATLAB's columns and rows are two-dimensional; a record's channels are not."""
-    if isinstance(values, np.ndarray) and values.ndim == 2 and 1 in values.shape:
-        return values.reshape(-1)
-    return values
-
-
-def _sample_time(attrs: Mapping[str, Any]) -> float:
-    for name in ("Ts", "dt", "fs"):
-        value = np.asarray(attrs.get(name, 0.0))
-        if value.dtype.kind in "fi" and value.size == 1 and float(value.flat[0]) > 0:
-            number = float(value.flat[0])
-            return 1.0 / number if name == "fs" else number
-    return 0.0
+def _texts(given: Sequence[str] | None) -> list[str]:
+    return [given] if isinstance(given, str) else list(given or [])
 
 
 # --- a record of format 1 --------------------------------------------------------------------------------------------
@@ -199,17 +164,20 @@ def _stored(node: Tree, where: str, options: RecordOptions) -> dict[str, Any]:
     """Groups ``inputs`` and ``outputs``: the layout of format 1, which `robustlab.storage` reads too."""
     keywords, inputs, outputs = decode_record(node, where), options.inputs, options.outputs
     known = {**keywords["inputs"], **keywords["outputs"]}
+    names = {name: name for name in known}
     if inputs is not None or outputs is not None:
-        wanted = [*(inputs or []), *(outputs or [])]
-        missing = [name for name in wanted if name not in known]
+        ins = {name: name for name in keywords["inputs"]} if inputs is None else _named(inputs, known)
+        rest = {name: name for name in known if name not in ins.values()}
+        outs = rest if outputs is None else _named(outputs, known)
+        missing = [signal for signal in (*ins.values(), *outs.values()) if signal not in known]
         if missing:
-            raise _missing(where, missing, list(known), node.path.rstrip("/") + "/")
-        keywords["inputs"] = {name: known[name] for name in (inputs if inputs is not None else keywords["inputs"])}
-        rest = [name for name in known if name not in keywords["inputs"]] if outputs is None else outputs
-        keywords["outputs"] = {name: known[name] for name in rest}
-    taken = {*keywords["inputs"], *keywords["outputs"]}
+            raise _missing(where, missing, one_of("one of", list(known)), list(known), node.path.rstrip("/") + "/")
+        keywords["inputs"], keywords["outputs"] = ({name: known[s] for name, s in side.items()} for side in (ins, outs))
+        names = {**ins, **outs}
     for key in ("units", "meaning"):
-        keywords[key] = {name: text for name, text in keywords[key].items() if name in taken}
+        told = keywords[key]
+        of_clock = {"t": told["t"]} if "t" in told else {}
+        keywords[key] = {**of_clock, **{name: told[signal] for name, signal in names.items() if signal in told}}
     _convert(where, keywords["inputs"], keywords["outputs"], keywords["units"], options.units or {})
     return keywords
 
@@ -217,37 +185,129 @@ def _stored(node: Tree, where: str, options: RecordOptions) -> dict[str, Any]:
 # --- choosing --------------------------------------------------------------------------------------------------------
 
 
-def _choose(source: _Source, options: RecordOptions) -> dict[str, Any]:
-    inputs, outputs, dt, units = options.inputs, options.outputs, options.dt, options.units or {}
+def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
+    """Keywords of a record from what a file (or a table in memory) holds; errors as `read_record`."""
+    dt, units = options.dt, dict(options.units or {})
     known = list(source.channels)
     # With dt given the file's clock is not used, and a column of that name is no signal either.
-    clock = options.clock or next((name for name in CLOCK_NAMES if name in known), None)
-    ins = [inputs] if isinstance(inputs, str) else list(inputs or [])
-    outs = [outputs] if isinstance(outputs, str) else list(outputs or [])
-    if outputs is None:
-        outs = [name for name in known if name not in (*ins, clock)]
-    asked = [*ins, *outs, *([clock] if clock and dt is None else [])]
+    clock = options.clock or source.clock or next((name for name in CLOCK_NAMES if name in known), None)
+    stated = options.inputs is None and options.outputs is None and (source.inputs or source.outputs)
+    ins = _named(source.inputs if stated else options.inputs, known)
+    outs = _named(source.outputs if stated else options.outputs, known)
+    if options.outputs is None and not stated:
+        outs = {name: name for name in _of_default_clock(source, clock, dt) if name not in (*ins.values(), clock)}
+    signals = {**ins, **outs}
+    asked = [*signals.values(), *([clock] if clock and dt is None else [])]
     missing = [name for name in asked if name not in known]
     if missing and not known:
         raise _no_signals(source, f"missing {', '.join(source.label(name) for name in missing)}")
     if missing:
-        raise _missing(source.where, missing, known, source.prefix)
-    if not outs and not ins:
+        raise _missing(source.where, missing, source.shown(), known, source.prefix)
+    if not signals:
         raise _no_signals(source, "no signals here")
-    arrays = {name: _numbers(source, name) for name in dict.fromkeys([*ins, *outs])}
-    n = _common_length(source, arrays)
-    if clock is not None and clock in units and clock not in arrays:
+    arrays = {signal: _numbers(source, signal) for signal in signals.values()}
+    if clock is not None and clock in units and clock not in signals:
         _agree(source.where, clock, source.channels[clock].unit, units[clock])
-        source.channels[clock].unit = units[clock]
-        units = {name: unit for name, unit in units.items() if name != clock}
-    t = _times(source, list(arrays), n, dt, clock)
-    if not options.allow_gaps:
-        _refuse_gaps(source.where, t)
-    meanings = {name: source.channels[name].meaning for name in arrays if source.channels[name].meaning}
-    stated = {name: source.channels[name].unit for name in arrays}
-    taken = {name: arrays[name] for name in ins}, {name: arrays[name] for name in outs}
-    _convert(source.where, *taken, stated, units)
-    return {"t": t, "inputs": taken[0], "outputs": taken[1], "units": stated, "name": source.name, "meaning": meanings}
+        source.channels[clock].unit = units.pop(clock)
+    order = dict.fromkeys(source.channels[signal].clock for signal in (*outs.values(), *ins.values()))
+    if len(order) > 1 and not _same_clock([source.clocks.get(key) for key in order]):
+        t, arrays = _on_one_clock(source, arrays, set(ins.values()), list(order), clock, options)
+    else:
+        n = _common_length(source, arrays)
+        t = _times(source, list(arrays), n, dt, clock)
+        if not options.allow_gaps:
+            _refuse_gaps(source.where, "t", t)
+    meaning = {name: source.channels[signal].meaning for name, signal in signals.items()}
+    meaning = {name: text for name, text in {"t": "\n".join(source.notes), **meaning}.items() if text}
+    told = {name: source.channels[signal].unit for name, signal in signals.items()}
+    inputs, outputs = ({name: arrays[signal] for name, signal in side.items()} for side in (ins, outs))
+    _convert(source.where, inputs, outputs, told, units)
+    return {"t": t, "inputs": inputs, "outputs": outputs, "units": told, "name": source.name, "meaning": meaning}
+
+
+def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str]:
+    """Name in the record -> signal of the file: ``u=SIGNAL``, or both are the same."""
+    found: dict[str, str] = {}
+    for text in _texts(texts):
+        name, sign, signal = text.partition("=")
+        alone = text in known or not sign
+        found[text if alone else name.strip()] = text if alone else signal.strip()
+    return found
+
+
+def _of_default_clock(source: Source, clock: str | None, dt: float | None) -> list[str]:
+    """What is read where nothing is named: the signals of the source's own clock, or where it has none all logs."""
+    own = [name for name, channel in source.channels.items() if not channel.clock]
+    logged = [name for name, channel in source.channels.items() if channel.clock]
+    return own if not logged or clock in own or (own and (dt or source.dt)) else logged
+
+
+def _same_clock(clocks: list[Array | None]) -> bool:
+    first = clocks[0]
+    return first is not None and all(t is not None and np.array_equal(t, first) for t in clocks[1:])
+
+
+def _on_one_clock(
+    source: Source,
+    arrays: dict[str, Array],
+    ins: set[str],
+    keys: list[str],
+    clock: str | None,
+    options: RecordOptions,
+) -> tuple[Array, dict[str, Array]]:
+    """Signals of several clocks on one: inputs held, outputs interpolated; what was done goes to the notes."""
+    clocks: dict[str, Array] = {}
+    for key in keys:
+        mine = {name: values for name, values in arrays.items() if source.channels[name].clock == key}
+        label = key or clock or "t"
+        t = _times(source, list(mine), _common_length(source, mine), None, None if key else clock)
+        _refuse_backwards(source.where, label, t)
+        if not options.allow_gaps:
+            _refuse_gaps(source.where, label, t)
+        clocks[key] = t
+    t, coarse = common_clock(source.where, clocks, options.dt)
+    step = float(np.median(np.diff(t)))
+    found: dict[str, Array] = {}
+    follows = f"that of {coarse or clock}" if options.dt is None else "as given"
+    source.notes.append(
+        f"{len(keys)} clocks brought on one of {1 / step:.6g} Hz ({follows}), {t[0]:.6g} s to {t[-1]:.6g} s"
+    )
+    for key in keys:
+        mine = [name for name in arrays if source.channels[name].clock == key]
+        between, apart = np.zeros(len(t), bool), 0.0
+        for name in mine:
+            if name in ins:
+                found[name] = held(t, clocks[key], arrays[name], step)
+                continue
+            found[name], own, gaps = interpolated(t, clocks[key], arrays[name], step)
+            between, apart = ~own, float(np.where(own, 0.0, gaps).max())
+        source.notes.append(f"{key or clock}: {_done(mine, ins, clocks[key], between, apart, step)}")
+    return t, found
+
+
+def _done(mine: list[str], ins: set[str], t: Array, between: Mask, apart: float, step: float) -> str:
+    """What one of several clocks is like, and what was done to its signals."""
+    own, words = summarise_clock(t), []
+    if not ins.issuperset(mine):
+        words.append(
+            f"outputs interpolated at {100 * between.mean():.3g} % of the samples"
+            + (f", over {apart:.4g} s at most" if between.any() else "")
+        )
+    if not ins.isdisjoint(mine):
+        words.append("inputs held at their last sample")
+    if own.step < 0.75 * step:
+        words.append(f"{step / own.step:.3g} to 1, without a filter")
+    return "; ".join([own.text(), *words])
+
+
+def _refuse_backwards(where: str, label: str, t: Array) -> None:
+    if len(t) < 2:
+        raise InputError(f"{where}: {label}", f"{len(t)} samples", "at least 2")
+    steps = np.diff(t)
+    if (steps <= 0).any():
+        k = int(np.argmax(steps <= 0)) + 1
+        word = "repeats the stamp before it" if steps[k - 1] == 0 else "runs backwards"
+        raise InputError(f"{where}: {label}[{k}]", f"{t[k]:.9g} s {word}", "strictly increasing times")
 
 
 def _convert(
@@ -262,7 +322,7 @@ def _convert(
         side = inputs if name in inputs else outputs
         if name not in side:
             known = [*inputs, *outputs]
-            raise InputError(where, f"a unit for {name!r}", _list("one of", known), did_you_mean(name, known))
+            raise InputError(where, f"a unit for {name!r}", one_of("one of", known), did_you_mean(name, known))
         _agree(where, name, stated.get(name, ""), unit)
         factor, stated[name] = factor_to_si(unit)
         if factor != 1.0:
@@ -279,22 +339,27 @@ def _agree(where: str, name: str, stated: str, given: str) -> None:
         )
 
 
-def _no_signals(source: _Source, found: str) -> InputError:
+def _no_signals(source: Source, found: str) -> InputError:
     if not source.groups:
         return InputError(source.where, found, "a file with signals")
     return InputError(
         source.where,
         found,
-        _list("signals in the group given; groups are", source.groups),
+        source.listing or one_of("signals in the group given; groups are", source.groups),
         f"--group {source.groups[0] if len(source.groups) == 1 else 'NAME'}",
     )
 
 
-def _numbers(source: _Source, name: str) -> Array:
+def _numbers(source: Source, name: str) -> Array:
     values = source.channels[name].values
     where = f"{source.where}: {source.label(name)}"
+    if isinstance(values, Unread) and (kind := opaque_class(values.dtype)):
+        hint = recipe_of(name, kind)
+        raise InputError(where, f"a {kind}, which MATLAB keeps in a form of its own", "plain arrays or structs", hint)
     if isinstance(values, Unread) or values.dtype.kind not in "fib":
-        raise InputError(where, f"dtype {type_name(values)}", "a column of real numbers")
+        raise InputError(
+            where, f"dtype {type_name(values)}", "a column of real numbers", "choose signals with inputs= and outputs="
+        )
     if values.ndim != 1:
         raise InputError(where, f"shape {values.shape}", "one column")
     array = values.astype(np.float64)
@@ -304,7 +369,7 @@ def _numbers(source: _Source, name: str) -> Array:
     return array
 
 
-def _common_length(source: _Source, arrays: Mapping[str, Array]) -> int:
+def _common_length(source: Source, arrays: Mapping[str, Array]) -> int:
     lengths = {name: len(values) for name, values in arrays.items()}
     if len(set(lengths.values())) > 1:
         first = next(iter(lengths))
@@ -323,23 +388,20 @@ def _common_length(source: _Source, arrays: Mapping[str, Array]) -> int:
     return next(iter(lengths.values()))
 
 
-def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: str | None) -> Array:
-    if dt is None and clock is not None:
-        t = _numbers(source, clock)
-        unit = source.channels[clock].unit
-        if unit not in SECONDS:
-            raise InputError(
-                f"{source.where}: {source.label(clock)}",
-                f"unit {unit!r}",
-                f"one of {', '.join(u for u in SECONDS if u)}",
-            )
-        if len(t) != n:
-            raise InputError(
-                source.where,
-                f"{source.label(names[0])} has {n} samples",
-                f"{len(t)} as the clock {source.label(clock)}",
-            )
-        return np.multiply(t, SECONDS[unit], dtype=np.float64)
+def _times(source: Source, names: list[str], n: int, dt: float | None, clock: str | None) -> Array:
+    key = source.channels[names[0]].clock
+    given = source.clocks[key] if key else None
+    if not key and clock and clock in source.channels:
+        try:
+            given = _clock(source, clock, tell=dt is None)
+        except InputError:
+            if dt is None:
+                raise  # with dt given the clock need not be one
+    if dt is None and given is not None:
+        if len(given) != n:
+            label = key or source.label(clock or "t")
+            raise InputError(source.where, f"{label} has {len(given)} samples, the signals {n}", "equal lengths")
+        return given
     if dt is None:
         own = {name: source.channels[name].dt for name in names}
         if len(set(own.values())) > 1:
@@ -347,16 +409,42 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
             raise InputError(source.where, f"sample times differ: {text}", "signals of one clock")
         dt = next(iter(own.values())) or source.dt
     if not dt:
-        columns = _list("a column t, or one of", names)
+        columns = one_of("a column t, or one of", names)
         raise InputError(
             source.where, "no clock and no sample time", columns + " as clock=", "--dt SECONDS, or --clock NAME"
         )
     if not np.isfinite(dt) or dt < 0:
         raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
+    if given is not None and len(given) > 1 and (np.diff(given) > 0).all():
+        gain = clock_step(given) / dt - 1
+        if abs(gain) > SAME_RATE:
+            source.notes.append(
+                f"dt = {dt:g} s as given; {key or clock} has steps of {clock_step(given):.9g} s ({1e6 * gain:+.3g} ppm)"
+            )
     return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
-def _refuse_gaps(where: str, t: Array) -> None:
+def _clock(source: Source, name: str, tell: bool) -> Array:
+    """The named channel in s; where its times count from is told."""
+    channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
+    if channel.unit not in SECONDS:
+        raise InputError(
+            where, f"unit {channel.unit!r}", f"one of {', '.join(filter(None, SECONDS))}", f"--unit {name}=ms"
+        )
+    t, factor = _numbers(source, name), SECONDS[channel.unit]
+    raw = channel.values
+    if factor == 1.0 and len(t) and np.abs(t).max() > TOO_LATE:
+        unit = next(u for u, most in (("ms", 1e14), ("us", 1e17), ("ns", np.inf)) if np.abs(t).max() <= most)
+        found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
+        raise InputError(where, found, "times in s", f"--unit {name}={unit}, if it is {unit}")
+    if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
+        if tell:
+            source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
+        t = (raw - raw[0]).astype(np.float64)
+    return t / round(1 / factor) if factor < 1 else t * factor
+
+
+def _refuse_gaps(where: str, label: str, t: Array) -> None:
     """Missing samples: steps far longer than the others of a clock that is otherwise regular."""
     steps = np.diff(t)
     if len(steps) < 2 or (steps <= 0).any():
@@ -369,21 +457,16 @@ def _refuse_gaps(where: str, t: Array) -> None:
         lost = round(float(steps[k]) / median) - 1
         raise InputError(
             where,
-            f"t: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s "
+            f"{label}: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s "
             f"({len(holes)} gaps in all)",
             f"a sample every {median:.6g} s",
             "cut the record there, or allow_gaps=True (--allow-gaps)",
         )
 
 
-def _missing(where: str, missing: list[str], known: list[str], prefix: str) -> InputError:
+def _missing(where: str, missing: list[str], shown: str, known: list[str], prefix: str) -> InputError:
     lines = []
     for name in missing:
         near = did_you_mean(name, known)
         lines.append(f"missing {prefix}{name}" + (f" ({near})" if near else ""))
-    return InputError(where, lines[0], _list("one of", known), None, tuple(f"{where}: {line}" for line in lines[1:]))
-
-
-def _list(word: str, names: Sequence[str]) -> str:
-    shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    return f"{word} {shown}" if names else "a file with signals"
+    return InputError(where, lines[0], shown, None, tuple(f"{where}: {line}" for line in lines[1:]))

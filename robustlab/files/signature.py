@@ -13,9 +13,15 @@ from robustlab.errors import InputError, did_you_mean
 __all__ = ["Content", "Limits", "content_of", "require_file", "size_text"]
 
 MIB = 1 << 20
-Content = Literal["hdf5", "matlab5", "text"]
+Content = Literal["hdf5", "matlab5", "parquet", "mcap", "text"]
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-BINARY_SUFFIXES = {".h5", ".hdf5", ".hdf", ".he5", ".mat"}
+PARQUET_MAGIC, MCAP_MAGIC = b"PAR1", b"\x89MCAP0\r\n"
+BINARY_SUFFIXES = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf", ".he5"), "an HDF5 file"),
+    ".mat": "a MATLAB file of version 5 or 7.3",
+    ".parquet": "a Parquet file",
+    ".mcap": "an MCAP file",
+}
 _CODE = "such files can carry code that runs when they are read"
 _PICKLES = "arrays of objects in such files are pickles, which can carry code"
 _TAGS = "YAML tags can carry code, and it reads 1e-3 as text"
@@ -28,7 +34,7 @@ REFUSED_SUFFIXES = {
     ".yaml": _TAGS,
     ".yml": _TAGS,
 }
-_FORMATS = "HDF5, MATLAB (.mat) or text (.csv, .txt)"
+_FORMATS = "HDF5, MATLAB (.mat), Parquet, MCAP or text (.csv, .txt)"
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,8 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
 
 def _check_state(state: os.stat_result, where: str, limits: Limits) -> None:
     if stat.S_ISDIR(state.st_mode):
-        raise InputError(where, "is a directory", "a file")
+        bags = sorted(str(file) for file in Path(where).glob("*.mcap"))  # a bag of ROS 2 is a folder
+        raise InputError(where, "is a directory", "a file", bags[0] if bags else None)
     if not stat.S_ISREG(state.st_mode):
         raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
     if state.st_size == 0:
@@ -142,9 +149,15 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
         return "hdf5"
     if head[126:128] in (b"IM", b"MI") and (head[124:126] in (b"\x00\x01", b"\x01\x00")):
         return "matlab5"
+    if head.startswith(PARQUET_MAGIC):
+        return "parquet"
+    if head.startswith(MCAP_MAGIC):
+        return "mcap"
     if path.suffix.lower() in BINARY_SUFFIXES:
-        what = "MATLAB file of version 5 or 7.3" if path.suffix.lower() == ".mat" else "HDF5 file"
-        raise InputError(where, f"not an {what}".replace("an M", "a M") + f" (first bytes {head[:4].hex(' ')})")
+        raise InputError(where, f"not {BINARY_SUFFIXES[path.suffix.lower()]} (first bytes {head[:4].hex(' ')})")
+    if head.startswith(b"SQLite format 3\x00"):
+        hint = "ros2 bag convert writes a ROS 2 bag of this kind (.db3) as MCAP"
+        raise InputError(where, "an SQLite database", _FORMATS, hint)
     if head.startswith(b"PK\x03\x04"):
         raise InputError(
             where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS

@@ -14,7 +14,7 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, require_file, size_text
 from robustlab.files.tree import Tree, canonical
 
-__all__ = ["TextTable", "read_table", "table_tree"]
+__all__ = ["TextTable", "name_and_unit", "read_table", "table_tree"]
 
 COMMENTS = ("#", "%")
 BRACKETS = ("[]", "()")  # of a unit behind a name
@@ -120,10 +120,10 @@ def table_tree(path: str | Path, delimiter: str | None, decimal: str, limits: Li
             "if the numbers have decimal commas: --decimal , --delimiter ';'" if sign == "," else None,
         )
     if names is None and comment is not None and comment[0] == data[0][0] - 1:
-        given = _cells(comment[1], sign) if sign != WHITESPACE or not _name_and_unit(comment[1])[1] else None
+        given = _cells(comment[1], sign) if sign != WHITESPACE or not name_and_unit(comment[1])[1] else None
         names = given if given and len(given) == width else None
     values = _numbers(where, data, sign, decimal=decimal, width=width, names=names)
-    labels = [_name_and_unit(name) for name in names] if names else [(f"c{i + 1}", "") for i in range(width)]
+    labels = [name_and_unit(name) for name in names] if names else [(f"c{i + 1}", "") for i in range(width)]
     _check_names(where, labels, limits)
     tree = Tree({"has_header": canonical(names is not None, where)}, file=where)
     tree.put("names", np.array([name for name, _ in labels], np.str_))
@@ -236,7 +236,7 @@ def _number(where: str, cell: str, decimal: str) -> float:
         raise InputError(where, repr(cell[:40]) if cell else "empty cell", "a number") from None
 
 
-def _name_and_unit(text: str) -> tuple[str, str]:
+def name_and_unit(text: str) -> tuple[str, str]:
     """``q [m]`` or ``q (m)`` as name and unit, without a regular expression: those take their time with blanks."""
     text = text.strip()
     for opening, closing in BRACKETS:

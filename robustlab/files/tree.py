@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,7 @@ __all__ = [
     "FORMAT",
     "FORMAT_VERSION",
     "KINDS",
+    "REFERENCES",
     "Dataset",
     "Tree",
     "Unread",
@@ -32,6 +33,7 @@ __all__ = [
     "link_name",
     "signal_name",
     "stamp",
+    "table_of",
     "text_attr",
     "type_name",
 ]
@@ -39,6 +41,8 @@ __all__ = [
 FORMAT = "robustlab"
 FORMAT_VERSION = "1.0"
 KINDS = ("state-space", "uncertain", "controller", "record", "result", "plant")
+# Attribute of a dataset whose texts are the paths that its references lead to.
+REFERENCES = "robustlab_references"
 ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 
@@ -227,6 +231,12 @@ def text_attr(attrs: dict[str, Any], name: str) -> str | None:
     """The text attribute ``name``, or None where it is absent or no text."""
     value = np.asarray(attrs[name]) if name in attrs else np.zeros(0)
     return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else None
+
+
+def table_of(told: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """The entry ``name`` where it is a table, else an empty one: what others wrote need not be what we expect."""
+    value = told.get(name)
+    return value if isinstance(value, dict) else {}
 
 
 def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:

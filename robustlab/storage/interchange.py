@@ -168,8 +168,9 @@ def read(
 ) -> Loaded:
     """Like `load`, but with what is known about the file, and for a pair file with both models."""
     where = str(path)
-    if content_of(path, limits) == "text":
-        if is_json(path):
+    content = content_of(path, limits)
+    if content in ("text", "parquet", "mcap"):
+        if content == "text" and is_json(path):
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
             held = read_controller_json(path, limits, isolate)
@@ -192,8 +193,6 @@ def read(
 
 
 def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Tree:
-    if content_of(path, limits) == "text":
-        raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
     return read_tree(path, group, limits, isolate)
 
 

@@ -40,9 +40,9 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
     InputError
         A plant of the user's own that is not linear: its equations are a program.
     """
-    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+    from robustlab.dynamics.extended.extended_equations import ExtendedEquations
 
-    base = obj.plant if isinstance(obj, ExtendedPlant) else obj
+    base = obj.plant if isinstance(obj, ExtendedEquations) else obj
     own = not _is_rebuilt(base)
     equations = base.affine_equations() if own and _is_linear(base) else None
     tapes = base.equations if own and _is_symbolic(base) else None
@@ -72,7 +72,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
     elif base.name == BARE:
         encode_model(group.group("base"), _bare_model(base))
     effects = tree.group("effects")
-    for k, e in enumerate(obj.effects if isinstance(obj, ExtendedPlant) else ()):
+    for k, e in enumerate(obj.effects if isinstance(obj, ExtendedEquations) else ()):
         one = effects.group(str(k))
         one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
         one.put("name", np.array(list(e.values), np.str_))

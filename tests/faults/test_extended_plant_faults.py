@@ -10,6 +10,7 @@ from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.plant_contract import NonlinearPlant, Trim
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.tree import content_sha256
 
@@ -67,9 +68,19 @@ def test_an_effect_without_any_place_is_refused():
         rl.with_effects(tank(), {"coulomb-friction": {"Fc": 1.0}})
 
 
-def test_the_nonlinear_platform_is_refused_with_the_way_to_its_friction():
-    with pytest.raises(rl.InputError, match=r"(?s)nonlinear plant.*stewart\.friction"):
-        rl.with_effects(rl.plant("stewart-platform"), {"coulomb-friction": {"Fc": 1.0}})
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ({"coulomb-friction": {"Fc": 1.0}}, r"(?s)6 places where it may sit.*coulomb-friction@phidot_1"),
+        ({"coulomb-friction@phidot_9": {"Fc": 1.0}}, "no such place"),
+        ({"coulomb-friction@phidot_1": {"Fc": float("nan")}}, "Fc"),
+        ({"coulomb-friction@phidot_1": {"Fc": -1.0}}, "no negative"),
+        ({"brush-drop": {"U": 1.0}}, "brush-drop"),
+    ],
+)
+def test_what_the_nonlinear_platform_cannot_have_is_refused(effects, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.with_effects(rl.plant("stewart-platform"), effects)
 
 
 @pytest.mark.parametrize("base", [3.0, "dc-motor"])
@@ -214,3 +225,44 @@ def test_effects_on_a_plant_of_ones_own_are_kept_with_it(tmp_path):
     again = rl.load(tmp_path / "p.h5")
     assert again.parameters == extended.parameters
     assert [e.to_json() for e in again.effects] == [e.to_json() for e in extended.effects]
+
+
+class Pendulum(NonlinearPlant):
+    """A plant that has no models along a motion."""
+
+    def derivative(self, x, u):
+        return np.array([x[1], u[0] - np.sin(x[0])])
+
+    def output(self, x, u):
+        return np.array(x[:1])
+
+    def jacobians(self, x, u):
+        return np.array([[0.0, 1.0], [-np.cos(x[0]), 0.0]]), np.eye(2)[:, 1:], np.eye(2)[:1], np.zeros((1, 1))
+
+    def equilibrium(self, **where):
+        return Trim(self.name, np.zeros(2), np.zeros(1), np.zeros(1), 0.0)
+
+    def with_parameters(self, **given):
+        return self
+
+
+def test_a_nonlinear_plant_without_models_along_a_motion_is_refused():
+    angle = (rl.Signal("a", "rad"), rl.Signal("w", "rad/s"))
+    pendulum = Pendulum("pendulum", {}, (rl.Signal("torque", "N m"),), angle[:1], angle)
+    with pytest.raises(rl.InputError, match="pendulum: a plant without models along a motion"):
+        rl.with_effects(pendulum, {"coulomb-friction": {"Fc": 1.0}})
+
+
+def test_a_motion_that_no_step_resolves_is_no_number():
+    """A load that beats a thousand times within the shortest step."""
+    plant = rl.with_effects(
+        rl.plant("stewart-platform"),
+        {f"coulomb-friction@phidot_{i}": {"Fc": 1.0} for i in range(1, 7)} | {"backlash@phidot_1": CLATTER},
+    )
+    u = np.zeros((40, 6))
+    u[:, 0] = 0.3 * np.sign(np.sin(np.arange(40)))
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"steps of .* us still change the motion"):
+        rl.simulate(plant, 1e-3 * np.arange(40), u)
+
+
+CLATTER = {"gap": 1e-3, "share": 0.5, "f": 4e4}

@@ -167,6 +167,9 @@ class Pendulum(NonlinearPlant):
         a = np.array([[0.0, 1.0], [-np.cos(x[0]), 0.0]])
         return a, np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1))
 
+    def with_parameters(self, **_given):
+        return self
+
     def equilibrium(self, *_args, **_kwargs):
         return Trim("pendulum", np.zeros(2), np.zeros(1), np.zeros(1), 0.0)
 

@@ -127,3 +127,14 @@ def test_what_join_clocks_refuses():
     holed = Record([0.0, 0.5, 1.0, 1.5, 9.0], inputs={"f": [0, 1, 2, 3, 4]}, name="force")
     with pytest.raises(InputError, match=r"force: 14 samples missing from 1\.5 s to 9 s"):
         join_clocks(one, holed)
+
+
+def test_joining_says_what_it_did():
+    first = Record(0.2 * np.arange(9), outputs={"v": np.arange(9.0)}, name="drive", meaning={"t": "logged late"})
+    joint = join_clocks(first, Record(0.1 * np.arange(18), {"f": np.arange(18.0)}, name="cell"))
+    assert joint.meaning["t"].splitlines() == [
+        "logged late",
+        "2 clocks brought on one of 5 Hz, inputs held, outputs interpolated",
+        "drive: 9 samples at 5 Hz",
+        "cell: 18 samples at 10 Hz",
+    ]

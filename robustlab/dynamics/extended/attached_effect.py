@@ -12,8 +12,7 @@ import numpy as np
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Scales, Site
 from robustlab.dynamics.extended.law_forces import extrapolated
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import real_array
@@ -249,7 +248,7 @@ def _parameters(effect: Effect, site: Site) -> tuple[EffectParameter, ...]:
 
 
 def attach(
-    key: str, given: Mapping[str, Any], plant: LinearPlant, model: PortModel, taken: Iterable[AttachedEffect] = ()
+    key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel, taken: Iterable[AttachedEffect] = ()
 ) -> AttachedEffect:
     """The effect named by ``key`` (``"id"`` or ``"id@site"``) with the given values at its only, or named, site.
 
@@ -291,7 +290,7 @@ def attach(
     return attached
 
 
-def _site(where: str, sites: list[Site], place: str, plant: LinearPlant) -> Site:
+def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:
     names = [site.name for site in sites]
     if not sites:
         raise InputError(where, f"{plant.name} has no place for it", "a plant with such a joint, input or parameter")

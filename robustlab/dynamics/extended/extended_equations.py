@@ -1,10 +1,11 @@
-r"""The equations of a linear plant with effects: rates and steps, rest, and the linear model about a point.
+r"""The equations of a plant with effects: rates, rest, and the linear model about a point.
 
 .. math::
     \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
 
 with the input maps m, the sensors s, and force laws that may be set-valued at rest (dry friction). A, B and the ports
-already carry what the effects change in the linear equations; their further states stand at the end of x.
+already carry what the effects change in the linear equations; their further states stand at the end of x. Of a
+nonlinear plant the first terms are its own f(x, m(u)) and h(x, m(u)), and A, B, C, D, b_j their slopes at the point.
 
 What is time-dependent or remembers (delays, heating, hysteresis) is exact in `simulate` only. ``derivative`` and
 ``output`` take delays as absent, laws with memory as settled, and a law that is set-valued at rest with the force that
@@ -23,8 +24,9 @@ gain 1 there.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,10 +37,10 @@ from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import SteppedPlant, Trim
-from robustlab.dynamics.ports.port_model import Port, PortModel
+from robustlab.dynamics.extended.nonlinear_point import About, somewhere
+from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.result import Status
@@ -90,9 +92,11 @@ class LeftOut:
         return {"effect": self.effect.to_json(), "reason": self.reason, "footprint": seen}
 
 
-def extended_model(plant: LinearPlant, effects: Iterable[AttachedEffect]) -> PortModel:
-    """Linear equations and ports of the plant with the effects."""
+def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortModel:
+    """Linear equations and ports of the plant with the effects; of a nonlinear one at a point where it has some."""
     attached = list(effects)
+    if isinstance(plant, NonlinearPlant):
+        return somewhere(plant, attached)
     none = np.zeros((1, len(plant.inputs)))
     run = Simulator(plant, [(e.effect, e.site) for e in attached], none, TUNING.nominal_step)
     return run.model({}, [e.values for e in attached])
@@ -100,7 +104,7 @@ def extended_model(plant: LinearPlant, effects: Iterable[AttachedEffect]) -> Por
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedEquations(SteppedPlant):
-    """Equations of a linear plant with effects.
+    """Equations of a plant with effects.
 
     Attributes
     ----------
@@ -109,12 +113,12 @@ class ExtendedEquations(SteppedPlant):
     effects
         In the order in which they were attached.
     model
-        Linear equations and ports with the effects that are linear.
+        Linear equations and ports with the effects that are linear; of a nonlinear plant about some point.
     laws
-        Every force law with its effect and its port.
+        Every force law with its effect and its port in that model.
     """
 
-    plant: LinearPlant
+    plant: AnyPlant
     effects: tuple[AttachedEffect, ...]
     model: PortModel = field(init=False)
     laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)
@@ -125,6 +129,40 @@ class ExtendedEquations(SteppedPlant):
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "laws", tuple((e, f, model.ports[f.port]) for e in self.effects for f in e.laws()))
 
+    @abstractmethod
+    def about(self, x: Array, seen: Array) -> About:
+        """The plant with its linear effects at a state and at what it sees of the inputs."""
+
+    @abstractmethod
+    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+        """States and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
+
+    def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+        """What the slopes of a nonlinear plant's inertia make of forces at ports (name -> force) and of the effects'
+        equations: what A has besides those of the model at the point, (n_x, n_x).
+        """
+        return np.zeros((len(x), len(x)))
+
+    def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
+        """State and input at which the search for a rest begins, and what is asked of it by name."""
+        return np.zeros(len(self.states) + len(self.inputs)), where
+
+    def with_parameters(self, **given: Any) -> Any:
+        """The same effects on the plant with other values, or (value, relative tolerance), of its own parameters."""
+        plant = self.plant.with_parameters(**given)
+        return replace(self, plant=plant, parameters=plant.parameters)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plant, parameters and effects."""
+        return {
+            "plant": self.plant.name,
+            "parameters": [p.to_json() for p in self.parameters.values()],
+            "effects": [e.to_json() for e in self.effects],
+        }
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.plant!r} with {', '.join(map(repr, self.effects))})"
+
     # --- rates and outputs -------------------------------------------------------------------------------------------
 
     def mapped_input(self, u: Array) -> Array:
@@ -134,7 +172,7 @@ class ExtendedEquations(SteppedPlant):
     def signal_levels(self, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
         """Effects on inputs and outputs, the index of their signal, and its value before the effect."""
         seen, into = self._mapped("input", u)
-        outof = self._mapped("output", self.model.C @ x + self.model.D @ seen)[1]
+        outof = self._mapped("output", self.about(x, seen).outputs)[1]
         return [found for e in self.effects for found in (*into, *outof) if found[0] is e]
 
     def _mapped(self, kind: str, levels: Array) -> tuple[Array, list[tuple[AttachedEffect, int, float]]]:
@@ -150,21 +188,22 @@ class ExtendedEquations(SteppedPlant):
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """``f(x, u)``, shape (n_x,); where the forces are set-valued, those that keep their joints at rest."""
-        rates, forces = self._rates(*self.point(x, u))
-        return rates + sum((port.force * f for (_, _, port), f in zip(self.laws, forces, strict=True)), 0.0 * rates)
+        (_, rates, _), ports, forces = self._forced(*self.point(x, u))
+        return rates + sum((port.force * f for port, f in zip(ports, forces, strict=True)), 0.0 * rates)
 
     def forces(self, x: ArrayLike, u: ArrayLike) -> Array:
         """Forces of the laws at (x, u), in the order of `laws`."""
-        return self._rates(*self.point(x, u))[1]
+        return self._forced(*self.point(x, u))[2]
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
         """``h(x, u)``, shape (n_y,)."""
         state, command = self.point(x, u)
-        return self._mapped("output", self.model.C @ state + self.model.D @ self.mapped_input(command))[0]
+        return self._mapped("output", self.about(state, self.mapped_input(command)).outputs)[0]
 
-    def _rates(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """``A x + B m(u)``, and the forces of the laws."""
-        rates = self.model.A @ x + self.model.B @ self.mapped_input(u)
+    def _forced(self, x: Array, u: Array) -> tuple[About, list[Port], Array]:
+        """The plant at (x, u), the ports of the laws there, and their forces."""
+        about = self.about(x, self.mapped_input(u))
+        rates, ports = about.rates, [about.model.ports[port.name] for _, _, port in self.laws]
         forces, resting = np.zeros(len(self.laws)), []
         for j, (_, law, port) in enumerate(self.laws):
             q, v = _motion(port, x)
@@ -177,21 +216,21 @@ class ExtendedEquations(SteppedPlant):
         for _ in range(TUNING.rest_sweeps if len(resting) > 1 else len(resting)):
             before = forces.copy()
             for j in resting:
-                _, law, port = self.laws[j]
-                others = ((p, f) for i, ((_, _, p), f) in enumerate(zip(self.laws, forces, strict=True)) if i != j)
+                law, port = self.laws[j][1], ports[j]
+                others = ((p, f) for i, (p, f) in enumerate(zip(ports, forces, strict=True)) if i != j)
                 total = rates + sum(p.force * f for p, f in others)
                 mobility = float(port.velocity @ port.force)
                 forces[j] = holding_force(law, _motion(port, x)[0], float(port.velocity @ total), mobility)
             if np.abs(forces - before).max() <= TUNING.rest_agreed * np.abs(forces).max():
                 break
-        return rates, forces
+        return about, ports, forces
 
     def whole_state(self, x: Array) -> Array:
         """A state of the plant alone with zeros for those that effects have added; any other as it is."""
         return np.append(x, np.zeros(len(self.states) - len(x))) if len(x) == self.model.own else x
 
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """States and outputs at equally spaced times, the inputs held between them (`Simulator`).
+        """States and outputs at equally spaced times, the inputs held between them.
 
         Raises
         ------
@@ -214,13 +253,7 @@ class ExtendedEquations(SteppedPlant):
             raise InputError(
                 "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
             )
-        parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
-        held = np.repeat(u, parts, axis=0)
-        pairs = [(e.effect, e.site) for e in self.effects]
-        run = Simulator(self.plant, pairs, held, dt / parts, float(t[0]))
-        whole = Windows(np.zeros(1, dtype=np.int64), len(held))
-        motion = run.run({}, [e.values for e in self.effects], x0[None, :own], whole)
-        return motion.states[0, ::parts], motion.outputs[0, ::parts]
+        return self.motion(u, dt, float(t[0]), x0[:own], step)
 
     # --- rest --------------------------------------------------------------------------------------------------------
 
@@ -235,7 +268,8 @@ class ExtendedEquations(SteppedPlant):
         Parameters
         ----------
         where
-            Name of an input, output or state -> value. A name that is both output and state means the state.
+            Name of an input, output or state -> value. A name that is both output and state means the state. Of a
+            nonlinear plant also what its own rest may be asked for (a pose); the search begins at its own rest.
 
         Raises
         ------
@@ -274,7 +308,7 @@ class ExtendedEquations(SteppedPlant):
             # Newton's steps leave rates of rounding at joints whose rest is what lets them be held: those are zero.
             s[free] += np.where(np.abs(step) > 1e-14 * np.abs(s[free]), step, 0.0)
             s = np.where(np.abs(s) > 1e-12 * np.abs(s).max(initial=0.0), s, 0.0)
-        given = ", ".join(f"{name} = {value:g}" for name, value in where.items())
+        given = ", ".join(f"{name} = {value:g}" if np.ndim(value) == 0 else name for name, value in where.items())
         moving = int(np.argmax(np.abs(residual[:n])))
         name, rate = self.states[moving].name, residual[moving]
         raise NoTrustworthyNumber(
@@ -288,7 +322,8 @@ class ExtendedEquations(SteppedPlant):
         """State and input with what is given in place, the indices of the others, and outputs that are wanted."""
         n = len(self.states)
         states, inputs, outputs = ([s.name for s in kind] for kind in (self.states, self.inputs, self.outputs))
-        s, fixed = np.zeros(n + len(inputs)), np.zeros(n + len(inputs), dtype=np.bool_)
+        s, where = self.nearby(where)
+        fixed = np.zeros(len(s), dtype=np.bool_)
         wanted: dict[int, float] = {}
         for name, value in where.items():
             number = float(real_array(name, value, 0, f"{self.name}: trim"))
@@ -304,23 +339,28 @@ class ExtendedEquations(SteppedPlant):
         return s, np.flatnonzero(~fixed), wanted
 
     def _holding_columns(self, s: Array) -> Array:
-        """Rates per unit of each force that holds its joint within its band and may change: scaled to entries of 1."""
+        """Rates per unit of each force that holds its joint and may change: scaled to entries of 1, and one that is at
+        the edge of its band to so little that it moves only where nothing else can.
+        """
         n = len(self.states)
         columns = [np.zeros((n, 0))]
-        for (_, law, port), force in zip(self.laws, self.forces(s[:n], s[n:]), strict=True):
+        _, ports, forces = self._forced(s[:n], s[n:])
+        for (_, law, _), port, force in zip(self.laws, ports, forces, strict=True):
             q, v = _motion(port, s[:n])
-            if v != 0.0 or law.memory:
+            if v != 0.0 or law.memory or not is_set_valued(law, q):
                 continue
             low, high = rest_band(law, q)
-            if low < force < high and is_set_valued(law, q):
-                columns.append((port.force / np.abs(port.force).max())[:, None])
+            within = 1.0 if low < force < high else TUNING.cheap**-2
+            columns.append(within * (port.force / np.abs(port.force).max())[:, None])
         return np.hstack(columns)
 
     def _is_still(self, s: Array, residual: Array) -> bool:
         """Whether the rates are the rounding of the terms that make them up, and the outputs where they should be."""
-        n, model = len(self.states), self.model
-        terms = np.abs(model.A) @ np.abs(s[:n]) + np.abs(model.B) @ np.abs(self.mapped_input(s[n:]))
-        for (_, _, port), force in zip(self.laws, self.forces(s[:n], s[n:]), strict=True):
+        n, seen = len(self.states), self.mapped_input(s[len(self.states) :])
+        (model, rates, _), ports, forces = self._forced(s[:n], s[n:])
+        terms = np.abs(model.A) @ np.abs(s[:n]) + np.abs(model.B) @ np.abs(seen)
+        terms += np.abs(rates - model.A @ s[:n] - model.B @ seen)  # what a nonlinear plant has besides
+        for port, force in zip(ports, forces, strict=True):
             terms = terms + np.abs(port.force * force)
         size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
         return bool((np.abs(residual) <= TUNING.still * np.concatenate([terms, size])).all())
@@ -360,9 +400,10 @@ class ExtendedEquations(SteppedPlant):
             An amplitude at a place without an effect, or not positive; an order outside 0..8.
         """
         x, u, amplitude = self._asked_point(at, amplitude, pade)
-        model = self.model
-        a = model.A.copy()
+        (model, _, _), _, forces = self._forced(x, u)
+        a, acting = model.A.copy(), dict[str, float]()
         for j, (e, law, port) in enumerate(self.laws):
+            port = model.ports[port.name]
             if stand_in is not None and j in stand_in:
                 a -= np.outer(port.force, stand_in[j])
                 continue
@@ -373,10 +414,12 @@ class ExtendedEquations(SteppedPlant):
                 continue
             if v == 0.0 and is_set_valued(law, q):
                 continue
+            acting[port.name] = acting.get(port.name, 0.0) + forces[j]
             stiffness, damping = slopes(law, q, v)
             a += np.outer(port.force, damping * port.velocity)
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
+        a += self.turning(x, self.mapped_input(u), acting)
         into, out = self.signal_gains(x, u, amplitude)
         delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
         for e, k, _ in self.signal_levels(x, u):
@@ -445,6 +488,8 @@ class ExtendedEquations(SteppedPlant):
         if isinstance(at, (Trim, OperatingPoint)):
             at = (at.x, at.u)
         if not (isinstance(at, (tuple, list)) and len(at) == 2):
+            if isinstance(self.plant, NonlinearPlant) and isinstance(at, (list, tuple, np.ndarray)):
+                return self._asked_point(self.equilibrium(pose=at), amplitude, pade)
             expected = "a trim or (x, u), or None for the rest of the plant"
             raise InputError("linearise: at", f"{type(at).__name__}", expected)
         x, u = self.point(*at)

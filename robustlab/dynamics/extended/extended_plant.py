@@ -1,4 +1,4 @@
-r"""A linear plant with effects, as a plant of its own, and its linear part with its tolerances as an exact LFT.
+r"""A plant with effects, as a plant of its own; of a linear one the linear part with its tolerances as an exact LFT.
 
 Tolerances are those of the plant's parameters, and ``sigmas`` standard deviations of the effects that a fit has
 determined, where these are linear:
@@ -15,7 +15,7 @@ The equations are in `robustlab.dynamics.extended.extended_equations`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,13 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
+from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+from robustlab.dynamics.extended.nonlinear_point import About
+from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, real_array
@@ -37,8 +40,25 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["ExtendedPlant", "with_effects", "without_signals"]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class ExtendedPlant(ExtendedEquations):
     """A linear plant with effects; made by `with_effects`."""
+
+    plant: LinearPlant
+
+    def about(self, x: Array, seen: Array) -> About:
+        """The same model everywhere."""
+        model = self.model
+        return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
+
+    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+        """States and outputs, by `Simulator`."""
+        parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
+        held = np.repeat(u, parts, axis=0)
+        run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
+        whole = Windows(np.zeros(1, dtype=np.int64), len(held))
+        motion = run.run({}, [e.values for e in self.effects], x0[None], whole)
+        return motion.states[0, ::parts], motion.outputs[0, ::parts]
 
     def to_model(self) -> StateSpaceModel:
         """The linear model at the rest with the smallest inputs; functions that take a model call it."""
@@ -75,45 +95,32 @@ class ExtendedPlant(ExtendedEquations):
         kept = whole.M.select(whole.M.input_names, [*(s.name for s in whole.M.outputs[: -len(self.outputs)]), *outputs])
         return UncertainModel(drop_unconnected(kept), whole.blocks)
 
-    def with_parameters(self, **given: Any) -> ExtendedPlant:
-        """The same effects on the plant with other values, or (value, relative tolerance), of its own parameters."""
-        return _extended(self.plant.with_parameters(**given), self.effects)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plant, parameters and effects."""
-        return {
-            "plant": self.plant.name,
-            "parameters": [p.to_json() for p in self.parameters.values()],
-            "effects": [e.to_json() for e in self.effects],
-        }
-
-    def __repr__(self) -> str:
-        return f"ExtendedPlant({self.plant!r} with {', '.join(map(repr, self.effects))})"
-
 
 def with_effects(
-    plant: LinearPlant | StateSpaceModel | ExtendedPlant,
+    plant: AnyPlant | StateSpaceModel,
     effects: Mapping[str, Mapping[str, Any]] | Iterable[AttachedEffect] | AttachedEffect,
-) -> ExtendedPlant:
+) -> Any:
     """The plant with effects attached.
 
     Parameters
     ----------
     plant
-        A linear plant, a continuous model whose velocity states have units, or a plant that has effects already.
+        A linear plant, a continuous model whose velocity states have units, a nonlinear plant that says where forces
+        act in it, or a plant that has effects already.
     effects
         ``{"coulomb-friction": {"Fc": 5e-3}}``, with a value or (value, standard deviation) for each parameter of the
         effect. Where there is more than one place, it is named: ``"coulomb-friction@omega"``. Or attached effects.
 
     Returns
     -------
-    ExtendedPlant
+    ExtendedPlant or ExtendedNonlinearPlant
         A plant for `simulate`, `trim`, `linearise` and `save`.
 
     Raises
     ------
     InputError
-        Unknown effect, parameter or place (with the closest name), no place or several, NaN, a nonlinear plant.
+        Unknown effect, parameter or place (with the closest name), no place or several, NaN, a nonlinear plant that
+        has no linear models along a motion.
 
     Examples
     --------
@@ -122,15 +129,11 @@ def with_effects(
     >>> simulate(axis, [0.0, 0.1, 0.2], [0.5, 0.5, 0.5])["v"]  # 0.5 V push with 17.6 N: it sticks
     array([0., 0., 0.])
     """
-    if isinstance(plant, NonlinearPlant) and not isinstance(plant, ExtendedPlant):
-        raise InputError(
-            "with_effects",
-            f"{plant.name} is a nonlinear plant",
-            "a linear Plant or a StateSpaceModel",
-            "dry friction at the nuts of the platform: robustlab.dynamics.stewart.friction",
-        )
-    base = plant.plant if isinstance(plant, ExtendedPlant) else linear_plant_of(plant, "with_effects")
-    attached = list(plant.effects) if isinstance(plant, ExtendedPlant) else []
+    base: AnyPlant
+    if isinstance(plant, ExtendedEquations):
+        base, attached = plant.plant, list(plant.effects)
+    else:
+        base, attached = plant if isinstance(plant, NonlinearPlant) else linear_plant_of(plant, "with_effects"), []
     if isinstance(effects, Mapping):
         table: Mapping[Any, Any] = effects
         for key, values in table.items():
@@ -143,7 +146,7 @@ def with_effects(
     return _extended(base, tuple(attached))
 
 
-def _fitting(e: Any, base: LinearPlant, taken: list[AttachedEffect]) -> AttachedEffect:
+def _fitting(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEffect:
     """The attached effect, once the plant has its place and nothing of the kind there."""
     if not isinstance(e, AttachedEffect):
         raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
@@ -156,13 +159,15 @@ def _fitting(e: Any, base: LinearPlant, taken: list[AttachedEffect]) -> Attached
     return e
 
 
-def _extended(base: LinearPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant:
-    model = extended_model(base, effects)
-    states = (*base.states, *_further_states(base, model))
-    return ExtendedPlant(base.name, base.parameters, base.inputs, base.outputs, states, base, effects)
+def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant | ExtendedNonlinearPlant:
+    states = (*base.states, *_further_states(extended_model(base, effects)))
+    signals = base.inputs, base.outputs, states
+    if isinstance(base, NonlinearPlant):
+        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
+    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
 
 
-def _further_states(plant: LinearPlant, model: PortModel) -> tuple[Signal, ...]:
+def _further_states(model: PortModel) -> tuple[Signal, ...]:
     """Names of the states that effects have added, after the ports that read them."""
     found = []
     for k in range(model.own, len(model.A)):

@@ -19,7 +19,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course, MotionModel, exponentials, motion_model
+from robustlab.dynamics.ports.motion_model import Course, MotionModel, exponentials, motion_model, with_factors
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
@@ -155,6 +155,7 @@ class Simulator:
         x0: Array,
         windows: Windows,
         shift: Sequence[float] | None = None,
+        near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> Motion:
         """Simulate all windows.
 
@@ -171,8 +172,11 @@ class Simulator:
             Where they lie.
         shift
             Time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
+        near
+            Of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those of
+            these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
         """
-        return self.run_along(factors, values, x0, windows, shift)[0]
+        return self.run_along(factors, values, x0, windows, shift, near)[0]
 
     def run_along(
         self,
@@ -181,9 +185,10 @@ class Simulator:
         x0: Array,
         windows: Windows,
         shift: Sequence[float] | None = None,
+        near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> tuple[Motion, MotionModel | None, PortModel]:
         """`run`, with the nonlinear plant about its motion and the equations with effects that it was done with."""
-        about = self._about(factors, values, windows) if self._course else None
+        about = self._about(factors, values, windows, near) if self._course else None
         model = self._with_effects(about.model, values) if about else self.model(factors, values)
         late = self._late(values, shift)
         states, forces = self._step(model, self.laws(values), self._seen(values, late), x0, windows, about)
@@ -243,12 +248,21 @@ class Simulator:
         return model
 
     def _about(
-        self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], windows: Windows
+        self,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        windows: Windows,
+        near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> MotionModel:
         """A nonlinear plant about its motion in the windows, at these values, before the effects."""
         assert self._course is not None
-        total = tuple(sorted(self._total(factors, values).items()))
-        return _kept_model(self._course, total, windows.starts.tobytes(), windows.length, self.sub)
+        total = self._total(factors, values)
+        known = total if near is None else self._total(*near)
+        key = tuple(sorted(known.items())), windows.starts.tobytes(), windows.length, self.sub
+        about = _kept_model(self._course, *key)
+        if known == total:
+            return about
+        return with_factors(about, self._course, total, windows.starts, windows.length, self.sub)
 
     def seen_input(
         self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
@@ -342,9 +356,11 @@ class Simulator:
             table = _in_steps(model.B, *self._exponential(model.A, 0.5 * h), columns > n_u)
             nothing = np.zeros((3, 0, len(model.A)))
             return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
-        if model.A is about.model.A:
-            return _kept_table(about, h, n_u, columns > n_u)
-        return _table_along(about, model, h, n_u, columns > n_u)
+        make = _kept_steps if model is about.model else _steps_along  # kept where no effect changes the plant
+        phi, psi, gamma_u, entering = make(model, h, n_u, columns > n_u)
+        half = np.einsum("npq,nq->np", entering[about.steps], about.rates)
+        whole = np.einsum("npq,nq->np", phi[1][about.steps], half) + half
+        return _Table(phi, psi, gamma_u, np.array([whole, half, half]), about.stride)
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
         """`exponential` of the present model, kept."""
@@ -376,16 +392,13 @@ def _kept_model(
     return motion_model(course, dict(factors), np.frombuffer(starts, dtype=np.int64), length, sub)
 
 
-@lru_cache(maxsize=KEPT_MOTIONS)
-def _kept_table(about: MotionModel, h: float, n_u: int, rising: bool) -> _Table:
-    """`_table_along` where no effect changes the plant: it costs more than the steps themselves."""
-    return _table_along(about, about.model, h, n_u, rising)
-
-
-def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, rising: bool) -> _Table:
+def _steps_along(model: PortModel, h: float, n_u: int, rising: bool) -> tuple[Array, Array, Array, Array]:
+    """Phi (3, ...), psi, gamma_u (3, ...) as of `_Table`, and what rates along a motion add in half a step."""
     phi, psi, ramp = exponentials(model.A, 0.5 * h)
-    table = _in_steps(model.B[..., :n_u], phi, psi, ramp, rising)
-    return _Table(*table, _drift(model, phi, psi, about, n_u), about.stride)
+    return *_in_steps(model.B[..., :n_u], phi, psi, ramp, rising), psi @ model.B[..., n_u:]
+
+
+_kept_steps = lru_cache(maxsize=KEPT_MOTIONS)(_steps_along)
 
 
 def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tuple[Array, Array, Array]:
@@ -395,14 +408,6 @@ def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tu
         mean, rise = first, 0.5 * (ramp @ b)
         first, second = np.concatenate([mean - rise, rise], -1), np.concatenate([-rise, mean + rise], -1)
     return np.array([phi @ phi, phi, phi]), psi, np.array([phi @ first + second, first, second])
-
-
-def _drift(model: PortModel, phi: Array, psi: Array, about: MotionModel, n_u: int) -> Array:
-    """What the rates along a motion add in each whole step, its first and its second half, (3, n_steps, n)."""
-    own = about.steps
-    entering = psi @ model.B[..., n_u:]  # (n_points, n, n_own)
-    half = np.einsum("npq,nq->np", entering[own], about.rates)
-    return np.array([np.einsum("npq,nq->np", phi[own], half) + half, half, half])
 
 
 def _seen_along(about: MotionModel, model: PortModel, motion: Array) -> Array:

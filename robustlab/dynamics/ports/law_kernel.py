@@ -59,7 +59,7 @@ N_SEEN = 8
 
 NUMBERS = types.CPointer(types.float64)  # handing over arrays would count their references at every call
 LAW_SIGNATURE = types.float64(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-SWEEPS = 12
+SWEEPS = 100
 AGREED = 1e-9  # relative to the largest force of the step
 UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ where the step is too long for the law
 

@@ -14,7 +14,7 @@ motion, and forces), the rates are taken in every step.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,11 +23,11 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
 
-__all__ = ["Course", "MotionModel", "exponentials", "motion_model"]
+__all__ = ["Course", "MotionModel", "exponentials", "local_port_model", "motion_model", "with_factors"]
 
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
-SHARE = 1e-3  # of the largest entry, by which matrices may differ from those of the same steps told one by one
+SHARE = 0.01  # of the largest push of a force, by which it may change over half a stride
 STRIDES = (16, 8, 4, 2)  # steps for which a matrix may stand
 
 
@@ -78,9 +78,7 @@ class Course:
         for stride in STRIDES:
             there = self.plant.local_models(*self.at(np.minimum(places + 0.5 + 0.5 * stride, n - 1.0)))
             # Half a stride away the error is largest, and of either sign within the stride.
-            off = [np.abs(getattr(here, m) - getattr(there, m)).max() for m in ("push",)]
-            size = [np.abs(getattr(here, m)).max() for m in ("push",)]
-            if all(o <= 10.0 * SHARE * s for o, s in zip(off, size, strict=True)):
+            if np.abs(here.push - there.push).max(initial=0.0) <= SHARE * np.abs(here.push).max(initial=0.0):
                 return stride
         return 1
 
@@ -119,10 +117,7 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     factors
         Plant parameter -> factor of its reference.
     """
-    plant = course.plant
-    values = dict(plant.values)
-    for name, factor in factors.items():
-        values[name] = plant.parameters[name].reference * factor
+    plant, values = course.plant, _values(course.plant, factors)
     steps, stride = length * sub, course.stride * sub
     points = -(-steps // stride)
     middle = np.minimum((np.arange(points) + 0.5) * stride, 0.5 * (steps + np.arange(points) * stride)) / sub
@@ -134,7 +129,31 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     samples = (starts[:, None] + np.arange(length)).ravel()
     x, u = course.x[samples], course.u[samples]
     offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
-    return MotionModel(_as_model(plant, local), rates, offsets, stride, own, seen)
+    return MotionModel(local_port_model(plant, local), rates, offsets, stride, own, seen)
+
+
+def with_factors(
+    about: MotionModel, course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int
+) -> MotionModel:
+    """The same matrices with the rates and outputs of other parameter values, in the windows that ``about`` is of.
+
+    What the plant does along the motion itself is then exact, what it does to a deviation is that of the values that
+    ``about`` has: for derivatives over parameters, at a part of the cost.
+    """
+    plant, values = course.plant, _values(course.plant, factors)
+    x, u = course.at((starts[:, None] + (np.arange(length * sub) + 0.5) / sub).ravel())
+    n_u = len(plant.inputs)
+    model = about.model
+    rates = plant.rates_along(x, u, values) - _times(model.A, about.steps, x)
+    rates -= _times(model.B[:, :, :n_u], about.steps, u)
+    samples = (starts[:, None] + np.arange(length)).ravel()
+    x, u = course.x[samples], course.u[samples]
+    offsets = plant.outputs_along(x, u, values) - _times(model.C, about.points, x) - _times(model.D, about.points, u)
+    return replace(about, rates=rates, offsets=offsets)
+
+
+def _values(plant: NonlinearPlant, factors: Mapping[str, float]) -> dict[str, float]:
+    return plant.values | {name: plant.parameters[name].reference * factor for name, factor in factors.items()}
 
 
 def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
@@ -142,7 +161,8 @@ def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
     return np.einsum("npq,nq->np", matrices[of], vectors)
 
 
-def _as_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
+def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
+    """Models about points, with an axis of these, and the plant's ports."""
     n = len(plant.states)
     names = [s.name for s in plant.states]
     ports = {}

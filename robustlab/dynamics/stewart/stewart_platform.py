@@ -218,6 +218,23 @@ class StewartPlatform(NonlinearPlant):
         a, b = _assembled(stiffness, damping, gain, self._numbers, self.motors)
         return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
 
+    def check_reach(self, t: Array, x: Array) -> None:
+        """The actuators must be within their range."""
+        lengths = self.geometry.home_lengths + x[:, :6] / self.geometry.turns
+        low, high = self.geometry.limits
+        beyond = ((lengths < low - SLACK) | (lengths > high + SLACK)).any(axis=1)
+        if beyond.any():
+            raise self._beyond(float(t[int(np.argmax(beyond))]))
+
+    def _beyond(self, time: float) -> NoTrustworthyNumber:
+        low, high = self.geometry.limits
+        return NoTrustworthyNumber(
+            self.name,
+            f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
+            None,
+            "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
+        )
+
     # --- about points of a motion ------------------------------------------------------------------------------------
 
     @property
@@ -305,12 +322,7 @@ class StewartPlatform(NonlinearPlant):
         machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
         outcome, time, _ = run(start, inputs, machine, accuracy, z, states)
         if outcome == code.LEFT_WORKSPACE:
-            raise NoTrustworthyNumber(
-                self.name,
-                f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
-                None,
-                "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
-            )
+            raise self._beyond(time)
         if outcome != code.DONE:
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
             raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")

@@ -39,9 +39,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel, real_array
 

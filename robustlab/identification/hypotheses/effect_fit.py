@@ -301,15 +301,27 @@ class Problem:
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
         ]
 
-    def _record_errors(self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array) -> Array:
+    def _record_errors(
+        self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, near: Array | None = None
+    ) -> Array:
         record, chosen = self.records[k], self.chosen[k]
+        around = None if near is None else self.split(hypothesis, near)
         with np.errstate(all="ignore"):
-            outputs = self.outputs(k, simulator, self.setting(hypothesis, z), xi)
+            outputs = self.outputs(k, simulator, self.setting(hypothesis, z), xi, around)
         outputs = np.nan_to_num(outputs, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
         return averaged(record.measured[chosen] - outputs, record.thin)
 
-    def outputs(self, k: int, simulator: Simulator, setting: Setting, xi: Array) -> Array:
-        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+    def outputs(
+        self,
+        k: int,
+        simulator: Simulator,
+        setting: Setting,
+        xi: Array,
+        near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
+    ) -> Array:
+        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured); ``near`` as of
+        `Simulator.run`.
+        """
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
         if record.begun:
@@ -321,7 +333,7 @@ class Problem:
         windows = Windows(record.windows.starts[used], record.windows.length)
         simulator = self._about_what_happened(k, simulator, values)
         self.work.append(len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
-        motion = simulator.run(factors, values, x0[used], windows, shift)
+        motion = simulator.run(factors, values, x0[used], windows, shift, near)
         outputs = motion.outputs[:, :, list(record.columns)]
         return outputs[chosen] if everything else outputs
 
@@ -492,7 +504,7 @@ class Problem:
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
 
         def moved(there: Array, start: Array, step: float) -> Array:
-            error = self._record_errors(k, simulator, hypothesis, there, start)
+            error = self._record_errors(k, simulator, hypothesis, there, start, z)
             return (_whiten(error, noise) - residual) / step
 
         known = len(self.nuisances) if borrowed else 0
@@ -512,7 +524,7 @@ class Problem:
             xi = fit.starts[k]
 
             def residual(z: Array, start: Array, k: int = k, simulator: Simulator = simulator) -> Array:
-                return _whiten(self._record_errors(k, simulator, fit.hypothesis, z, start), fit.noise)
+                return _whiten(self._record_errors(k, simulator, fit.hypothesis, z, start, fit.z), fit.noise)
 
             here = residual(fit.z, xi)
             over_z = [(residual(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))[: len(self.nuisances)]]

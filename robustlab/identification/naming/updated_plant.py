@@ -14,7 +14,8 @@ from robustlab.dynamics.extended.extended_plant import with_effects
 from robustlab.dynamics.extended.force_blocks import Amplitude, Dry
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.ports.port_model import parameter_groups
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
@@ -32,7 +33,8 @@ def updated_plant(problem: Problem, fit: Fit, source: str) -> Any:
     """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached.
 
     A wrong parameter becomes the plant's new value. A parameter that the fit did not touch keeps value and tolerance.
-    A `LinearPlant` where no effect has to be attached, else an `ExtendedPlant`.
+    The plant's own kind where no effect has to be attached, else one with effects
+    (`robustlab.dynamics.extended.extended_plant.with_effects`).
     """
     plant = problem.plant
     factors, values = problem.split(fit.hypothesis, fit.z)
@@ -71,7 +73,7 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
     return found
 
 
-def _refitted(plant: LinearPlant, factors: dict[str, float], spread: dict[str, float], source: str) -> LinearPlant:
+def _refitted(plant: AnyPlant, factors: dict[str, float], spread: dict[str, float], source: str) -> AnyPlant:
     changes = {
         name: _new_value(plant.parameters[name], factor, SIGMAS * spread.get(name, 0.0))
         for name, factor in factors.items()
@@ -93,7 +95,7 @@ def _new_value(nominal: Parameter, factor: float, width: float) -> tuple[float, 
     return value, min(MOST, width if nominal.value else width / abs(value))
 
 
-def _together(plant: LinearPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:
+def _together(plant: AnyPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:
     known = set(changed)
     groups = [tuple(n for n in names if n in known) for _, _, names in parameter_groups(plant)]
     return [names for names in groups if len(names) > 1]
@@ -105,7 +107,7 @@ def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
     Of each alone it knows no more than that factor. Told by their source, which files keep.
     """
     base = getattr(plant, "plant", plant)
-    if not isinstance(base, LinearPlant):
+    if not isinstance(base, (LinearPlant, NonlinearPlant)):
         return []
     sources = {n: p.source for n, p in base.parameters.items() if ONE_FACTOR in p.source}
     return [

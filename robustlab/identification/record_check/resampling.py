@@ -20,19 +20,21 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, Mask
+from robustlab.clocks import (
+    NEAR,
+    SAME_TIME,
+    checked_step,
+    clock_step,
+    common_clock,
+    held,
+    interpolated,
+    summarise_clock,
+)
 from robustlab.errors import InputError
 from robustlab.record import Record
 from robustlab.result import Evidence
 
 __all__ = ["Gap", "UniformRecord", "clock_step", "join_clocks", "uniform"]
-
-
-# Samples further apart than this many sample times have one missing between them.
-NEAR = 1.5
-# A time this close to a stamp (in sample times) is that stamp: the rounding of clocks.
-SAME_TIME = 1e-6
-# More samples than this many times those recorded are no resampling.
-MOST_SAMPLES = 100
 
 
 class Gap(NamedTuple):
@@ -94,18 +96,6 @@ class UniformRecord(Evidence):
         }
 
 
-def clock_step(t: Array) -> float:
-    """Sample time of a clock in s: the mean of all steps that are no gaps; jitter averages out.
-
-    Examples
-    --------
-    >>> round(clock_step(np.array([0.0, 0.1, 0.2, 0.5, 0.6])), 12)
-    0.1
-    """
-    steps = np.diff(t)
-    return float(steps[steps <= NEAR * np.median(steps)].mean())
-
-
 def uniform(record: Record, dt: float | None = None) -> UniformRecord:
     """Bring a record on a uniform clock that begins at its first stamp.
 
@@ -132,17 +122,18 @@ def uniform(record: Record, dt: float | None = None) -> UniformRecord:
     if dt is None and record.is_uniform:
         valid = {name: np.ones(record.n, dtype=bool) for name in record.outputs}
         return UniformRecord(record, valid, ())
-    step = own if dt is None else _checked(dt, record)
+    step = own if dt is None else checked_step(record.name, dt, record.t)
     count = int(np.floor(record.duration / step + SAME_TIME)) + 1
     clock = record.t[0] + step * np.arange(count)
     near = NEAR * own
     outputs: dict[str, Array] = {}
     valid: dict[str, Mask] = {}
     for name, samples in record.outputs.items():
-        outputs[name], valid[name] = _interpolated(clock, record.t, samples, step, near)
-    held = {name: _held(clock, record.t, samples, step) for name, samples in record.inputs.items()}
+        outputs[name], own_sample, apart = interpolated(clock, record.t, samples, step)
+        valid[name] = own_sample | (apart <= near)
+    inputs = {name: held(clock, record.t, samples, step) for name, samples in record.inputs.items()}
     return UniformRecord(
-        Record(clock, held, outputs, record.units, record.name, record.meaning), valid, _gaps(record.t, own)
+        Record(clock, inputs, outputs, record.units, record.name, record.meaning), valid, _gaps(record.t, own)
     )
 
 
@@ -153,6 +144,8 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
     samples are kept as they are, and only those of the finer one are held (inputs) or interpolated (outputs); of two
     equal sample times, the clock of the record with more outputs is taken. A shift
     between the clocks is not looked for here: it is a delay, and naming finds it.
+
+    What the clocks are like and what was done stands in the meaning of ``t``.
 
     Parameters
     ----------
@@ -188,53 +181,20 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
                 "a clock without gaps",
                 "join the stretches between the gaps: record.between(start, stop)",
             )
-    start, stop = max(first.t[0], second.t[0]), min(first.t[-1], second.t[-1])
     equal = abs(steps[id(first)] - steps[id(second)]) <= SAME_TIME * steps[id(first)]
-    coarse = max((first, second), key=lambda r: len(r.outputs) if equal else steps[id(r)])
-    step = steps[id(coarse)] if dt is None else _checked(dt, coarse)
-    slack = SAME_TIME * step
-    if dt is None and coarse.is_uniform:
-        clock = coarse.t[(coarse.t >= start - slack) & (coarse.t <= stop + slack)]
-    else:
-        clock = start + step * np.arange(max(0, int(np.floor((stop - start) / step + SAME_TIME)) + 1))
-    if len(clock) < 2:
-        spans = " and ".join(f"{r.t[0]:.6g} s to {r.t[-1]:.6g} s" for r in (first, second))
-        raise InputError(where, f"the clocks run from {spans}", "times that overlap by two samples at least")
+    ordered = sorted((first, second), key=lambda r: len(r.outputs) if equal else 0, reverse=True)
+    clock, _ = common_clock(where, {f"{k}": r.t for k, r in enumerate(ordered)}, dt)
+    step = float(np.median(np.diff(clock)))
     inputs: dict[str, Array] = {}
     outputs: dict[str, Array] = {}
     for r in (first, second):
-        inputs.update({name: _held(clock, r.t, samples, step) for name, samples in r.inputs.items()})
-        outputs.update({name: _interpolated(clock, r.t, x, step, np.inf)[0] for name, x in r.outputs.items()})
+        inputs.update({name: held(clock, r.t, samples, step) for name, samples in r.inputs.items()})
+        outputs.update({name: interpolated(clock, r.t, x, step)[0] for name, x in r.outputs.items()})
     units, meaning = {**first.units, **second.units}, {**first.meaning, **second.meaning}
+    done = f"2 clocks brought on one of {1 / step:.6g} Hz, inputs held, outputs interpolated"
+    clocks = [f"{r.name}: {summarise_clock(r.t).text()}" for r in (first, second)]
+    meaning["t"] = "\n".join([*(r.meaning["t"] for r in (first, second) if "t" in r.meaning), done, *clocks])
     return Record(clock, inputs, outputs, units, f"{first.name} + {second.name}", meaning)
-
-
-def _checked(dt: float, record: Record) -> float:
-    where, own = f"{record.name}: dt", clock_step(record.t)
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(where, f"{dt} s", "a positive sample time in s")
-    if dt > record.duration:
-        raise InputError(where, f"{dt:g} s", f"at most the record's {record.duration:.6g} s")
-    if record.duration / dt > MOST_SAMPLES * record.n:
-        raise InputError(where, f"{dt:g} s", f"at least {own / MOST_SAMPLES:.3g} s, a hundredth of the record's own")
-    return float(dt)
-
-
-def _held(clock: Array, t: Array, samples: Array, step: float) -> Array:
-    last = np.searchsorted(t, clock + SAME_TIME * step, side="right") - 1
-    return samples[np.maximum(last, 0)]
-
-
-def _interpolated(clock: Array, t: Array, samples: Array, step: float, near: float) -> tuple[Array, Mask]:
-    """Samples on the clock, and whether each is a stamp's own or lies between two that are near."""
-    after = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
-    before = after - 1
-    share = (clock - t[before]) / (t[after] - t[before])
-    y = samples[before] + share * (samples[after] - samples[before])
-    slack = SAME_TIME * step
-    on_before, on_after = np.abs(clock - t[before]) <= slack, np.abs(clock - t[after]) <= slack
-    y = np.where(on_before, samples[before], np.where(on_after, samples[after], y))
-    return y, on_before | on_after | (t[after] - t[before] <= near)
 
 
 def _gaps(t: Array, step: float) -> tuple[Gap, ...]:

@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.clocks import summarise_clock
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
@@ -92,7 +93,12 @@ def check_record(record: Record) -> RecordCheck:
     if not record.is_uniform:
         steps = np.diff(record.t)
         k = int(np.argmax(np.abs(steps - record.dt)))
-        remarks.append(f"t: steps of {steps.min():.6g} to {steps.max():.6g} s, the oddest after sample {k}")
+        jitter = summarise_clock(record.t).jitter
+        remarks.append(
+            f"t: steps of {steps.min():.6g} to {steps.max():.6g} s, the oddest after sample {k}; "
+            f"jitter {jitter:.3g} s rms beside gaps"
+        )
+    remarks += [f"t: {line}" for line in record.meaning.get("t", "").splitlines()]  # what reading did to the clock
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
             rms = float(np.sqrt(np.mean(x**2)))

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
-from robustlab.record import UNIFORM_TOLERANCE, Record
+from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.units import factor_to_si, same_unit
 

@@ -132,14 +132,14 @@ class SaveStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """An object to an HDF5 file in the output folder, with its provenance."""
-        from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+        from robustlab.dynamics.extended.extended_equations import ExtendedEquations
         from robustlab.provenance import file_sha256
 
         path = work.folder / self.file
         given = work.values[self.of]
         if hasattr(given, "to_uncertain"):  # a tracking problem is kept as its generalised plant
             given = given.to_uncertain()
-        if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
+        if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedEquations)):
             given = given.to_model()  # a plant without effects is kept as its linear model
         rl.save(path, given, work.provenance())
         work.files.append(self.file)

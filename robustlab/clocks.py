@@ -1,0 +1,218 @@
+r"""Sampled clocks: sample time, jitter, drift, and signals of several clocks brought on one.
+
+On a clock :math:`\tau_k` inputs are held, as a D/A converter holds them, and outputs go straight between two samples:
+
+.. math::
+    u(\tau) = u_j, \qquad y(\tau) = y_j + \frac{\tau - t_j}{t_{j+1} - t_j} (y_{j+1} - y_j), \qquad
+    t_j \le \tau < t_{j+1}.
+
+A time :math:`\tau` that meets a stamp takes over its sample unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array, Mask
+from robustlab.errors import InputError
+
+__all__ = [
+    "MOST_SAMPLES",
+    "NEAR",
+    "SAME_TIME",
+    "UNIFORM_TOLERANCE",
+    "ClockSummary",
+    "Drift",
+    "checked_step",
+    "clock_drift",
+    "clock_step",
+    "common_clock",
+    "held",
+    "interpolated",
+    "is_uniform",
+    "summarise_clock",
+]
+
+# Samples further apart than this many sample times have one missing between them.
+NEAR = 1.5
+# A time this close to a stamp (in sample times) is that stamp: the rounding of clocks.
+SAME_TIME = 1e-6
+# A clock that jitters by less than this share of the sample time counts as uniform.
+UNIFORM_TOLERANCE = 1e-3
+# More samples than this many times those recorded are no resampling.
+MOST_SAMPLES = 100
+# ppm; less is no drift but the rounding of stamps.
+LEAST_DRIFT = 1e-3
+# Fewer pairs of stamps tell no drift.
+FEWEST_PAIRS = 10
+
+
+def is_uniform(t: Array) -> bool:
+    """True where every step is within 0.1 % of the mean sample time."""
+    dt = float(t[-1] - t[0]) / (len(t) - 1)
+    return bool(np.abs(np.diff(t) - dt).max() <= UNIFORM_TOLERANCE * dt)
+
+
+def clock_step(t: Array) -> float:
+    """Sample time of a clock in s: the mean of all steps that are no gaps; jitter averages out.
+
+    Examples
+    --------
+    >>> round(clock_step(np.array([0.0, 0.1, 0.2, 0.5, 0.6])), 12)
+    0.1
+    """
+    steps = np.diff(t)
+    return float(steps[steps <= NEAR * np.median(steps)].mean())
+
+
+@dataclass(frozen=True)
+class ClockSummary:
+    """What a clock is like.
+
+    Attributes
+    ----------
+    n, step
+        Number of samples; sample time in s (`clock_step`).
+    jitter
+        Standard deviation in s of the steps that are no gaps.
+    longest, at
+        Longest step in s, and the stamp before it.
+    """
+
+    n: int
+    step: float
+    jitter: float
+    longest: float
+    at: float
+
+    def text(self) -> str:
+        """In words."""
+        words = f"{self.n} samples at {1 / self.step:.6g} Hz"
+        if self.jitter > UNIFORM_TOLERANCE * self.step or self.longest > (1 + UNIFORM_TOLERANCE) * self.step:
+            words += f", jitter {self.jitter:.3g} s rms, largest gap {self.longest:.4g} s after t = {self.at:.6g} s"
+        return words
+
+
+def summarise_clock(t: Array) -> ClockSummary:
+    """Rate, jitter and largest gap of a clock, shape (n,) in s, n >= 2.
+
+    Examples
+    --------
+    >>> summarise_clock(np.array([0.0, 0.11, 0.2, 0.5, 0.6])).text()
+    '5 samples at 10 Hz, jitter 0.00816 s rms, largest gap 0.3 s after t = 0.2 s'
+    """
+    steps = np.diff(t)
+    k = int(np.argmax(steps))
+    near = steps[steps <= NEAR * np.median(steps)]
+    return ClockSummary(len(t), float(near.mean()), float(near.std()), float(steps[k]), float(t[k]))
+
+
+class Drift(NamedTuple):
+    """``rate`` by which a clock gains on a reference and its standard ``deviation`` (both s/s); see `clock_drift`."""
+
+    rate: float
+    deviation: float
+    delay: float
+    scatter: float
+
+    def text(self) -> str:
+        """In words, in parts in a million, with two standard deviations."""
+        rate, sure = 1e6 * self.rate, 2e6 * self.deviation
+        known = abs(rate) > max(sure, LEAST_DRIFT)
+        drift = f"drift {rate:+.3g} ppm (± {sure:.2g})" if known else f"no drift above {max(sure, LEAST_DRIFT):.2g} ppm"
+        return f"{drift}, delay {self.delay:.3g} s, scatter {self.scatter:.2g} s rms"
+
+
+def clock_drift(stamps: Array, reference: Array) -> Drift | None:
+    r"""How a clock runs against another that shows the same events later, by a straight line through their difference.
+
+    .. math:: r_k - s_k = d + \rho\,(r_k - r_0) + e_k, \qquad s \text{ gains } -\rho \text{ on } r
+
+    Parameters
+    ----------
+    stamps, reference
+        The same events on both clocks in s, shape (n,).
+
+    Returns
+    -------
+    Drift or None
+        ``rate`` is -rho (positive: the stamps run fast), ``deviation`` its standard deviation for white e; ``delay``
+        the median of r - s in s, ``scatter`` the standard deviation of e. None of fewer than 10 events.
+
+    Examples
+    --------
+    >>> r = np.arange(1000) * 0.01
+    >>> round(1e6 * clock_drift(r * (1 + 50e-6) - 2e-3, r).rate, 6)
+    50.0
+    """
+    if len(stamps) < FEWEST_PAIRS or not np.ptp(reference):
+        return None
+    late, x = reference - stamps, reference - reference.mean()
+    slope = float(x @ (late - late.mean()) / (x @ x))
+    rest = late - late.mean() - slope * x
+    scatter = float(np.sqrt(rest @ rest / (len(x) - 2)))
+    return Drift(-slope, scatter / float(np.sqrt(x @ x)), float(np.median(late)), scatter)
+
+
+def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = None) -> tuple[Array, str]:
+    """One clock for signals of several, over the time that all of them cover, and the name of the one it follows.
+
+    Without ``dt`` it follows the coarsest clock (the first of equal ones): its own stamps where they are uniform, else
+    stamps in steps of its sample time.
+
+    Raises
+    ------
+    InputError
+        Times that do not overlap by two samples; a sample time that is not positive, longer than the record, or a
+        hundred times finer than the coarsest clock's own.
+    """
+    steps = {name: clock_step(t) for name, t in clocks.items()}
+    coarse = next(name for name, step in steps.items() if step >= (1 - SAME_TIME) * max(steps.values()))
+    start, stop = max(float(t[0]) for t in clocks.values()), min(float(t[-1]) for t in clocks.values())
+    t, step = clocks[coarse], steps[coarse]
+    if dt is not None:
+        step = checked_step(where, dt, t)
+    slack = SAME_TIME * step
+    if dt is None and is_uniform(t):
+        clock = t[(t >= start - slack) & (t <= stop + slack)]
+    else:
+        clock = start + step * np.arange(max(0, int(np.floor((stop - start) / step + SAME_TIME)) + 1))
+    if len(clock) < 2:
+        spans = " and ".join(f"{t[0]:.6g} s to {t[-1]:.6g} s" for t in clocks.values())
+        raise InputError(where, f"the clocks run from {spans}", "times that overlap by two samples at least")
+    return clock, coarse
+
+
+def checked_step(where: str, dt: float, t: Array) -> float:
+    """``dt`` where it is a sample time that a record with the stamps ``t`` can be brought on."""
+    duration, own = float(t[-1] - t[0]), clock_step(t)
+    if not (np.isfinite(dt) and dt > 0):
+        raise InputError(f"{where}: dt", f"{dt} s", "a positive sample time in s")
+    if dt > duration:
+        raise InputError(f"{where}: dt", f"{dt:g} s", f"at most the record's {duration:.6g} s")
+    if duration / dt > MOST_SAMPLES * len(t):
+        hundredth = f"at least {own / MOST_SAMPLES:.3g} s, a hundredth of the record's own"
+        raise InputError(f"{where}: dt", f"{dt:g} s", hundredth)
+    return float(dt)
+
+
+def held(clock: Array, t: Array, samples: Array, step: float) -> Array:
+    """The last sample at or before each time of ``clock``; ``step`` (s) is its sample time."""
+    last = np.searchsorted(t, clock + SAME_TIME * step, side="right") - 1
+    return samples[np.maximum(last, 0)]
+
+
+def interpolated(clock: Array, t: Array, samples: Array, step: float) -> tuple[Array, Mask, Array]:
+    """Samples on the clock, whether each is a stamp's own, and how far apart in s the stamps around it are."""
+    after = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
+    before = after - 1
+    share = (clock - t[before]) / (t[after] - t[before])
+    y = samples[before] + share * (samples[after] - samples[before])
+    slack = SAME_TIME * step
+    on_before, on_after = np.abs(clock - t[before]) <= slack, np.abs(clock - t[after]) <= slack
+    y = np.where(on_before, samples[before], np.where(on_after, samples[after], y))
+    return y, on_before | on_after, t[after] - t[before]

@@ -1,0 +1,264 @@
+r"""A nonlinear plant with effects in steps: linear about its own motion, which is found by iteration.
+
+With a motion :math:`\bar x(t)` that was guessed, and :math:`A` the plant's own slopes in the middle of each step,
+
+.. math::
+    \dot x = A x + [f(\bar x, u) - A \bar x] + \sum_j b_j f_j
+
+is linear: its exponential is exact, the bracket is a line through its values at the two Gauss points of the step, and
+the laws answer as for a linear plant (`robustlab.dynamics.ports.law_kernel`), with the compliance :math:`M^{-1}` at the
+middle of the step. Where the motion that comes out is the one that went in, it is that of the nonlinear plant, fourth
+order in the step between the events of dry friction, contacts and the input. The iteration is Newton's (waveform
+relaxation): its error is squared by each pass, so that the last change shows that it has arrived. It is done in
+blocks of steps, the first guess of which is the linear plant about the block's start; a block that does not come to
+rest is halved.
+
+References
+----------
+Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010) 209-286; Lelarasmee, Ruehli,
+Sangiovanni-Vincentelli, "The waveform relaxation method for time-domain analysis of large scale integrated circuits",
+IEEE Trans. CAD 1 (1982) 131-145.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.dynamics.effects.contract import Law
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.nonlinear_point import with_linear_parts
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.motion_model import Course, exponentials, local_port_model
+from robustlab.errors import NoTrustworthyNumber
+
+__all__ = ["Drive", "march"]
+
+FIRST, MOST = 32, 256  # steps of a block
+PASSES = 8  # of a block, until it is halved
+QUICK = 4  # passes after which the next block is made longer
+AGREED = 1e-8  # change of the last pass, as a share of each state; what is left after it is that squared
+LEAST = 1e-12  # rad, m, rad/s, m/s, A: below it a change is rounding
+GAUSS = 0.5 / 3.0**0.5  # places of the Gauss points before and behind the middle, in steps
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What drives a plant in steps of h seconds from the time t0.
+
+    Attributes
+    ----------
+    mean, rise
+        The inputs as the plant sees them in each step, ``mean + rise (2 tau/h - 1)``, (n, n_u) each.
+    h, t0
+        In s.
+    """
+
+    mean: Array
+    rise: Array
+    h: float
+    t0: float
+
+
+def march(
+    plant: NonlinearPlant,
+    effects: Sequence[AttachedEffect],
+    drive: Drive,
+    x0: Array,
+    guess: Array | None = None,
+) -> Array:
+    """States (n, n_x) at the beginnings of the steps.
+
+    Parameters
+    ----------
+    plant
+        With the values that its parameters have under the effects.
+    x0
+        The plant's states and those of the effects, (n_x,).
+    guess
+        A motion (n, n_x) near to the one that is looked for, as from longer steps.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The iteration did not come to rest even over one step, or the plant has no model there; the message names the
+        time.
+    """
+    laws = [law for e in effects for law in e.laws()]
+    memory = np.zeros((len(laws), max([1, *(law.memory for law in laws)])))
+    last = len(drive.mean) - 1
+    states = np.empty((last + 1, len(x0)))
+    states[0] = x0
+    at, length = 0, FIRST if guess is None else MOST
+    while at < last:
+        count = min(length, last - at)
+        block = _Block(plant, effects, laws, drive, at, count, memory)
+        try:
+            found, passes = block.settled(states[at], None if guess is None else guess[at : at + count + 1])
+            words = "" if found is not None else "the motion over one step does not settle"
+        except NoTrustworthyNumber as error:
+            found, passes, words = None, PASSES, f"{error.where}: {error.found}"
+        if found is None:
+            if count == 1:
+                time = drive.t0 + at * drive.h
+                raise NoTrustworthyNumber(
+                    f"{plant.name}: simulate",
+                    f"no motion beyond t = {time:.6g} s: {words}",
+                    None,
+                    "shorter steps, or a motion within what the machine can do",
+                )
+            length = max(1, count // 4)
+            continue
+        reached = found[1:, : len(plant.states)]
+        plant.check_reach(drive.t0 + drive.h * (at + 1 + np.arange(count)), reached)
+        states[at : at + count + 1] = found
+        memory = block.after
+        at += count
+        length = min(2 * count, MOST) if passes <= QUICK else count if passes < PASSES else max(1, count // 2)
+    return states
+
+
+class _Block:
+    """Some steps of a march.
+
+    Attributes
+    ----------
+    after
+        Memory of the laws at the end of the block, once it has settled.
+    """
+
+    def __init__(
+        self,
+        plant: NonlinearPlant,
+        effects: Sequence[AttachedEffect],
+        laws: Sequence[Law],
+        drive: Drive,
+        at: int,
+        count: int,
+        memory: Array,
+    ) -> None:
+        self.plant, self.effects, self.laws = plant, effects, laws
+        self.drive, self.at, self.count, self.memory = drive, at, count, memory
+        self.after = memory
+        self.mean, self.rise = drive.mean[at : at + count], drive.rise[at : at + count]
+
+    def settled(self, start: Array, guess: Array | None) -> tuple[Array | None, int]:
+        """States (count + 1, n_x), None where they do not settle, and the passes that were made."""
+        motion = start[None].repeat(self.count + 1, axis=0) if guess is None else guess
+        before = np.inf
+        for k in range(1, PASSES + 1):
+            # About a point the plant has one linear model.
+            found, speed = self._passed(start, motion, self.count if guess is None and k == 1 else 1)
+            if not np.isfinite(found).all():
+                return None, k
+            size = AGREED * (np.abs(found).max(axis=0) + speed * self.drive.h) + LEAST
+            change = float((np.abs(found - motion).max(axis=0) / size).max())
+            motion = found
+            if change <= 1.0:
+                self._remember(start)
+                return found, k
+            if k > 3 and change > before:
+                return None, k
+            before = change
+        return None, PASSES
+
+    def _passed(self, start: Array, motion: Array, stride: int) -> tuple[Array, Array]:
+        """States (count + 1, n_x) of the plant taken as linear about a motion of that shape, and its largest rates.
+
+        One linear model stands for ``stride`` steps. What the effects add to the equations, and how forces enter, goes
+        on from the middle of each step by first and second differences.
+        """
+        h, count, n_u, own = self.drive.h, self.count, self.mean.shape[1], len(self.plant.states)
+        course = Course(self.plant, motion, self.mean, h)
+        steps = np.arange(count)
+        of = steps // stride
+        x, u = course.at(np.minimum((np.arange(of[-1] + 1) + 0.5) * stride, count - 0.5))
+        local = self.plant.local_models(x[:, :own], u)
+        model = with_linear_parts(local_port_model(self.plant, local), self.effects)
+        halves = exponentials(model.A, 0.5 * h)
+        parts = []
+        if model.A is not local.A:
+            entering, added = model.B[..., n_u:], model.A.copy()
+            added[..., :own] -= entering @ local.A
+            parts = [_around(part) for part in (entering, added)]
+        sides, size = [], np.zeros(model.A.shape[-1])
+        for share in (-GAUSS, GAUSS):
+            x, _ = course.at(steps + 0.5 + share)
+            rates = self.plant.rates_along(x[:, :own], self.mean + 2.0 * share * self.rise)
+            size[:own] = np.maximum(size[:own], np.abs(rates).max(axis=0))
+            if parts:  # what the effects make of the plant's rates, and what they add
+                enters, adds = ((here + share * first + 0.5 * share**2 * second)[of] for here, first, second in parts)
+                rates = _times(enters, rates) + _times(adds, x)
+            sides.append(rates - _times(model.A[of], x))
+        phi, psi, ramp = (matrices[of] for matrices in halves)
+        middle, rise = 0.5 * (sides[0] + sides[1]), (sides[1] - sides[0]) / (4.0 * GAUSS)
+        turned = _times(ramp, 0.5 * rise)
+        first = _times(psi, middle - 0.5 * rise) + turned
+        second = _times(psi, middle + 0.5 * rise) + turned
+        drift = np.array([_times(phi, first) + second, first, second])
+        push = np.zeros((2, len(model.A), len(self.laws), model.A.shape[-1]))
+        for j, law in enumerate(self.laws):
+            here, by, twice = _around(model.ports[law.port].force)
+            for k, share in enumerate((-0.25, 0.25)):  # over the halves: mean, and half of what it rises by
+                rising = 0.25 * by + 0.5 * share * twice
+                push[k, :, j] = _times(halves[1], here + share * by + twice / 24.0) + _times(halves[2], rising)
+        whole = push[0] @ np.swapaxes(halves[0], 1, 2) + push[1]
+        phi = np.array([halves[0] @ halves[0], halves[0], halves[0]])
+        self._table = _with_one_more(count, stride, phi, np.array([whole, *push]), drift), model.ports, stride
+        return self._stepped(start, self.memory.copy(), count + 1), size
+
+    def _stepped(self, start: Array, memory: Array, length: int) -> Array:
+        """States (length, n_x) at the beginnings of so many steps; the memory is carried to the end of the last."""
+        from robustlab.dynamics.ports import law_kernel as kernel
+
+        (phi, push, drift), ports, stride = self._table
+        n, n_laws = phi.shape[-1], len(self.laws)
+        velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n))
+        parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in self.laws)])))
+        for j, law in enumerate(self.laws):
+            port = ports[law.port]
+            velocity[j] = port.velocity
+            if port.position is not None:
+                position[j] = port.position
+            parameters[j, : len(law.parameters)] = law.parameters
+        no_input = np.zeros((*phi.shape[:3], 0))
+        held = kernel.HeldSteps(
+            phi, no_input, push, velocity, position, np.ascontiguousarray(drift[:, :length]), stride
+        )
+        addresses = np.array([law.function.address for law in self.laws], dtype=np.uintp)
+        states, forces = np.empty((1, length, n)), np.zeros((1, length, n_laws))
+        run = kernel.Run(
+            np.zeros((self.at + length, 0)), self.drive.h, self.drive.t0, 1,
+            np.array([self.at], dtype=np.int64), length, start[None].copy(), n, True,
+        )  # fmt: skip
+        kernel.step_windows(addresses, parameters, memory, *held, *run, states, forces)
+        return states[0]
+
+    def _remember(self, start: Array) -> None:
+        if any(law.memory for law in self.laws):
+            self.after = self.memory.copy()
+            self._stepped(start, self.after, self.count)
+
+
+def _around(values: Array) -> tuple[Array, Array, Array]:
+    """Values (m, ...) in the middles of the steps, their first and second change from step to step."""
+    if len(values) < 3:
+        return values, np.zeros_like(values), np.zeros_like(values)
+    first = np.gradient(values, axis=0, edge_order=2)
+    return values, first, np.gradient(first, axis=0, edge_order=2)
+
+
+def _with_one_more(count: int, stride: int, phi: Array, push: Array, drift: Array) -> tuple[Array, Array, Array]:
+    """The table with a step more than ``count``, so that the state at the end of the last one is written as well."""
+    rows = np.minimum(np.arange(-(-(count + 1) // stride)), phi.shape[1] - 1)
+    if len(rows) > phi.shape[1]:
+        phi, push = (np.ascontiguousarray(np.take(part, rows, axis=1)) for part in (phi, push))
+    return phi, push, np.concatenate([drift, drift[:, -1:]], axis=1)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Products of the matrices (m, p, q) with the vectors (m, q), (m, p)."""
+    return (matrices @ vectors[..., None])[..., 0]

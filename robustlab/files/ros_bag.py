@@ -1,0 +1,260 @@
+"""ROS 2 bags in MCAP files: the numeric fields of the topics that are asked for, and the stamps of their messages.
+
+Runs in a child process; see `robustlab.files.isolation`. The file is read once from front to end, chunk by chunk, with
+its checksums; a chunk's declared size is looked at before it is decompressed. A topic becomes a group with the datasets
+``log`` (when it was written) and ``stamp`` (when it was measured, by the message's header; absent without one), whole
+nanoseconds, and one for each field. Fields nobody asked for are `Unread`, so that messages can list them.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.signature import Limits, size_text
+from robustlab.files.tree import Dataset, Tree, Unread, canonical
+
+__all__ = ["bag_tree"]
+
+NOT_LISTED = 32  # entries of an array beyond these are found by their path only
+PART = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)")
+INDEX = re.compile(r"\[([^\[\]]+)\]")
+RECOVER = "mcap recover IN -o OUT"
+DEEPEST = 12  # of messages in messages
+
+
+@dataclass
+class _Topic:
+    """What is known of a topic so far."""
+
+    name: str
+    encoding: str
+    decode: Callable[[bytes], Any] | None
+    fields: dict[str, int] = field(default_factory=dict)  # path -> entries that the array at its end has; 0 = a number
+    wanted: list[tuple[str, list[str | int]]] = field(default_factory=list)
+    values: list[array[float]] = field(default_factory=list)
+    log: array[int] = field(default_factory=lambda: array("q"))
+    stamp: array[int] | None = None
+
+
+def bag_tree(path: str, group: str | None, wanted: Sequence[str] | None, limits: Limits, shown: str | None) -> Tree:
+    """Read the fields ``wanted`` (``/topic.field[0]``, or ``field[0]`` of the topic ``group``); None: all of the group.
+
+    Raises
+    ------
+    InputError
+        A truncated or damaged file, chunks beyond the limits, a field that some messages lack or that is no number.
+    """
+    where = shown or path
+    bag = _Bag(where, limits, group, None if wanted is None else list(wanted))
+    try:
+        with Path(path).open("rb") as stream:
+            for record in _records(stream, where, limits):
+                bag.take(record)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
+        name, text = type(error).__name__, str(error)[:120]
+        if name == "EndOfFile" or "unpack requires" in text or "Error -5" in text:
+            found = f"truncated after {bag.messages} messages"
+        else:
+            found = f"damaged MCAP file ({name}: {text})"
+        raise InputError(where, found, None, f"copy the file again, or {RECOVER}") from error
+    return bag.tree()
+
+
+def _records(stream: Any, where: str, limits: Limits) -> Iterator[Any]:
+    """All records in order, those in chunks too."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    end = time.monotonic() + 0.8 * limits.seconds
+    for record in StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=limits.dataset).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        if record.uncompressed_size > limits.dataset:
+            size = size_text(record.uncompressed_size)
+            raise InputError(where, f"a chunk declares {size}, limit {size_text(limits.dataset)}")
+        yield from breakup_chunk(record, validate_crc=True)
+        if time.monotonic() > end:
+            raise InputError(
+                where,
+                f"not read to its end in {0.8 * limits.seconds:g} s",
+                "a shorter bag",
+                "mcap filter IN -o OUT --include-topic-regex '/joint_states|/command'",
+            )
+
+
+class _Bag:
+    """Collects what the records of a bag say."""
+
+    def __init__(self, where: str, limits: Limits, group: str | None, wanted: list[str] | None) -> None:
+        from mcap_ros2.decoder import DecoderFactory
+
+        self.where, self.limits, self.group = where, limits, group
+        self.wanted, self.messages = wanted, 0
+        self.factory = DecoderFactory()
+        self.schemas: dict[int, Any] = {}
+        self.channels: dict[int, _Topic] = {}
+        self.topics: dict[str, _Topic] = {}
+        self.taken = 0
+
+    def take(self, record: Any) -> None:
+        from mcap.records import Channel, Message, Schema
+
+        if isinstance(record, Message):
+            topic = self.channels.get(record.channel_id)
+            if topic is None:
+                raise InputError(self.where, f"a message of channel {record.channel_id}, which the file does not name")
+            self._message(topic, record)
+        elif isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel) and record.id not in self.channels:
+            if len(self.channels) >= self.limits.objects:
+                raise InputError(self.where, f"more than {self.limits.objects} channels")
+            schema = self.schemas.get(record.schema_id)
+            decode = self.factory.decoder_for(record.message_encoding, schema)
+            encoding = f"{record.message_encoding or '?'} with {schema.encoding if schema else 'no'} schema"
+            # Several publishers of one topic have a channel each.
+            topic = self.topics.setdefault(record.topic, _Topic(record.topic, encoding, decode))
+            self.channels[record.id] = topic
+
+    def _message(self, topic: _Topic, record: Any) -> None:
+        self.messages += 1
+        first = not topic.log
+        topic.log.append(min(record.log_time, 2**63 - 1))
+        if topic.decode is None or not (first or topic.values):
+            return
+        message = topic.decode(record.data)
+        if first:
+            self._first(topic, message)
+        for (path, parts), values in zip(topic.wanted, topic.values, strict=True):
+            values.append(self._number(topic, path, parts, message))
+        if topic.stamp is not None and topic.values:
+            stamp = message.header.stamp
+            topic.stamp.append(stamp.sec * 10**9 + stamp.nanosec)
+        self.taken += 8 * (len(topic.values) + 2)
+        if self.taken > self.limits.total:
+            raise InputError(self.where, "the fields asked for take more", f"at most {size_text(self.limits.total)}")
+
+    def _first(self, topic: _Topic, message: Any) -> None:
+        """What a topic holds, and what of it is wanted, from its first message."""
+        topic.fields = dict(_numeric(message, "", 0))
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        if hasattr(stamp, "sec") and hasattr(stamp, "nanosec"):
+            topic.stamp = array("q")
+        if self.group is not None and topic.name != self.group:
+            return
+        if self.wanted is None:
+            paths = [path for path, size in topic.fields.items() if size <= NOT_LISTED] if self.group else []
+        elif self.group is None:
+            prefix = f"{topic.name}."
+            paths = [text.removeprefix(prefix) for text in self.wanted if text.startswith(prefix)]
+        else:
+            paths = self.wanted
+        for path in dict.fromkeys(paths):
+            parts = _parts(path)
+            if parts is not None and _found(message, parts) is not None:
+                topic.wanted.append((path, parts))
+                topic.values.append(array("d"))
+
+    def _number(self, topic: _Topic, path: str, parts: list[str | int], message: Any) -> float:
+        value = _found(message, parts)
+        if isinstance(value, (bool, int, float)):
+            return float(value)
+        k, where = len(topic.log) - 1, f"{self.where}: {topic.name}.{path}"
+        if value is None:
+            raise InputError(where, f"message {k} has no such field or entry", "a number in every message")
+        found = f"{len(value)} entries" if isinstance(value, (list, bytes, array)) else f"a {type(value).__name__}"
+        hint = f"{path}[0] is the first of them" if isinstance(value, (list, bytes, array)) else None
+        raise InputError(where, found, "a number", hint)
+
+    def tree(self) -> Tree:
+        tree = Tree(file=self.where)
+        for name, topic in sorted(self.topics.items()):
+            group = tree.groups[name] = Tree(path=name, file=self.where)
+            group.attrs["encoding"] = canonical("" if topic.decode else topic.encoding, name)
+            group.attrs["count"] = canonical(len(topic.log), name)
+            group.attrs["fields"] = canonical(np.array(_patterns(topic.fields), np.str_), name)
+            log = np.array(topic.log, np.int64)
+            if len(log) > 1 and np.ptp(log):
+                group.attrs["rate"] = canonical(1e9 * (len(log) - 1) / float(np.ptp(log)), name)
+            for path, size in topic.fields.items():
+                if size <= NOT_LISTED:
+                    group.datasets[path] = Dataset(Unread("not read", (len(log),)))
+            if topic.values:
+                group.put("log", log)
+                if topic.stamp is not None:
+                    group.put("stamp", np.array(topic.stamp, np.int64))
+            for (path, _), values in zip(topic.wanted, topic.values, strict=True):
+                group.put(path, np.array(values, np.float64))
+        return tree
+
+
+def _numeric(value: Any, path: str, depth: int) -> Iterator[tuple[str, int]]:
+    """Paths of the numbers in a message, each with the length of the longest array on its way; no headers."""
+    if isinstance(value, (bool, int, float)):
+        yield path, 0
+    elif isinstance(value, (list, bytes, array)):
+        for k, item in enumerate(value[: NOT_LISTED + 1]):
+            for inner, size in _numeric(item, f"{path}[{k}]", depth + 1):
+                yield inner, max(len(value), size)
+    elif hasattr(value, "__slots__") and depth < DEEPEST:
+        for name in value.__slots__:
+            inner_path = f"{path}.{name}" if path else name
+            if inner_path != "header":
+                yield from _numeric(getattr(value, name), inner_path, depth + 1)
+
+
+def _patterns(fields: dict[str, int]) -> list[str]:
+    """``position[0..5]`` for the paths of an array."""
+    ends: dict[str, tuple[int, int]] = {}
+    for path, size in fields.items():
+        name = re.sub(r"\[\d+\]", "[]", path)
+        ends[name] = (max(size, ends.get(name, (0, 0))[0]), path.count("["))
+    return [
+        re.sub(r"\[\]", f"[0..{size - 1}]", name) if size > 1 and count == 1 else name.replace("[]", "[0]")
+        for name, (size, count) in ends.items()
+    ]
+
+
+def _parts(path: str) -> list[str | int] | None:
+    """``a.b[2]`` as ``["a", "b", 2]``; ``position[elbow]`` as ``["position", "[elbow"]``: an entry by its name."""
+    parts: list[str | int] = []
+    for text in re.split(r"\.(?![^\[]*\])", path):
+        match = PART.fullmatch(text)
+        if match is None:
+            return None
+        parts.append(match[1])
+        for index in INDEX.findall(match[2]):
+            parts.append(int(index) if index.isdecimal() and len(index) < 10 else f"[{index}")
+    return parts
+
+
+def _found(message: Any, parts: list[str | int]) -> Any:
+    """The value at a path, or None. A name in brackets is looked up in the list ``name`` beside the array."""
+    value, owner = message, message
+    for part in parts:
+        if isinstance(part, int) or part.startswith("["):
+            names = getattr(owner, "name", None)
+            if isinstance(part, str):
+                if not isinstance(names, list) or part[1:] not in names:
+                    return None
+                part = names.index(part[1:])
+            if not isinstance(value, (list, bytes, array)) or part >= len(value):
+                return None
+            value = value[part]
+        else:
+            if part not in getattr(value, "__slots__", ()):
+                return None
+            owner, value = value, getattr(value, part)
+    return value
