@@ -61,7 +61,7 @@ class Drives:
         Friction at the nut: N m s/rad; level when sliding and what is added at rest in N m; how fast that is lost.
     ripple, order, phase
         Amplitude in N m and waves per turn of the nut of a torque that is periodic in the nut's angle.
-    gap, share
+    gap
         Play between rotor and nut in rad at the nut.
     delay_in, delay_out
         Of the input and of the encoder's reading, s (whole steps of `STEP`).
