@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden.sensors import coloured
 from platform_machine import STEP, Array, Cable, Drives, Machine, Run, bodies, nut_angles, simulate
 
 import robustlab as rl
@@ -48,8 +49,9 @@ BODIES = {
 MOTOR = {"R": (2.07, 0.05), "L": (0.62e-3, 0.10), "Km": (0.052, 0.05), "Kb": (0.052, 0.05), "Kf": (4.8e-5, 0.35)}
 TOLERANCES = {True: {**BODIES, **MOTOR}, False: BODIES}
 
-# Encoder counts per motor turn, its noise in rad at the nut, noise of the current in A.
-NOISE = {"low": (4000, 1e-4, 2e-3), "mid": (2000, 3e-4, 5e-3), "high": (500, 1e-3, 2e-2)}
+# Encoder counts per motor turn, its noise in rad at the nut, noise of the current in A, torque from outside at each
+# motor in N m (0.1 % of what the motors do at "mid"), which wanders with 5 Hz.
+NOISE = {"low": (4000, 1e-4, 2e-3, 0.0), "mid": (2000, 3e-4, 5e-3, 2e-5), "high": (500, 1e-3, 2e-2, 1e-4)}
 
 
 def nominal_plant(motors: bool = True) -> Any:
@@ -165,7 +167,7 @@ CLASSES: Mapping[str, Hidden] = {
     "coulomb-friction": Hidden(lambda r, _: {"Fc": GEAR * _log(r, 1.5e-3, 6e-3)}, _at(coulomb="Fc")),
     "viscous-friction": Hidden(_viscous, _at(viscous="c")),
     "stribeck-friction": Hidden(_stribeck, _at(coulomb="Fc", breakaway="dF", stribeck="vs")),
-    "backlash": Hidden(lambda r, _: {"gap": _log(r, 0.015, 0.1)}, _at(gap="gap")),
+    "backlash": Hidden(lambda r, _: {"gap": _log(r, 0.1, 0.5)}, _at(gap="gap")),
     "cogging": Hidden(_ripple, _at(ripple="A", order="order", phase="phase")),
     "torque-constant": Hidden(_off(0.12, 0.3), _times("Km", "Kb"), motors=True),
     "input-gain": Hidden(_off(0.1, 0.25), _times("gain"), motors=False),
@@ -304,8 +306,8 @@ class PlatformCase:
         Its true values at each leg, or one set of common ones; torques and angles at the nut.
     perturbed
         Parameter -> true over nominal value, within tolerance.
-    machine, runs
-        The true machine; the two runs with the true motion. None where the case came from its files.
+    machine, bare, runs
+        The true machine, without its effect, and the two runs with the true motion; None where the case is from files.
     """
 
     name: str
@@ -318,6 +320,7 @@ class PlatformCase:
     record: Record
     held_out: Record
     machine: Machine | None = None
+    bare: Machine | None = None
     runs: tuple[Run, Run] | None = None
 
     @property
@@ -361,7 +364,7 @@ def make_case(
         factors["Kb"] = factors["Km"]  # one physical constant
     true = {key: value * factors[key] for key, (value, _) in stated.items()}
     drives = Drives(**{key: true[key] for key in MOTOR}) if motors else Drives()
-    machine = Machine(bodies(true), drives, motors)
+    bare = machine = Machine(bodies(true), drives, motors)
     hidden = CLASSES[name.removeprefix("2x ")]
     legs = tuple(sorted(int(j) for j in draw.permutation(LEGS)[: 2 if name.startswith("2x ") else 1]))
     values = []
@@ -372,7 +375,7 @@ def make_case(
     runs = tuple(_run(machine, seed, name, run, noise, round(duration / DT)) for run in range(2))
     records = [_record(run, noise, motors, generator(seed, "current", name, k), word)
                for k, (run, word) in enumerate(zip(runs, ("record", "held-out"), strict=True))]  # fmt: skip
-    return PlatformCase(name, where, tuple(values), factors, seed, motors, noise, *records, machine, runs)
+    return PlatformCase(name, where, tuple(values), factors, seed, motors, noise, *records, machine, bare, runs)
 
 
 def _run(machine: Machine, seed: int, name: str, run: int, noise: str, n: int) -> Run:
@@ -383,12 +386,14 @@ def _run(machine: Machine, seed: int, name: str, run: int, noise: str, n: int) -
     # the way into the motion from rest, as smooth as the path
     rise = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.arange(n) * DT / 0.3, 1.0))
     target[before:] = phi[0] + rise[:, None] * (phi - phi[0])
-    counts, spread, _ = NOISE[noise]
+    counts, spread, _, load = NOISE[noise]
     lsb = 2 * np.pi / (counts * GEAR)
     shake = spread * generator(seed, "encoder", name, run).normal(size=(before + n, 6))
+    draw = generator(seed, "push", name, run)
+    push = GEAR * load * np.column_stack([coloured(before + n, DT, draw) for _ in range(LEGS)])
     of = simulate(
         machine, poses[0], before + n, DT, _controller(machine, target, generator(seed, "controller", name)),
-        seen=lambda k, y: lsb * np.round((y + shake[k]) / lsb),
+        seen=lambda k, y: lsb * np.round((y + shake[k]) / lsb), push=push,
     )  # fmt: skip
     return Run(np.arange(n) * DT, *(value[before:] for key, value in vars(of).items() if key != "t"))
 

@@ -18,7 +18,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -61,7 +61,7 @@ class Drives:
         Friction at the nut: N m s/rad; level when sliding and what is added at rest in N m; how fast that is lost.
     ripple, order, phase
         Amplitude in N m and waves per turn of the nut of a torque that is periodic in the nut's angle.
-    gap, share
+    gap
         Play between rotor and nut in rad at the nut.
     delay_in, delay_out
         Of the input and of the encoder's reading, s (whole steps of `STEP`).
@@ -452,7 +452,7 @@ def _sample(x, mode, inputs, inverses, biases, p, motors, dt, trail):
 
 @dataclass(frozen=True)
 class Run:
-    """Samples of a run, (n, 6) each: what the controller put out, what was read, and the true motion.
+    """Samples of a run, (n, 6) each: what the controller put out, what was read (and without noise), the true motion.
 
     ``stuck`` counts the samples at which a nut is held by friction, ``flights`` those at which a gap is open.
     """
@@ -460,6 +460,7 @@ class Run:
     t: Array
     u: Array
     readings: Array
+    clean: Array
     currents: Array
     phi: Array
     rates: Array
@@ -480,6 +481,7 @@ def simulate(
     *,
     rates: Array | None = None,
     currents: Array | None = None,
+    push: Array | None = None,
     seen: Callable[[int, Array], Array] = lambda k, y: y,
     step: float = STEP,
 ) -> Run:
@@ -491,6 +493,8 @@ def simulate(
         What the encoders make of the delayed angles (6,): noise, rounding.
     rates, currents
         At the start, zero where left out.
+    push
+        Torques from outside at the nuts, (n, 6), held from sample to sample.
     """
     body, p, drives = mechanism(machine, pose), _numbers(machine), machine.drives
     steps = round(dt / step)
@@ -507,9 +511,7 @@ def simulate(
     angles = np.empty((n * steps + 1, 6))  # at every step
     angles[0] = x[18:24]
     held = np.zeros((n * steps, 6))
-    out = {
-        name: np.empty((n, 6)) for name in ("u", "readings", "currents", "phi", "rates", "stuck", "flights", "poses")
-    }
+    kept: dict[str, list[Array]] = {f.name: [] for f in fields(Run) if f.name != "t"}
     past = now = body.terms(x[:6], x[6:12])
     for k in range(n):
         at = k * steps
@@ -517,23 +519,27 @@ def simulate(
         reading = np.asarray(seen(k, delayed + offset), dtype=np.float64)
         u = np.asarray(controller(k, reading), dtype=np.float64)
         held[at : at + steps] = u
-        for name, value in {"u": u, "readings": reading, "currents": x[12:18], "phi": x[:6], "rates": x[6:12],
-                            "stuck": mode == HELD, "poses": body.pose,
-                            "flights": np.abs(x[18:24] - x[:6]) < 0.5 * p[:, GAP]}.items():  # fmt: skip
-            out[name][k] = value
+        flights = np.abs(x[18:24] - x[:6]) < 0.5 * p[:, GAP]
+        values = u, reading, delayed + offset, x[12:18], x[:6], x[6:12], mode == HELD, flights, body.pose
+        for column, value in zip(kept.values(), values, strict=True):
+            column.append(np.array(value, dtype=np.float64))
         rows = np.arange(at, at + steps)[:, None] - lag_in
         inputs = np.where(rows >= 0, held[np.maximum(rows, 0), legs], held[0])
         ahead = 2 * now[0] - past[0], 2 * now[1] - past[1]
-        for attempt in range(2 if k else 3):
+        # once with terms that go on as before, once with those of where that leads; without a past twice more
+        for left in (1, 0) if k else (2, 1, 0):
             trial, trial_mode = x.copy(), mode.copy()
-            values = [np.ascontiguousarray(np.stack(three)) for three in zip(past, now, ahead, strict=True)]
-            _sample(trial, trial_mode, inputs, *values, p, machine.motors, dt, angles[at + 1 : at + steps + 1])
-            if attempt == 0 or not k:
+            inverses, biases = (np.ascontiguousarray(np.stack(three)) for three in zip(past, now, ahead, strict=True))
+            if push is not None:
+                biases -= push[k]
+            trail = angles[at + 1 : at + steps + 1]
+            _sample(trial, trial_mode, inputs, inverses, biases, p, machine.motors, dt, trail)
+            if left:
                 ahead = body.terms(trial[:6], trial[6:12])
-                if not k:  # no value before the start: the straight line
-                    past = 2 * now[0] - ahead[0], 2 * now[1] - ahead[1]
+            if not k:
+                past = 2 * now[0] - ahead[0], 2 * now[1] - ahead[1]
         x, mode, past, now = trial, trial_mode, now, ahead
-    return Run(np.arange(n) * dt, **out)
+    return Run(np.arange(n) * dt, *(np.array(column) for column in kept.values()))
 
 
 def bodies(nominal: Mapping[str, float]) -> Any:

@@ -1,0 +1,230 @@
+"""Naming on the Stewart platform, judged: name AND leg. ``python benchmarks/platform_discover.py --seeds 1-4``.
+
+Each case of `platform_cases` is named by `robustlab.discover` in a process of its own, one line of ``--store`` a case;
+what is there is not run again. A case that was refused, failed or ran out of time is a line, too, and counts as wrong.
+``--report`` runs nothing.
+
+What counts: *right* where exactly the hidden effect is named at exactly its legs; *in the answer* where some set of the
+collection of 95 % says so; *sure and wrong* where the verdict is "named" and the set is another. Nothing hidden is
+right where nothing is named, and what no catalogue has where nothing is, or where the answer says that more remains.
+
+Seeds: 1-99 for tuning, 9001-9099 for checking; 77001-77099 (``--last``) are run once, at the very end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from platform_cases import NOISE, OUTSIDE, PlatformCase, cached_case, names, nominal_plant, seeds
+
+__all__ = ["ACCEPTED", "main", "report", "run_case", "said_of", "verdict_of"]
+
+Line = dict[str, Any]
+Said = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)
+
+LAST = range(77001, 77100)
+LIMIT = 1200.0  # s of wall time a case
+CACHE = Path("out/platform_cases")
+
+# What a hidden effect may be called besides its own name, where the two are one to the records or to the catalogue: an
+# encoder's offset is a bias of its reading, and without motors a motor's torque constant is the gain of its input.
+ACCEPTED = {
+    "encoder-offset": ("encoder-offset", "sensor-bias"),
+    "input-gain": ("input-gain", "torque-constant"),
+}
+COMMON = ("platform-mass", "platform-centre", "gravity-direction")
+
+
+def said_of(effects: Iterable[tuple[str, str]]) -> Said:
+    """(effect, place) pairs of an answer as (effect, leg): a place such as ``phidot_3`` or ``u_3`` is leg 3."""
+    out = set()
+    for name, place in effects:
+        tail = place.rpartition("_")[2]
+        out.add((name, int(tail) if tail in "123456" and tail else 0))
+    return frozenset(out)
+
+
+def is_truth(said: Said, case: PlatformCase) -> bool:
+    """Whether an answer is the hidden effect at its legs, and no more."""
+    if case.name in ("none", *OUTSIDE):
+        return not said
+    own = ACCEPTED.get(case.effect, (case.effect,))
+    if any(name not in own for name, _ in said):
+        return False
+    if case.effect in COMMON:
+        return bool(said)
+    legs = {leg for _, leg in said}
+    return legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
+
+
+def verdict_of(case: PlatformCase, verdict: str, complete: bool, said: Said, open_sets: Sequence[Said]) -> Line:
+    """right, in_answer, sure_wrong of an answer."""
+    if case.name in OUTSIDE:
+        right = verdict == "unknown" or not complete
+        return {"right": right, "in_answer": right, "sure_wrong": verdict == "named" and complete}
+    right = is_truth(said, case) and verdict in ("named", "no missing effect")
+    found = right or any(is_truth(s, case) for s in (said, *open_sets))
+    return {"right": right, "in_answer": found, "sure_wrong": verdict == "named" and not is_truth(said, case)}
+
+
+def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclude: Sequence[str] = ()) -> Line:
+    """Name one case in this process; whatever goes wrong is in the line."""
+    import robustlab as rl
+
+    line: Line = {}
+    try:
+        case = cached_case(cache, name, seed, motors=motors, noise=noise)
+        plant = nominal_plant(motors)
+        line = {"truth": case.truth()}
+        plant.derivative(*(np.zeros(len(s)) for s in (plant.states, plant.inputs)))  # compiled code is loaded
+        wall, cpu = time.perf_counter(), time.process_time()
+        found = rl.discover(plant, [case.record], held_out=[case.held_out], exclude=tuple(exclude))
+        line |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+        named = [(e.name, e.site) for e in found.effects]
+        sets = [[tuple(e.partition("@")[::2]) for e in p.effects] for p in found.collection]
+        line |= verdict_of(case, found.verdict, found.complete, said_of(named), [said_of(s) for s in sets])
+        line |= {
+            "status": "ok", "verdict": found.verdict, "complete": found.complete, "named": named,
+            "values": [{v.name: (v.value, v.lower, v.upper) for v in e.parameters} for e in found.effects],
+            "posterior": [(p.effects, p.probability) for p in found.posterior[:8]],
+            "gap_before": found.gap_before, "gap_refitted": found.gap_refitted, "gap_after": found.gap_after,
+        }  # fmt: skip
+    except rl.RobustlabError as error:
+        line |= {"status": "refused", "error": str(error)}
+    except Exception:  # noqa: BLE001 - a lost case would make the figures better than they are
+        line |= {"status": "failed", "error": traceback.format_exc(limit=-4)}
+    return line
+
+
+# --- many cases ------------------------------------------------------------------------------------------------------
+
+
+def _key(name: str, seed: int, motors: bool, noise: str) -> str:
+    return f"{name} | {seed} | {'motors' if motors else 'torques'} | {noise}"
+
+
+def _in_a_process(name: str, seed: int, asked: argparse.Namespace) -> Line:
+    """One case in a process of its own, which is ended when it takes too long."""
+    command = [sys.executable, __file__, "--one", name, str(seed), "--noise", asked.noise, "--cache", str(asked.cache)]
+    command += [*(["--torques"] if asked.torques else []), *(["--exclude", *asked.exclude] if asked.exclude else [])]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    child = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
+    )
+    try:
+        out, err = child.communicate(timeout=asked.limit)
+    except subprocess.TimeoutExpired:
+        os.killpg(child.pid, signal.SIGKILL)
+        child.communicate()
+        return {"status": "timed out", "error": f"more than {asked.limit:g} s"}
+    lines = [row for row in out.splitlines() if row.startswith("{")]
+    if child.returncode or not lines:
+        return {"status": "crashed", "error": f"exit {child.returncode}: {err[-500:]}"}
+    return json.loads(lines[-1])
+
+
+def stored(path: Path) -> dict[str, Line]:
+    """Lines of a store by their keys; a last line that was cut short is left out."""
+    lines = {}
+    for row in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        if row.endswith("}"):
+            line = json.loads(row)
+            lines[line["key"]] = line
+    return lines
+
+
+def report(lines: Iterable[Line]) -> str:
+    """Table of the classes, and the figures that the project asks for."""
+    by_class: dict[str, list[Line]] = defaultdict(list)
+    for line in lines:
+        by_class[line["name"]].append(line)
+    if not by_class:
+        return "no cases"
+    rows = [f"{'class':24s} {'cases':>5s} {'right':>6s} {'answer':>6s} {'sure wrong':>10s} {'lost':>5s} {'CPU s':>11s}"]
+
+    def row(title: str, of: list[Line]) -> str:
+        cpu = [line["cpu_s"] for line in of if "cpu_s" in line]
+        time_text = f"{np.median(cpu):5.0f}/{max(cpu):5.0f}" if cpu else "-"
+        count = [sum(bool(line.get(key)) for line in of) for key in ("right", "in_answer", "sure_wrong")]
+        lost = sum(line["status"] != "ok" for line in of)
+        return f"{title:24s} {len(of):5d} {count[0]:6d} {count[1]:6d} {count[2]:10d} {lost:5d} {time_text:>11s}"
+
+    rows += [row(name, by_class[name]) for name in by_class]
+    single = [x for name, of in by_class.items() for x in of if name not in ("none", *OUTSIDE) and name[:3] != "2x "]
+    pairs = [x for name, of in by_class.items() for x in of if name[:3] == "2x "]
+    for title, of in (("one effect", single), ("two legs", pairs), ("nothing", by_class.get("none", []))):
+        if of:
+            rows.append(row(f"ALL {title}", of))
+    silent = by_class.get("none", [])
+    if silent:
+        wrong = sum(line.get("verdict") in ("named", "ambiguous", "unknown") for line in silent)
+        rows.append(f"nothing missing -> a name: {wrong} of {len(silent)} ({100 * wrong / len(silent):.0f} %)")
+    before = [x["gap_before"] / x["gap_after"] for x in single if x.get("right") and x.get("gap_after")]
+    if before:
+        rows.append(f"held-out gap shrinks by (median of what is right): {np.median(before):.1f}")
+    return "\n".join(rows)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", default="1-2", help="like 1-3,7")
+    parser.add_argument("--only", nargs="+", metavar="CLASS", help="classes (all that the machine can have)")
+    parser.add_argument("--torques", action="store_true", help="without motors: torques in, encoders out")
+    parser.add_argument("--noise", choices=NOISE, default="mid")
+    parser.add_argument("--exclude", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be tried")
+    parser.add_argument("--store", type=Path, default=Path("out/platform_discover.jsonl"), help="one JSON line a case")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the records")
+    parser.add_argument("--limit", type=float, default=LIMIT, help="wall time in s after which a case is given up")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no case after this time")
+    parser.add_argument("--last", action="store_true", help="the last seeds, after which nothing is tuned any more")
+    parser.add_argument("--again", action="store_true", help="run what the store has, too")
+    parser.add_argument("--report", action="store_true", help="run nothing: print the figures of what --store holds")
+    parser.add_argument("--one", nargs=2, metavar=("CLASS", "SEED"), help=argparse.SUPPRESS)
+    asked = parser.parse_args(argv)
+    if asked.one:
+        name, seed = asked.one
+        print(json.dumps(run_case(name, int(seed), not asked.torques, asked.noise, asked.cache, asked.exclude)))
+        return
+    possible = names(not asked.torques)
+    if strange := set(asked.only or ()) - set(possible):
+        parser.error(f"no class {', '.join(sorted(strange))}: {', '.join(possible)}")
+    wanted = seeds(asked.seeds)
+    if set(wanted) & set(LAST) and not asked.last:
+        parser.error(f"seeds {LAST[0]}-{LAST[-1]} are run once, at the very end: --last")
+    keys = {_key(n, s, not asked.torques, asked.noise): (n, s) for s in wanted for n in asked.only or possible}
+    done, began = stored(asked.store), time.time()
+    asked.store.parent.mkdir(parents=True, exist_ok=True)
+    for number, (key, (name, seed)) in enumerate(keys.items(), 1):
+        if asked.report or (key in done and not asked.again) or time.time() - began > 60 * asked.minutes:
+            continue
+        line = {"key": key, "name": name, "seed": seed, **_in_a_process(name, seed, asked)}
+        if "truth" not in line:
+            line["truth"] = cached_case(asked.cache, name, seed, motors=not asked.torques, noise=asked.noise).truth()
+        done[key] = line
+        with asked.store.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(line) + "\n")
+        legs = line["truth"]["legs"]
+        told = line.get("named", line.get("error", "")[-200:])
+        good = "right" if line.get("right") else "SURE WRONG" if line.get("sure_wrong") else "not right"
+        said = f"{line.get('verdict', line['status'])} {told} CPU {line.get('cpu_s', 0.0):.0f} s"
+        print(
+            f"# {number}/{len(keys)} {time.time() - began:5.0f} s  {name} {seed} at {legs}: {good}, {said}", flush=True
+        )
+    print(report(done[key] for key in keys if key in done))
+
+
+if __name__ == "__main__":
+    main()
