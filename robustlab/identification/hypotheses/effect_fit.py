@@ -53,7 +53,6 @@ __all__ = [
     "NoiseModel",
     "Problem",
     "Setting",
-    "deviation",
     "predicted",
     "refit_distance",
     "simulated_outputs",
@@ -585,19 +584,6 @@ def predicted(problem: Problem, fit: Fit) -> Problem:
             )
         records.append(replace(record, y=y))
     return problem.on(records, problem.chosen)
-
-
-def deviation(problem: Problem) -> float:
-    """Largest RMS error of the plant as given, in the windows from their smoothed starts, over the output's range."""
-    alone, found = Hypothesis(()), 0.0
-    z, starts = np.zeros(len(problem.nuisances)), [np.zeros_like(r.x0) for r in problem.records]
-    errors = problem.errors(alone, z, starts)
-    for record, error in zip(problem.records, errors, strict=True):
-        ranges = np.nanmax(record.y, axis=0) - np.nanmin(record.y, axis=0)
-        with np.errstate(over="ignore", invalid="ignore"):
-            rms = np.sqrt(np.nanmean(error**2, axis=(0, 1))) / np.where(ranges > 0.0, ranges, np.inf)
-        found = max(found, float(np.nanmax(rms, initial=0.0)))
-    return found
 
 
 def refit_distance(problem: Problem, true: Fit, rival: Fit) -> float:

@@ -27,7 +27,7 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Clock, Problem, deviation
+from robustlab.identification.hypotheses.effect_fit import Clock, Hypothesis, Problem
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
 from robustlab.identification.naming.admissible import admissible
@@ -190,7 +190,7 @@ def _problems(
 
     prepared, clock = cut(length), Clock(tuning.least_steps)
     while isinstance(plant, NonlinearPlant) and window is None and length > tuning.shortest_window:
-        if deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.most_deviation:
+        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.most_deviation:
             break
         length = max(length // 2, tuning.shortest_window)
         prepared = cut(length)
@@ -205,6 +205,19 @@ def _problems(
     problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning, clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
     return problem, held, f"every {every}th window of the records, kept from the fit"
+
+
+def _deviation(problem: Problem) -> float:
+    """Largest RMS error of the plant as given, in the windows from their smoothed starts, over the output's range."""
+    alone, found = Hypothesis(()), 0.0
+    z, starts = np.zeros(len(problem.nuisances)), [np.zeros_like(r.x0) for r in problem.records]
+    errors = problem.errors(alone, z, starts)
+    for record, error in zip(problem.records, errors, strict=True):
+        ranges = np.nanmax(record.y, axis=0) - np.nanmin(record.y, axis=0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rms = np.sqrt(np.nanmean(error**2, axis=(0, 1))) / np.where(ranges > 0.0, ranges, np.inf)
+        found = max(found, float(np.nanmax(rms, initial=0.0)))
+    return found
 
 
 def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
