@@ -291,6 +291,8 @@ def test_a_record_check_tells_a_joint_that_is_not_measured():
     found = suitability(arm(), changed(record, outputs={"q_1": record["q_1"]}))
     assert found.of("motion")[0].fatal
     assert "q_2" in found.of("motion")[0].found
+    dead = suitability(arm(), changed(record, outputs={"q_1": record["q_1"], "q_2": np.full(record.n, 0.5)}))
+    assert [f.kind for f in dead.fatal] == ["constant-output"]
     with pytest.raises(rl.InputError, match="no input 'torque_2'"):
         suitability(arm(), changed(record, inputs={"torque_1": record["torque_1"]}))
 

@@ -10,7 +10,7 @@ kind                    fatal  what was found
                                its slowest time constant (integrators aside), of a model that does not oscillate
 ``unexcited``           mostly no input moves, or no output leaves its noise; not fatal where an output still moves,
                                by a free swing or a run-down
-``constant-output``     if all a dead sensor
+``constant-output``     if all a dead sensor; of a nonlinear plant always fatal
 ``sign``                yes    a channel with the other sign (`robustlab.identification.record_check.channel_identity`)
 ``unit``                yes    a channel off by the factor between two units
 ``swapped-outputs``     yes    two channels that carry each other's names
@@ -28,7 +28,7 @@ without a model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -302,9 +302,11 @@ def suitability(plant: Any, record: Record) -> Suitability:
     if isinstance(plant, NonlinearPlant):
         shared, _ = matched(plant.inputs, plant.outputs, record)
         inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
-        findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
+        # A dead sensor would tell of a joint that it stands still.
+        dead = [replace(f, fatal=True) for f in _dead(record, outputs)]
+        findings = [*_clock(record, level), *_samples(record, outputs), *dead]
         findings += _unexcited(record, inputs, outputs, {})
-        if not isinstance(plant, SteppedPlant) and not any(f.fatal or f.kind == "constant-output" for f in findings):
+        if not isinstance(plant, SteppedPlant) and not any(f.fatal for f in findings):
             findings += _along_motion(plant, level)
     else:
         response = response_of(plant, record)
