@@ -116,13 +116,32 @@ def uncertain_family(
         raise InputError(where, f"a parameter called {REMAINDER!r}", "another name: a block has this one")
     family = _Family(where, trimmed.matrices, values, tuple(ranges), tuple(ranges.values()))
     family, scans = _with_row_factors(family, trimmed.free)
-    sizes = [np.abs(family.at({})), *(np.abs(scan).max(axis=0) for scan in scans.values() if scan is not None)]
-    scale = natural_magnitude(np.max(sizes, axis=0))
+    scale = _scale(family.at({}), [scan for scan in scans.values() if scan is not None])
     degrees = {name: None if scan is None else _degree(scan / scale) for name, scan in scans.items()}
+    # how far a value of 0 may be tried is not known: there a weak function is more easily taken for a polynomial
+    degrees = {name: None if not ranges[name].nominal and (d or 0) > 2 else d for name, d in degrees.items()}
     polynomial = _exact_part(family, degrees, scale)
     polynomial, remainder, powers = _sampled_part(family, degrees, polynomial, scale)
     told = _Origins(trimmed.held, degrees, powers, remainder)
     return _closed(family, nominal, polynomial, remainder, scale, told, outputs)
+
+
+def _scale(centre: Array, scans: Sequence[Array]) -> Array:
+    """Natural magnitude of each entry of N, an outer product; columns are measured in the rows that do change.
+
+    Rows such as ``phi' = phidot`` or of outputs say nothing of how large a signal is where it meets a parameter.
+    """
+    every = np.concatenate([centre[None], *scans])
+    size, changing = np.abs(every).max(axis=0), np.ptp(every, axis=0).any(axis=1)
+    if not changing.any():
+        return natural_magnitude(size)
+    natural = natural_magnitude(size[changing])
+    columns, rows = natural[0], np.ones(len(size))
+    rows[changing] = natural[:, 0] / natural[0, 0]
+    largest = (size / columns).max(axis=1)
+    fixed = ~changing & (largest > 0)
+    rows[fixed] = np.exp2(np.rint(np.log2(largest[fixed])))
+    return rows[:, None] * columns
 
 
 # --- the plant's N at many values ------------------------------------------------------------------------------------

@@ -158,6 +158,20 @@ def test_what_only_looks_like_a_polynomial_is_not_taken_for_one(name, pose):
         assert plant.uncertain(at=POSES[pose]).sampled == (name, "remainder")
 
 
+def test_parameters_of_value_zero():
+    """A centre of mass off the origin enters by itself and its square, a tilt by its sine; tolerances are absolute."""
+    plant = rl.plant("stewart-platform", platform_mass=(3.167, 0.1), platform_cx=(0.0, 0.01), platform_cz=(0.0, 0.01))
+    uncertain = plant.uncertain(at=POSES["tilted"])
+    assert uncertain.sampled == ()
+    for seed in range(4):
+        values = np.random.default_rng(seed).uniform(-1, 1, len(uncertain.blocks))
+        delta = dict(zip([b.name for b in uncertain.blocks], values.tolist(), strict=True))
+        assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta, "tilted")) < 1e-12
+    for tolerance in (2e-4, 2e-2):
+        tilted = rl.plant("stewart-platform", tilt_x=(0.0, tolerance)).uncertain(at=POSES["tilted"])
+        assert "tilt_x" in tilted.sampled
+
+
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
