@@ -27,7 +27,7 @@ __all__ = ["Course", "MotionModel", "exponentials", "local_port_model", "motion_
 
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
-SHARE = 0.01  # of the largest push of a force, by which it may change over half a stride
+SHARE = 1e-3  # of the largest push of a force, by which it may change over half a stride
 STRIDES = (16, 8, 4, 2)  # steps for which a matrix may stand
 
 
