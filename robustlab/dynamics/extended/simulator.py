@@ -145,7 +145,7 @@ class Simulator:
         """The same simulator of a nonlinear plant about another motion."""
         other = copy(self)
         if isinstance(self.plant, NonlinearPlant) and motion is not None and self._course is not None:
-            other._course = _course(self.plant, motion, self._course.u, self.dt)
+            other._course = _course(self.plant, motion, self._course.u, self.dt, self._course)
         return other
 
     def run(
@@ -262,7 +262,7 @@ class Simulator:
         about = _kept_model(self._course, *key)
         if known == total:
             return about
-        return with_factors(about, self._course, total, windows.starts, windows.length, self.sub)
+        return with_factors(about, self._course, total)
 
     def seen_input(
         self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
@@ -358,8 +358,8 @@ class Simulator:
             return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
         make = _kept_steps if model is about.model else _steps_along  # kept where no effect changes the plant
         phi, psi, gamma_u, entering = make(model, h, n_u, columns > n_u)
-        half = np.einsum("npq,nq->np", entering[about.steps], about.rates)
-        whole = np.einsum("npq,nq->np", phi[1][about.steps], half) + half
+        half = (entering[about.steps] @ about.rates[..., None])[..., 0]
+        whole = (phi[1][about.steps] @ half[..., None])[..., 0] + half
         return _Table(phi, psi, gamma_u, np.array([whole, half, half]), about.stride)
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
@@ -373,15 +373,15 @@ class Simulator:
 
 
 @lru_cache(maxsize=32)
-def _kept_course(plant: NonlinearPlant, motion: bytes, u: bytes, dt: float) -> Course:
+def _kept_course(plant: NonlinearPlant, motion: bytes, u: bytes, dt: float, like: Course | None) -> Course:
     n = len(plant.states), len(plant.inputs)
     x, v = (np.frombuffer(b).reshape(-1, k) for b, k in zip((motion, u), n, strict=True))
-    return Course(plant, x, v, dt)
+    return Course(plant, x, v, dt, like)
 
 
-def _course(plant: NonlinearPlant, motion: Array, u: Array, dt: float) -> Course:
+def _course(plant: NonlinearPlant, motion: Array, u: Array, dt: float, like: Course | None = None) -> Course:
     """The motion as a course; one for all simulators of a record."""
-    return _kept_course(plant, np.ascontiguousarray(motion).tobytes(), np.ascontiguousarray(u).tobytes(), dt)
+    return _kept_course(plant, np.ascontiguousarray(motion).tobytes(), np.ascontiguousarray(u).tobytes(), dt, like)
 
 
 @lru_cache(maxsize=KEPT_MOTIONS)
@@ -412,6 +412,8 @@ def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tu
 
 def _seen_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
     """Outputs of states (n_windows, length, n) along a motion, without what inputs add to them."""
+    if (model.C[0] == model.C).all():
+        return motion @ model.C[0].T + about.offsets.reshape(*motion.shape[:2], -1)
     c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])
     return (c @ motion[..., None])[..., 0] + about.offsets.reshape(*motion.shape[:2], -1)
 

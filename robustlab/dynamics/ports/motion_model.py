@@ -43,12 +43,15 @@ class Course:
         States (n, n_x) and inputs (n, n_u) at the samples of a record; inputs stand still between them.
     dt
         Sample time in s.
+    like
+        A course near by, whose stride it takes.
     """
 
     plant: NonlinearPlant
     x: Array
     u: Array
     dt: float
+    like: Course | None = None
 
     @cached_property
     def _spline(self) -> tuple[Array, Array]:
@@ -72,6 +75,8 @@ class Course:
     @cached_property
     def stride(self) -> int:
         """Samples for which one set of matrices may stand."""
+        if self.like is not None:
+            return self.like.stride
         n = len(self.x)
         places = np.unique(np.linspace(0, n - 1, min(n, 24)).astype(int)).astype(float)
         here = self.plant.local_models(*self.at(places + 0.5))
@@ -99,6 +104,8 @@ class MotionModel:
         Steps for which a point stands.
     steps, points
         Point of each step, (n_steps,), and of each sample, (n_samples,).
+    at, own, shown
+        States and inputs at the points, (n_points, n_x) and (n_points, n_u), and the plant's rates and outputs there.
     """
 
     model: PortModel
@@ -107,6 +114,9 @@ class MotionModel:
     stride: int
     steps: Indices
     points: Indices
+    at: tuple[Array, Array]
+    own: Array
+    shown: Array
 
 
 def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int) -> MotionModel:
@@ -121,7 +131,8 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     steps, stride = length * sub, course.stride * sub
     points = -(-steps // stride)
     middle = np.minimum((np.arange(points) + 0.5) * stride, 0.5 * (steps + np.arange(points) * stride)) / sub
-    local = plant.local_models(*course.at((starts[:, None] + middle).ravel()), values)
+    at = course.at((starts[:, None] + middle).ravel())
+    local = plant.local_models(*at, values)
     own = (np.arange(len(starts))[:, None] * points + np.arange(steps) // stride).ravel()
     x, u = course.at((starts[:, None] + (np.arange(steps) + 0.5) / sub).ravel())
     rates = plant.rates_along(x, u, values) - _times(local.A, own, x) - _times(local.B, own, u)
@@ -129,27 +140,18 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     samples = (starts[:, None] + np.arange(length)).ravel()
     x, u = course.x[samples], course.u[samples]
     offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
-    return MotionModel(local_port_model(plant, local), rates, offsets, stride, own, seen)
+    return MotionModel(local_port_model(plant, local), rates, offsets, stride, own, seen, at, local.rates, local.outputs)
 
 
-def with_factors(
-    about: MotionModel, course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int
-) -> MotionModel:
-    """The same matrices with the rates and outputs of other parameter values, in the windows that ``about`` is of.
+def with_factors(about: MotionModel, course: Course, factors: Mapping[str, float]) -> MotionModel:
+    """The same matrices with what other parameter values change of the rates and outputs along the motion.
 
-    What the plant does along the motion itself is then exact, what it does to a deviation is that of the values that
-    ``about`` has: for derivatives over parameters, at a part of the cost.
+    What the plant does to a deviation stays: for derivatives over parameters, at a part of the cost.
     """
-    plant, values = course.plant, _values(course.plant, factors)
-    x, u = course.at((starts[:, None] + (np.arange(length * sub) + 0.5) / sub).ravel())
-    n_u = len(plant.inputs)
-    model = about.model
-    rates = plant.rates_along(x, u, values) - _times(model.A, about.steps, x)
-    rates -= _times(model.B[:, :, :n_u], about.steps, u)
-    samples = (starts[:, None] + np.arange(length)).ravel()
-    x, u = course.x[samples], course.u[samples]
-    offsets = plant.outputs_along(x, u, values) - _times(model.C, about.points, x) - _times(model.D, about.points, u)
-    return replace(about, rates=rates, offsets=offsets)
+    values = _values(course.plant, factors)
+    rates = course.plant.rates_along(*about.at, values) - about.own
+    outputs = course.plant.outputs_along(*about.at, values) - about.shown
+    return replace(about, rates=about.rates + rates[about.steps], offsets=about.offsets + outputs[about.points])
 
 
 def _values(plant: NonlinearPlant, factors: Mapping[str, float]) -> dict[str, float]:
@@ -158,7 +160,7 @@ def _values(plant: NonlinearPlant, factors: Mapping[str, float]) -> dict[str, fl
 
 def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
     """Products of the matrices (m, p, q), one for each of the vectors (n, q): (n, p)."""
-    return np.einsum("npq,nq->np", matrices[of], vectors)
+    return (matrices[of] @ vectors[..., None])[..., 0]
 
 
 def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:

@@ -75,8 +75,8 @@ def joint_residuals(problem: Problem, fit: Fit, k: int, simulator: Simulator, le
     z = motion.states.reshape(n, -1)[:, own:]
     steps = len(about.steps) // n  # a sample
     rates, point = about.rates[::steps], about.points
-    total = np.einsum("npq,nq->np", model.A[point, :own], np.hstack([middle, z]))
-    total += np.einsum("npq,nq->np", model.B[point, :own], np.hstack([mean, rates]))
+    total = (model.A[point, :own] @ np.hstack([middle, z])[..., None])[..., 0]
+    total += (model.B[point, :own] @ np.hstack([mean, rates])[..., None])[..., 0]
     # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
     forces = motion.forces.reshape(n, -1)
     forces = np.vstack([forces[1:], forces[-1:]])
