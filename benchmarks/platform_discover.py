@@ -39,10 +39,13 @@ LIMIT = 1200.0  # s of wall time a case
 CACHE = Path("out/platform_cases")
 
 # What a hidden effect may be called besides its own name, where the two are one to the records or to the catalogue: an
-# encoder's offset is a bias of its reading, and without motors a motor's torque constant is the gain of its input.
+# encoder's offset is a bias of its reading, and without motors a motor's torque constant is the gain of its input. The
+# platform's mass is an inertia of the machine, and its centre a centre of mass.
 ACCEPTED = {
-    "encoder-offset": ("encoder-offset", "sensor-bias"),
+    "encoder-offset": ("sensor-bias",),
     "input-gain": ("input-gain", "torque-constant"),
+    "platform-mass": ("inertia",),
+    "platform-centre": ("centre-of-mass",),
 }
 COMMON = ("platform-mass", "platform-centre", "gravity-direction")
 

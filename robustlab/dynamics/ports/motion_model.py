@@ -140,7 +140,8 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     samples = (starts[:, None] + np.arange(length)).ravel()
     x, u = course.x[samples], course.u[samples]
     offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
-    return MotionModel(local_port_model(plant, local), rates, offsets, stride, own, seen, at, local.rates, local.outputs)
+    model = local_port_model(plant, local)
+    return MotionModel(model, rates, offsets, stride, own, seen, at, local.rates, local.outputs)
 
 
 def with_factors(about: MotionModel, course: Course, factors: Mapping[str, float]) -> MotionModel:
