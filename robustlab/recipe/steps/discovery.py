@@ -91,8 +91,8 @@ class DiscoverStep(Step):
 def numbers(d: Discovery) -> dict[str, Any]:
     """What requirements may address.
 
-    ``verdict``, ``complete``, ``names``, ``answer`` (names and rivals), ``count``, ``gap_before``, ``gap_refitted``,
-    ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``refitted_ratio``,
+    ``verdict``, ``complete``, ``names``, ``places`` (names with where they sit, ``ID@PLACE``), ``answer`` (names and
+    rivals), ``count``, ``gap_before``, ``gap_refitted``, ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``refitted_ratio``,
     ``gaps.OUTPUT.updated`` in its unit; ``free_run.before``, ``.refitted``, ``.after`` in percent of the range and
     ``free_run.outputs.OUTPUT.updated``; ``effects.ID.PARAMETER`` (and ``.amplitude`` of what is periodic in the
     position) with ``lower`` and ``upper`` alike (95 %), ``confidence.ID`` (its probability), ``nominal.PARAMETER``,
@@ -120,6 +120,7 @@ def numbers(d: Discovery) -> dict[str, Any]:
         "verdict": d.verdict,
         "complete": d.complete,
         "names": list(d.names),
+        "places": [f"{e.name}@{e.site}" for e in d.effects],
         "answer": list(d.answer),
         "count": len(d.effects),
         "gap_before": d.gap_before,
