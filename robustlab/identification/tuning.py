@@ -35,6 +35,7 @@ class NamingTuning:
     # the motion it is linear, right to the square of this.
     most_deviation: float = 0.03
     most_windows: int = 24  # that the search fits: more tell weaker effects and take more time
+    most_samples: int = 2400  # of a nonlinear plant, in the windows that the search fits
     most_held: int = 12  # that it judges on
     held_out_every: int = 4  # without a held-out record, every so manieth window is kept from the fit
 

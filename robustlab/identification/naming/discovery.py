@@ -118,7 +118,8 @@ def discover(
     case = Case(known, measured, repeats, period, stated, findings, held_text, pool)
     with Progress(progress) as said:
         allowed = admissible(known, stated, problem, held)
-        few, some = _spread(problem, tuning.most_windows), _spread(held, tuning.most_held)
+        most, held_most = _most_windows(problem)
+        few, some = _spread(problem, most), _spread(held, held_most)
         found = search_sets(few, some, pool, allowed, said.step)
         said.tell("what remains")
         result = answer(case, found, weigh(found), held)
@@ -224,6 +225,15 @@ def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
     """The records on uniform clocks."""
     dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
     return [uniform(r, None if r.is_uniform else dt) for r in records]
+
+
+def _most_windows(problem: Problem) -> tuple[int, int]:
+    """Windows that the search fits and judges on; of a nonlinear plant, whose steps are dear, fewer long ones."""
+    tuning, length = problem.tuning, problem.records[0].windows.length
+    if isinstance(problem.plant, LinearPlant):
+        return tuning.most_windows, tuning.most_held
+    most = min(tuning.most_windows, max(2 * tuning.fewest_windows, tuning.most_samples // length))
+    return most, min(tuning.most_held, max(tuning.fewest_windows, most // 2))
 
 
 def _spread(problem: Problem, most: int) -> Problem:

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
@@ -261,6 +262,14 @@ class _Search:
             ]  # fmt: skip
             if others:
                 return max(others, key=lambda v: v.evidence).key
+        if isinstance(
+            self.problem.plant, NonlinearPlant
+        ):  # where it is dear to look beyond a set: is all of it needed?
+            for key in (best - {one} for one in sorted(best) if len(best) > 1):
+                if key not in self.visited:
+                    self._without(whole.fit, key)
+            if self._told().key != best:
+                return self._next()
         if len(best) < self.tuning.most_effects and best not in self.expanded:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
