@@ -16,6 +16,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import clearly_larger, first_noise, spans, window_errors
 from robustlab.identification.hypotheses.phase import in_phase
@@ -67,6 +68,8 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[Prep
     drawn = (windows.starts[held.chosen[k]][:, None] + np.arange(windows.length)).ravel()
     whole = runs[k].windows.starts[0] + np.arange(runs[k].windows.length)
     names = ", ".join(r.record.name for r in held.records)
+    if isinstance(held.plant, NonlinearPlant):
+        names += " (linear about the recorded motion)"
     partly = any(len(chosen) < r.count for r, chosen in zip(held.records, held.chosen, strict=True))
     return Gaps(
         _gaps(held, measured, outputs),
