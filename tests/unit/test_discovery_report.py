@@ -307,7 +307,7 @@ def test_the_next_experiment_is_told_and_kept(tmp_path):
     assert "next experiment:\n  ramp u slowly through zero\n  predicted separation" in text
     assert numbers(d)["next_experiment"] == {"name": "slow ramp", "separation": 12.0}
     assert numbers(made())["next_experiment"]["name"] == "none"
-    files = DiscoveryFiles(out=str(tmp_path)).write(d, {"model": "servo-axis", **d.to_json()}, [])
+    files = DiscoveryFiles(out=str(tmp_path)).write(d, {"model": "servo-axis", **d.to_json()}, [], {})
     assert str(tmp_path / "next-experiment.csv") in files
     assert json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["next_experiment"]["separation"] == 12.0
     back = rl.load(rl.save(tmp_path / "evidence.h5", d)).data

@@ -107,6 +107,8 @@ class Scales:
         Largest absolute value of the site's input.
     output
         Half the range of the site's output.
+    zero
+        By how much a sensor's zero may be off, over `output`.
     current
         Largest absolute current.
     lowest, highest
@@ -131,6 +133,7 @@ class Scales:
     inertia: float = 1.0
     input: float = 1.0
     output: float = 1.0
+    zero: float = 0.03
     current: float = 1.0
     dt: float = 1e-3
     duration: float = 1.0

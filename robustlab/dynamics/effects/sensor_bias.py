@@ -43,7 +43,7 @@ class SensorBias(Effect):
         return tuple(offered)
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("linear", 0.0, 0.03 * scales.output)
+        prior = Prior("linear", 0.0, scales.zero * scales.output)
         return (EffectParameter("b", scales.signal_unit, "reading at zero", prior),)
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:

@@ -40,6 +40,7 @@ LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say 
 # a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.
 LINE_FREEDOM = 0.48 * (2 * LINE_NEIGHBOURS + 1) / 1.5
 FEWEST_PERIODS = 2.0  # of an effect over the position, in one stroke
+HOMING = 0.2  # of half the range of a position: standard deviation of its zero
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
@@ -113,8 +114,10 @@ def _scales(
     if site.kind == "output":
         k = [s.name for s in plant.outputs].index(site.name)
         half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
-        orders = _orders_at_output(plant, model, site, records, tuning)
-        return Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=plant.outputs[k].unit, orders=orders)
+        orders, unit = _orders_at_output(plant, model, site, records, tuning), plant.outputs[k].unit
+        found = Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=unit, orders=orders)
+        # Where the equations depend on positions, their zeros are found by homing, and a wrong one may be far off.
+        return replace(found, zero=HOMING) if isinstance(plant, NonlinearPlant) and unit in ("rad", "m") else found
     if site.kind == "parameter":
         return Scales(dt=dt, duration=duration)
     port = model.ports[site.name]

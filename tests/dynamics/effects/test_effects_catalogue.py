@@ -52,6 +52,8 @@ IDS = [
     "bouc-wen",
     "load-dependent-friction",
     "magnitude-sensor",
+    "centre-of-mass",
+    "gravity-direction",
 ]
 PLANTS = ["dc-motor", "servo-axis", "two-mass", "mass-spring-damper", "linear-actuator"]
 AT_JOINT = {"force_unit": "N m", "speed_unit": "rad/s", "position_unit": "rad"}
