@@ -469,7 +469,7 @@ def _bounded(
     rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
     if not len(rows):
         return None
-    natural = natural_magnitude(size[np.ix_(rows, columns)])
+    natural = natural_magnitude(size[rows[:, None], columns])
     left, right = np.zeros((len(size), len(rows))), np.zeros((len(columns), size.shape[1]))
     left[rows, range(len(rows))] = natural[:, 0]
     right[range(len(columns)), columns] = natural[0] / natural[0, 0]

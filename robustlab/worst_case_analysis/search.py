@@ -217,7 +217,7 @@ def _searched(
         request.name,
         judge.evaluate({}).value,
         status,
-        "; ".join([label, *([search.remark] if search.ended else []), *uncertain.remarks]),
+        "; ".join([label, *([search.remark] if search.ended and search.remark else []), *uncertain.remarks]),
         search.evaluations,
         uncertain.physical(delta),
         evaluation.at,

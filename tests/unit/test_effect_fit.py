@@ -22,12 +22,11 @@ from robustlab.identification.hypotheses.effect_fit import (
     NoiseModel,
     Problem,
     _whiten,
-    averaged,
     simulated_outputs,
 )
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.normal_equations import Linearised
-from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.hypotheses.prepared_record import averaged, prepare
 
 AXIS = rl.plant("servo-axis")
 T = np.arange(1000) * 2e-3

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Prior, Scales, Site
-from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
@@ -57,7 +56,7 @@ class ParameterEffect(Effect):
         return dict.fromkeys(names, values["s"])
 
 
-def has_ground_term(plant: LinearPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
+def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
     """Whether parameters of this role already give the joint a force against the ground.
 
     They do where the force that they give is not zero in a motion that all joints ``rows`` share; ``of`` says whether

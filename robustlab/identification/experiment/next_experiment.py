@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.experiment.experiment_bench import (
     SAFE,
@@ -244,7 +245,8 @@ def _limits(
 
 
 def _slowest(problem: Problem) -> float:
-    """Slowest time constant of the nominal plant in s; integrators do not count."""
+    """Slowest time constant of the nominal plant, a linear one, in s; integrators do not count."""
+    assert isinstance(problem.plant, LinearPlant)
     rates = np.abs(problem.plant.state_space().poles().real)
     rates = rates[rates > 1e-9 * rates.max(initial=1e-300)]
     return float(1.0 / rates.min()) if len(rates) else 0.0

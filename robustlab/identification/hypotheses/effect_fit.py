@@ -28,7 +28,7 @@ Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -41,7 +41,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
 from robustlab.identification.hypotheses.nuisance import Nuisance
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
 __all__ = [
@@ -59,6 +59,7 @@ __all__ = [
 ]
 
 
+Effects = Sequence[tuple[Effect, Site]]
 WILD = 1e6  # errors beyond this many standard deviations count as this
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
 
@@ -337,11 +338,10 @@ class Problem:
         return outputs[chosen] if everything else outputs
 
     def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
-        """Of a nonlinear plant whose sensors are scaled or biased: the simulator about the motion as it was."""
-        shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
-        if self.records[k].motion is None or not (shown or biased):
-            return simulator
-        return simulator.about(self.records[k].motion_seen(shown, biased))
+        """Of a nonlinear plant whose sensors are scaled, biased or late: the simulator about the motion as it was."""
+        record, told = self.records[k], (self.shown, self.biased, self.late)
+        motion = record.motion_seen(*(of(simulator.effects, values) for of in told))
+        return simulator if motion is record.motion else simulator.about(motion)
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
@@ -349,28 +349,43 @@ class Problem:
 
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
         """States at all window starts of one record, as they are where its sensors have these effects."""
-        lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
         shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
+        if self.records[k].motion is not None:
+            return self.records[k].starts_seen(0.0, shown, biased, self.late(simulator.effects, values))
+        lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
         return self.records[k].starts_seen(lag, shown, biased)
 
-    def shown(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+    def shown(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
         """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
         found: dict[int, float] = {}
-        names = [s.name for s in self.plant.outputs]
-        for (effect, site), v in zip(effects, values, strict=True):
-            if site.kind == "output" and (gain := effect.shown(v)) != 1.0:
-                k = names.index(site.name)
+        for k, effect, v in self._at_outputs(effects, values):
+            if (gain := effect.shown(v)) != 1.0:
                 found[k] = found.get(k, 1.0) * gain
         return found
 
-    def biased(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+    def biased(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
         """Index of each output that the effects bias -> what is recorded of it where nothing is there."""
-        found: dict[int, float] = {}
+        return self._added(self._at_outputs(effects, values), lambda effect, v: effect.bias(v))
+
+    def late(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+        """Index of each output that the effects delay -> seconds."""
+        return self._added(self._at_outputs(effects, values), lambda effect, v: effect.lag(v))
+
+    def _at_outputs(
+        self, effects: Effects, values: Sequence[Mapping[str, float]]
+    ) -> list[tuple[int, Effect, Mapping[str, float]]]:
         names = [s.name for s in self.plant.outputs]
-        for (effect, site), v in zip(effects, values, strict=True):
-            if site.kind == "output" and (bias := effect.bias(v)) != 0.0:
-                k = names.index(site.name)
-                found[k] = found.get(k, 0.0) + bias
+        pairs = zip(effects, values, strict=True)
+        return [(names.index(site.name), effect, v) for (effect, site), v in pairs if site.kind == "output"]
+
+    @staticmethod
+    def _added(
+        at: Sequence[tuple[int, Effect, Mapping[str, float]]], of: Callable[[Effect, Mapping[str, float]], float]
+    ) -> dict[int, float]:
+        found: dict[int, float] = {}
+        for k, effect, v in at:
+            if (amount := of(effect, v)) != 0.0:
+                found[k] = found.get(k, 0.0) + amount
         return found
 
     # --- the fit -----------------------------------------------------------------------------------------------------
@@ -531,23 +546,6 @@ class Problem:
             empty = np.zeros((*here.shape, 0))
             pairs.append((np.stack(over_z, axis=2) if over_z else empty, np.stack(over_x, axis=2) if over_x else empty))
         return pairs
-
-
-def averaged(error: Array, thin: int) -> Array:
-    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known.
-
-    The first twentieth of a window is left out: what a late sensor showed then happened before the window.
-    """
-    error = error[:, error.shape[1] // 20 :]
-    count, length, n_y = error.shape
-    points = length // thin
-    blocks = error[:, : points * thin].reshape(count, points, thin, n_y)
-    known = np.isfinite(blocks)
-    if known.all():
-        return blocks.mean(axis=2)
-    number = known.sum(axis=2)
-    total = np.where(known, blocks, 0.0).sum(axis=2)
-    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
 def _whiten(errors: Array, noise: NoiseModel) -> Array:

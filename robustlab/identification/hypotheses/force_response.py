@@ -24,8 +24,8 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Sc
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, averaged
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
 __all__ = ["ForceResponse", "force_response", "plain_places"]
 

@@ -22,7 +22,7 @@ from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["PreparedRecord", "alike", "ports_of", "prepare", "start_std", "window_length"]
+__all__ = ["PreparedRecord", "alike", "averaged", "ports_of", "prepare", "start_std", "window_length"]
 
 
 POINTS = 60  # of a motion that stand for it where a plant's places are asked for
@@ -91,7 +91,13 @@ class PreparedRecord:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
-    def starts_seen(self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}) -> Array:
+    def starts_seen(
+        self,
+        lag: float,
+        shown: Mapping[int, float],
+        biased: Mapping[int, float] = {},
+        late: Mapping[int, float] = {},
+    ) -> Array:
         """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
 
         Parameters
@@ -104,19 +110,31 @@ class PreparedRecord:
             the gain.
         biased
             The same -> what is recorded where nothing is there.
+        late
+            The same -> seconds by which this output alone is late, with what it told of the states.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, share, unit in self._corrections(shown, biased):
             x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
+        for j, column in enumerate(self.columns):
+            if column in late:
+                x0 += self._at(self.told[j], late[column]) - self.told[j][self.windows.starts]
         return x0
 
-    def motion_seen(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> Array | None:
-        """The motion of a nonlinear plant, (n, n_x), where sensors show it scaled or biased."""
-        if self.motion is None or not (shown or biased):
+    def motion_seen(
+        self, shown: Mapping[int, float], biased: Mapping[int, float], late: Mapping[int, float]
+    ) -> Array | None:
+        """The motion of a nonlinear plant, (n, n_x), where sensors show it scaled, biased or late."""
+        if self.motion is None or not (shown or biased or late):
             return self.motion
         x = self.motion.copy()
         for j, share, unit in self._corrections(shown, biased):
             x += share * self.told[j] - unit * self.constant[j]
+        clock = np.arange(len(x), dtype=float)
+        for j, column in enumerate(self.columns):
+            for k in np.flatnonzero(self.told[j].any(axis=0)) if column in late else ():
+                told = self.told[j][:, k]
+                x[:, k] += np.interp(clock + late[column] / self.record.dt, clock, told) - told
         return x
 
     def _corrections(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> list[tuple[int, float, float]]:
@@ -288,6 +306,23 @@ def alike(prepared: Sequence[PreparedRecord]) -> list[PreparedRecord]:
     """The records with their errors averaged over equally many samples, so that one noise model holds for all."""
     thin = min(r.thin for r in prepared)
     return [replace(r, thin=thin) for r in prepared]
+
+
+def averaged(error: Array, thin: int) -> Array:
+    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known.
+
+    The first twentieth of a window is left out: what a late sensor showed then happened before the window.
+    """
+    error = error[:, error.shape[1] // 20 :]
+    count, length, n_y = error.shape
+    points = length // thin
+    blocks = error[:, : points * thin].reshape(count, points, thin, n_y)
+    known = np.isfinite(blocks)
+    if known.all():
+        return blocks.mean(axis=2)
+    number = known.sum(axis=2)
+    total = np.where(known, blocks, 0.0).sum(axis=2)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
 def _with_plausible_currents(
