@@ -173,6 +173,7 @@ class _Search:
     expanded: set[Key] = field(default_factory=set)
     looked: dict[Key, dict[str, Fit]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
+    again: set[Key] = field(default_factory=set)
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
     noise: NoiseModel = field(init=False)
@@ -314,13 +315,21 @@ class _Search:
         return bool(found)
 
     def _unrefined(self, fit: Fit) -> None:
-        """Fit a set with what a refinement refines in its stead: a simpler name must have been asked."""
+        """Fit a set with what a refinement refines in its stead: a simpler name must have been asked.
+
+        Where it was and lies far behind, once more from where the refinement stands: a fit may rest in a poor minimum.
+        """
         for k, refined in enumerate(fit.hypothesis.candidates):
             plain = next(
                 (c for c in self.pool if c.effect.id == refined.effect.refines and c.site == refined.site), None
             )
-            if plain is None or key_of(fit.hypothesis) - {refined.key} | {plain.key} in self.visited:
+            if plain is None:
                 continue
+            simpler = key_of(fit.hypothesis) - {refined.key} | {plain.key}
+            there = self.visited.get(simpler)
+            if there and (simpler in self.again or fit.evidence - there.fit.evidence < self.tuning.far_behind):
+                continue
+            self.again.add(simpler)
             rest, z = without(self.problem, fit, k)
             _, values = self.problem.split(fit.hypothesis, fit.z)
             start = refined.effect.unrefined(values[k])
