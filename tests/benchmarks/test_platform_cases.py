@@ -209,7 +209,7 @@ def test_name_and_leg_count_together():
 
 
 def test_what_is_nowhere_and_what_is_nothing():
-    assert counts(hidden("platform-mass"), "named", [("platform-mass", "platform_mass")]) == (True, True, False)
+    assert counts(hidden("platform-mass"), "named", [("inertia", "platform_mass")]) == (True, True, False)
     assert counts(hidden("none"), "no missing effect", []) == (True, True, False)
     assert counts(hidden("none"), "named", [("cogging", "phidot_1")]) == (False, False, True)
     assert counts(hidden("cable"), "unknown", []) == (True, True, False)

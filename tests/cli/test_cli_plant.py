@@ -263,16 +263,17 @@ def test_in_this_process_too(folder, capsys):
 def test_ctrl_c_ends_an_endless_loop(folder):
     (folder / "loop.py").write_text("from pathlib import Path\nPath('began').touch()\nwhile True:\n    pass\n")
     words = [sys.executable, "-m", "robustlab.cli.main", "model", "build", "loop.py:axis", "--out", "m.h5"]
-    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    try:
-        for _ in range(600):
-            if Path("began").exists():
-                break
-            time.sleep(0.1)
-        os.kill(child.pid, signal.SIGINT)
-        _, err = child.communicate(timeout=60)
-    finally:
-        child.kill()
+    heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}  # what runs behind a shell ignores it
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, **heard) as child:
+        try:
+            for _ in range(600):
+                if Path("began").exists():
+                    break
+                time.sleep(0.1)
+            os.kill(child.pid, signal.SIGINT)
+            _, err = child.communicate(timeout=60)
+        finally:
+            child.kill()
     assert (child.returncode, err.strip()) == (130, "interrupted")
     assert not Path("m.h5").exists()
 

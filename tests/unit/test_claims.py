@@ -7,6 +7,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
+import h5py
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -51,12 +52,20 @@ def test_tolerances_that_are_ours_are_called_so():
         assert re.search(r"assum", plain(path)), path.name
 
 
+def head_of(path):
+    """What a file of data begins with: its first line, or its title."""
+    if path.suffix == ".h5":
+        with h5py.File(path) as file:
+            return file.attrs["title"]
+    return path.read_text(encoding="utf-8")[:20]
+
+
 @pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.stem)
 def test_simulated_records_are_called_simulated(path):
     recipe = tomllib.loads(path.read_text(encoding="utf-8"))
     for name, step in recipe["step"].items():
         if step["do"] == "record" and step["path"].startswith("data/"):
-            head = (ROOT / "recipes" / step["path"]).read_text(encoding="utf-8")[:20]
+            head = head_of(ROOT / "recipes" / step["path"])
             assert step.get("simulated", False) is ("SIMULATED" in head), name
             assert "Simulated, not measured" in step["about"]
         elif step["do"] == "record":
