@@ -17,6 +17,7 @@ from robustlab import InputError
 from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.plant_contract import input_signal
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.prepared_record import ports_of, window_length
 
@@ -128,6 +129,21 @@ def test_states_and_the_lacking_force_come_from_the_sensors():
     pushed = smooth_motion(arm(), heavier.t, u, y, (0, 1)).smoothed
     slope = np.polyfit(pushed.x[inner, 3], pushed.d[inner, 1], 1)[0]
     assert slope == pytest.approx(-1.0, rel=0.05)  # the force of a damper that the plant lacks
+
+
+def test_a_state_without_a_sensor_follows_its_own_equations_though_the_plant_has_no_slopes_at_zero():
+    tank = runpy.run_path(str(MODELS / "water_tank.py"))["water_tank"]()
+    t = np.arange(0.0, 600.0)
+    u = np.repeat(np.random.default_rng(1).uniform(2.5, 6.0, 12), 50)[:, None]
+    run = rl.simulate(tank, t, u, [0.08, 0.08], hold="zoh")
+    noisy = run["level"] + 0.01 * np.random.default_rng(2).standard_normal(len(t))
+    moved = smooth_motion(tank, t, u, noisy[:, None], (0,)).smoothed
+    levels = tank.trajectory(input_signal(t, u, "zoh"), np.array([0.08, 0.08]), 1e-9)
+    # The upper tank's level at the start is a guess, forgotten with A/a sqrt(2 h/g) = 80 s.
+    settled = slice(450, None)
+    assert np.abs(moved.x[settled] - levels[settled]).max() < 0.01 * np.ptp(levels)
+    found = rl.compare(tank, rl.Record(t, {"u": u[:, 0]}, {"level": noisy}, {"u": "V", "level": "V"}))
+    assert found.outputs["level"].windowed_rms < 0.02
 
 
 def test_a_joint_without_a_position_sensor_is_refused():

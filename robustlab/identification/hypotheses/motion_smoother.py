@@ -24,7 +24,7 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
@@ -80,9 +80,7 @@ class _Chain:
         return np.eye(len(self.states))[:, -1:]
 
 
-def smooth_motion(
-    plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], resolution: Array | None = None
-) -> SmoothedMotion:
+def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> SmoothedMotion:
     """States along a record.
 
     Parameters
@@ -148,6 +146,7 @@ def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[
     hidden = np.array([k for k in range(n_x) if k not in measured], dtype=np.int64)
     runs = [_smoothed(c, t, np.zeros(n), y) for c in chains]
     x = _assembled(chains, runs, n, n_x)
+    x[:, hidden] = _rest(plant)[hidden]
     course = Course(plant, x, u, dt)
     known = np.zeros((n, n_x))
     for _ in range(ROUNDS):
@@ -193,7 +192,11 @@ def _chains(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -
 
 def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> tuple[Array, Array]:
     """Rows (n_measured, n_x) of C for the measured outputs, each showing one state; and their values at zero states."""
-    c = _jacobian_of_outputs(plant, np.zeros((1, len(plant.states))), u[:1])[0][list(columns)]
+    n_x = len(plant.states)
+    # By differences, exact for the linear outputs that are asked for: a plant may have no slopes where its states are
+    # zero (an empty tank).
+    shown = plant.outputs_along(np.vstack([np.zeros(n_x), np.eye(n_x)]), np.repeat(u[:1], n_x + 1, axis=0))
+    c = (shown[1:] - shown[0]).T[list(columns)]
     for j, row in zip(columns, c, strict=True):
         if np.count_nonzero(row) != 1:
             raise InputError(
@@ -210,10 +213,6 @@ def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> 
     if (np.abs(shown - first @ c.T - offset) > 1e-9 * (np.abs(shown) + scale)).any():
         raise InputError(f"discover {plant.name}", "outputs that are no linear function of a state", "linear ones")
     return c, offset
-
-
-def _jacobian_of_outputs(plant: NonlinearPlant, x: Array, u: Array) -> Array:
-    return plant.local_models(x, u).C
 
 
 # --- smoothing -------------------------------------------------------------------------------------------------------
@@ -278,6 +277,14 @@ def _with_hidden(course: Course, hidden: Indices) -> Array:
             )
         x[:, hidden] = found
     return x
+
+
+def _rest(plant: NonlinearPlant) -> Array:
+    """A state at which the plant rests, zero where it has none: where the search for states without a sensor begins."""
+    try:
+        return np.array(plant.equilibrium().x)
+    except RobustlabError:
+        return np.zeros(len(plant.states))
 
 
 def _resting(a: Array, free: Array, otherwise: Array) -> Array:

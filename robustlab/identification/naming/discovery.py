@@ -66,7 +66,8 @@ def discover(
     ----------
     plant
         A linear `Plant`, a continuous `StateSpaceModel` or ``control.StateSpace`` whose velocity, position and current
-        states carry their units (rad/s, m/s, A).
+        states carry their units (rad/s, m/s, A); or a `NonlinearPlant`, of which the position of every joint has to be
+        measured: it is simulated linear about the motion that the sensors tell.
     records
         One record or several of the same machine; any subset of the plant's outputs.
     held_out
