@@ -10,7 +10,6 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis
-from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows
 from robustlab.identification.naming import answer as module
@@ -112,8 +111,7 @@ def test_a_record_of_which_no_window_is_searched_is_no_part_of_the_search():
     assert [len(c) for c in few.chosen] == [1] * 12
     assert few.records[0] is many.records[0]
     fit = few.fit(Hypothesis(()), first_noise(few), np.zeros(len(few.nuisances)), plan=FitPlan(1))
-    place = plain_places(few, fit)[0]
-    assert np.isfinite(fitted_windows(few, fit, place).log_likelihood)
+    assert np.isfinite(fitted_windows(few, fit)[0][0].log_likelihood)
 
 
 def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_judged_by():

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
@@ -13,11 +14,12 @@ from robustlab.identification.hypotheses import force_families
 from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.force_response import ForceResponse, force_response, plain_places
+from robustlab.identification.hypotheses.force_response import ForceResponse, PortMotion, force_response, plain_places
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.hypotheses.random_force import START, FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
+from robustlab.identification.tuning import TUNING
 
 DT = 2e-3
 AXIS = rl.plant("servo-axis")
@@ -29,7 +31,7 @@ M, FV, GAIN = 95.1089, 203.5034, 35.15065
 
 @dataclass(frozen=True)
 class Dense:
-    """Random windows: segments O, parameters J, starts X, errors e."""
+    """Random windows: segments O port after port, parameters J, starts X, errors e; the force that moves each port."""
 
     o: np.ndarray
     j: np.ndarray
@@ -37,14 +39,20 @@ class Dense:
     e: np.ndarray
     xi: np.ndarray
     z: np.ndarray
+    forces: tuple[float, ...] = (1.0,)
 
     def covariance(
         self, size: float, bandwidth: float, weight: float, columns: np.ndarray | None = None, strength: float = 0.0
     ):
-        """Of all errors in a row, less the noise's scale, of which ``weight`` is the variance; and their mean."""
-        count, points, s = self.o.shape
+        """Of all errors in a row, less the noise's scale, of which ``weight`` is the variance; and their mean.
+
+        Columns act at the last port.
+        """
+        count, points, pulses = self.o.shape
+        s = pulses // len(self.forces)
         middle = DT * (np.arange(s) * 5 + 2.5)
         kernel = size**2 * np.exp(-2 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+        kernel = block_diag(*(force**2 * kernel for force in self.forces))
         j = self.j.reshape(count * points, self.j.shape[2])
         total = np.eye(count * points) + j @ j.T / weight
         mean = -j @ self.z
@@ -53,28 +61,32 @@ class Dense:
             total[own, own] += self.o[w] @ kernel @ self.o[w].T + self.x[w] @ self.x[w].T / START
             mean[own] -= self.x[w] @ self.xi[w]
         if columns is not None:
-            g = np.concatenate([self.o[w] @ columns[w] for w in range(count)])
+            g = np.concatenate([self.o[w, :, -s:] @ columns[w] for w in range(count)])
             total = total + strength * g @ g.T
         return total, mean
 
     def windows(self) -> FittedWindows:
-        count, points, s = self.o.shape
+        count, points, pulses = self.o.shape
+        s = pulses // len(self.forces)
         every = np.concatenate([self.o, self.j, self.x, self.e[:, :, None]], axis=2)
         record = SimpleNamespace(u=np.zeros((count * s * 5, 1)), record=SimpleNamespace(dt=DT))
         samples = np.arange(count * s * 5).reshape(count, s * 5)
         response = ForceResponse(
-            np.swapaxes(every, 1, 2) @ every, np.full(count, points), np.arange(s + 1) * 5, samples, self.xi, 1.0, "N",
-            None, None, "", "", record,
+            np.swapaxes(every, 1, 2) @ every, np.full(count, points), np.arange(s + 1) * 5, samples, self.xi, record,
+            tuple(PortMotion(force, "N") for force in self.forces),
         )  # fmt: skip
-        return FittedWindows([response], self.z, SimpleNamespace(records=[record]))
+        windows = FittedWindows([response], self.z, SimpleNamespace(records=[record], tuning=TUNING))
+        return windows.at(len(self.forces) - 1)
 
 
-@pytest.fixture(scope="module", params=[0, 2])
+@pytest.fixture(scope="module", params=[(0, (1.0,)), (2, (1.0,)), (2, (1.0, 3.0)), (0, (0.2, 2.0, 1.0))])
 def dense(request) -> Dense:
     rng = np.random.default_rng(3)
-    n_z = request.param
-    o, j, x = rng.normal(size=(4, 14, 6)), rng.normal(size=(4, 14, n_z)), rng.normal(size=(4, 14, 2))
-    return Dense(o, j, x, 0.7 * rng.normal(size=(4, 14)), 0.3 * rng.normal(size=(4, 2)), 0.5 * rng.normal(size=n_z))
+    n_z, forces = request.param
+    pulses = 6 * len(forces)
+    o, j, x = rng.normal(size=(4, 14, pulses)), rng.normal(size=(4, 14, n_z)), rng.normal(size=(4, 14, 2))
+    e, xi, z = 0.7 * rng.normal(size=(4, 14)), 0.3 * rng.normal(size=(4, 2)), 0.5 * rng.normal(size=n_z)
+    return Dense(o, j, x, e, xi, z, forces)
 
 
 def profiled(e: np.ndarray, covariance: np.ndarray, mean: np.ndarray) -> float:
@@ -92,7 +104,7 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
         covariance, mean = dense.covariance(level.size, level.bandwidth, windows.weight)
         free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all; that of the parameters as well
         free -= 0.5 * len(dense.z) * np.log(windows.weight)
-        assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8)
+        assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8, abs=1e-8)
 
 
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
@@ -150,6 +162,20 @@ def test_a_start_that_shows_less_than_the_noise_tells_nothing(size):
     assert likely(size) == pytest.approx(likely(0.0), abs=0.1)
 
 
+def test_forces_at_several_ports_are_told_apart_and_none_is_missed_for_another():
+    rng = np.random.default_rng(9)
+    o, j, x = rng.normal(size=(30, 40, 18)), np.zeros((30, 40, 0)), rng.normal(size=(30, 40, 2))
+    xi, z, forces, noise = np.zeros((30, 2)), np.zeros(0), (1.0, 1.0, 1.0), rng.normal(size=(30, 40))
+    sizes = np.repeat([0.1, 1.0, 0.0], 6)[:, None]
+    uneven = Dense(o, j, x, (o @ (sizes * rng.normal(size=(30, 18, 1))))[:, :, 0] + noise, xi, z, forces).windows()
+    assert uneven.strongest() == [1, 0, 2]
+    errors = (o @ (0.5 * rng.normal(size=(30, 18, 1))))[:, :, 0] + noise
+    everywhere = Dense(o, j, x, errors, xi, z, forces).windows()
+    assert everywhere.log_likelihood > Dense(o[:, :, :6], j, x, errors, xi, z).windows().log_likelihood + 100.0
+    assert everywhere.alone.size == pytest.approx(0.5, rel=0.4)
+    assert everywhere.alone.alone_q / errors.size == pytest.approx(1.0, rel=0.2)
+
+
 # --- on records ------------------------------------------------------------------------------------------------------
 
 
@@ -183,8 +209,7 @@ def fitted(record: rl.Record):
 
 def test_a_pulse_moves_a_mass_as_the_closed_form_says():
     problem, fit = fitted(measured(lambda t, q, v: 0.0))
-    (place,) = plain_places(problem, fit)
-    response = force_response(problem, fit, place)[0]
+    response = force_response(problem, fit, plain_places(problem, fit))[0]
     record = problem.records[0]
     factors, _ = problem.split(fit.hypothesis, fit.z)
     mass, damping = M * factors["M"], FV * factors["Fv"]
@@ -207,8 +232,7 @@ def test_a_pulse_moves_a_mass_as_the_closed_form_says():
 
 
 def left_by(problem, fit):
-    place = plain_places(problem, fit)[0]
-    return unnamed_force(fitted_windows(problem, fit, place), place)
+    return unnamed_force(*fitted_windows(problem, fit)[0])
 
 
 @pytest.mark.parametrize("segments", [4, 5, 6, 7, 8, 12])

@@ -356,11 +356,8 @@ class Simulator:
             table = _in_steps(model.B, *self._exponential(model.A, 0.5 * h), columns > n_u)
             nothing = np.zeros((3, 0, len(model.A)))
             return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
-        make = _kept_steps if model is about.model else _steps_along  # kept where no effect changes the plant
-        phi, psi, gamma_u, entering = make(model, h, n_u, columns > n_u)
-        half = (entering[about.steps] @ about.rates[..., None])[..., 0]
-        whole = (phi[1][about.steps] @ half[..., None])[..., 0] + half
-        return _Table(phi, psi, gamma_u, np.array([whole, half, half]), about.stride)
+        make = _kept_along if model is about.model else _table_along  # kept where no effect changes the plant
+        return make(about, model, h, n_u, columns > n_u)
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
         """`exponential` of the present model, kept."""
@@ -399,6 +396,17 @@ def _steps_along(model: PortModel, h: float, n_u: int, rising: bool) -> tuple[Ar
 
 
 _kept_steps = lru_cache(maxsize=KEPT_MOTIONS)(_steps_along)
+
+
+def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, rising: bool) -> _Table:
+    """The steps of a nonlinear plant about its motion."""
+    phi, psi, gamma_u, entering = (_kept_steps if model is about.model else _steps_along)(model, h, n_u, rising)
+    half = (entering[about.steps] @ about.rates[..., None])[..., 0]
+    whole = (phi[1][about.steps] @ half[..., None])[..., 0] + half
+    return _Table(phi, psi, gamma_u, np.array([whole, half, half]), about.stride)
+
+
+_kept_along = lru_cache(maxsize=KEPT_MOTIONS)(_table_along)
 
 
 def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tuple[Array, Array, Array]:

@@ -37,6 +37,7 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
@@ -293,11 +294,15 @@ class Problem:
         ]
 
     def errors(
-        self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
-    ) -> list[Array]:
-        """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples."""
+        self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None,
+        near: Array | None = None,
+    ) -> list[Array]:  # fmt: skip
+        """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples.
+
+        ``near``: z near by, of which a nonlinear plant's matrices may be (`Simulator.run`).
+        """
         return [
-            self._record_errors(k, simulator, hypothesis, z, starts[k])
+            self._record_errors(k, simulator, hypothesis, z, starts[k], near)
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
         ]
 
@@ -434,8 +439,11 @@ class Problem:
                     bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there, moved = self._within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
-                trial = self.whitened(self.errors(hypothesis, there, moved, simulators), noise)
-                found = _total(trial, moved, there)
+                for near in (z, None) if isinstance(self.plant, NonlinearPlant) else (None,):  # first at little cost
+                    trial = self.whitened(self.errors(hypothesis, there, moved, simulators, near), noise)
+                    found = _total(trial, moved, there)
+                    if not found < cost:
+                        break
                 if found < cost:
                     improved, cost = cost - found, found
                     z, xi, residual = there, moved, trial
@@ -496,7 +504,7 @@ class Problem:
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
         ahead = [x + self.tuning.bend * d for x, d in zip(xi, dxi, strict=True)]
-        errors = self.whitened(self.errors(hypothesis, z + self.tuning.bend * dz, ahead, simulators), noise)
+        errors = self.whitened(self.errors(hypothesis, z + self.tuning.bend * dz, ahead, simulators, z), noise)
         curved = [
             p.with_residual(2.0 / self.tuning.bend * ((e - r) / self.tuning.bend - p.along(dz, d)))
             for p, r, e, d in zip(parts, residual, errors, dxi, strict=True)

@@ -70,13 +70,13 @@ def _smooth(windows: FittedWindows) -> list[Family]:
     records, first = windows.records, windows.records[0]
     families = []
     sign = None
-    if (speeds := _all([r.speed for r in records])) is not None:
+    if (speeds := _all([r.motion.speed for r in records])) is not None:
         most = max(float(np.abs(v).max()) for v in speeds) or 1.0
         sign = [np.tanh(v / (SHARP * most)) for v in speeds]
-        families.append(_curve(windows, ("speed", "speed", first.speed_unit), speeds, _signed, None))
+        families.append(_curve(windows, ("speed", "speed", first.motion.speed_unit), speeds, _signed, None))
     turns = [None] if sign is None else [None, sign]
-    if (positions := _all([r.position for r in records])) is not None:
-        own = ("position", "position", first.position_unit)
+    if (positions := _all([r.motion.position for r in records])) is not None:
+        own = ("position", "position", first.motion.position_unit)
         families += [_curve(windows, own, positions, _cosines, turn) for turn in turns]
     before = np.cumsum([0.0, *(len(r.record.u) * windows.dt for r in records)])
     clocks = [b + windows.dt * np.arange(len(r.record.u)) for b, r in zip(before, records, strict=False)]
@@ -129,10 +129,10 @@ def _lines(windows: FittedWindows) -> list[Family]:
         _line(windows, ("line over time", "time", "s"), clocks, None, *found)
         for found in _strongest(windows, clocks, None, SLOWEST)
     ]
-    positions, speeds = _all([r.position for r in records]), _all([r.speed for r in records])
+    positions, speeds = _all([r.motion.position for r in records]), _all([r.motion.speed for r in records])
     if positions is not None and speeds is not None:
         q, v = ([r.mean(x[:, None])[:, :, 0] for r, x in zip(records, a, strict=True)] for a in (positions, speeds))
-        own = ("line over position", "position", records[0].position_unit)
+        own = ("line over position", "position", records[0].motion.position_unit)
         families += [_line(windows, own, q, v, *found) for found in _strongest(windows, q, v, TURNS)]
     return families
 

@@ -7,13 +7,15 @@ No machine runs without a random force d. With its size s and bandwidth f the er
 
 and everything else is Gaussian, too: d, the start of the window and the parameters are eliminated in closed form, the
 scale of the noise is taken at its best. The eigenvectors of :math:`L^T O^T O L` with :math:`L L^T = K_f` serve all
-sizes at once.
+sizes at once. At several ports the random forces are independent, each the same share s of the force that moves its
+port: :math:`K_f` has one block a port, times the square of that force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,8 +38,9 @@ FINER = (0.5, 1.0, 2.0)  # of the best of them
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
-    """A random force (size, bandwidth), and the sums of each window with it and the start eliminated.
+    """A random force, and the sums of each window with it and the start eliminated.
 
+    ``size`` is its share s of the force that moves a port, ``bandwidth`` in Hz.
     ``gram`` (n_windows, k + n_z + 1, ...) over the columns asked for, the parameters and the errors;
     ``logdet`` (n_windows,).
     """
@@ -51,12 +54,12 @@ class NoiseLevel:
 
 
 class FittedWindows:
-    """The windows of all records at one place."""
+    """The windows of all records, with a random force at one port or at several."""
 
     def __init__(self, records: list[ForceResponse], z: Array, problem: Problem) -> None:
         self.records, self.z, self.problem = records, z, problem
         self.points = int(sum(r.points.sum() for r in records))
-        self.force = max(r.force for r in records)
+        self.forces = np.max([[p.force for p in r.ports] for r in records], axis=0)
         self.dt = problem.records[0].record.dt
         length = self.dt * records[0].samples.shape[1]
         self.bandwidths = [b / length for b in BANDWIDTHS]
@@ -72,11 +75,35 @@ class FittedWindows:
         if self.alone.size > 0.0:
             self._refine(nothing)
 
+    def at(self, port: int) -> FittedWindows:
+        """The same windows, for curves at another of their ports."""
+        other = copy(self)
+        other.records = [replace(r, port=port) for r in self.records]
+        return other
+
+    @property
+    def force(self) -> float:
+        """RMS of the force that moves the port that curves are drawn at."""
+        return float(self.forces[self.records[0].port])
+
+    def strongest(self) -> list[int]:
+        """The ports by how much more than the random force is left there, beginning with the one that has most."""
+        left = []
+        for port in range(len(self.records[0].ports)):
+            there = self.at(port)
+            told = expected = 0.0
+            for record, (gram, score) in zip(there.records, there.segment_sums(), strict=True):
+                kernel = self._kernel(record, self.alone.bandwidth)
+                told += float(np.einsum("ws,st,wt->", score, kernel, score))
+                expected += float(np.einsum("wst,ts->", gram, kernel))
+            left.append(told / max(expected, 1e-300))
+        return sorted(range(len(left)), key=lambda port: -left[port])
+
     def _refine(self, nothing: Sequence[Array]) -> None:
         """The random force between the nodes of the grid: what a node misses differs from hypothesis to hypothesis."""
         from scipy.optimize import minimize_scalar
 
-        start = np.log(self.alone.size / self.force)
+        start = np.log(self.alone.size)
         for factor in FINER:
             f = factor * self.alone.bandwidth
             self.roots.setdefault(f, [self._roots(r, f) for r in self.records])
@@ -97,19 +124,31 @@ class FittedWindows:
         self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
     def _roots(self, record: ForceResponse, bandwidth: float) -> tuple[Array, Array]:
-        """U^T L^T (n_windows, n_segments, n_segments) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
-        middle = 0.5 * self.dt * (record.edges[1:] + record.edges[:-1])
-        kernel = np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+        """U^T L^T (n_windows, n_pulses, n_pulses) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
+        kernel = self._kernel(record, bandwidth)
         root = np.linalg.cholesky(kernel + 1e-9 * np.eye(len(kernel)))
-        s = record.segments
+        root = np.kron(np.diag(self.forces), root)
+        s = record.pulses
         w, u = np.linalg.eigh(root.T @ record.gram[:, :s, :s] @ root)
         return np.swapaxes(u, 1, 2) @ root.T, np.maximum(w, 0.0)
+
+    def _kernel(self, record: ForceResponse, bandwidth: float) -> Array:
+        """K_f over the segments of one port, for a force of 1."""
+        middle = 0.5 * self.dt * (record.edges[1:] + record.edges[:-1])
+        return np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+
+    @property
+    def as_noise(self) -> bool:
+        """Whether noise and a random force, no larger than machines have, make the errors what they are."""
+        tuning = self.problem.tuning
+        ratio = np.sqrt(self.alone.alone_q / self.points)
+        return bool(ratio < tuning.most_noise and self.alone.size < tuning.most_random)
 
     @property
     def smaller(self) -> Array:
         """The sizes up to that of the hypothesis alone: what an unnamed force explains the random one need not."""
-        known = np.append(SIZES[1:], self.alone.size / self.force)
-        return np.append(0.0, np.unique(known[known * self.force <= 1.8 * self.alone.size]))
+        known = np.append(SIZES[1:], self.alone.size)
+        return np.append(0.0, np.unique(known[known <= 1.8 * self.alone.size]))
 
     @property
     def start_volume(self) -> float:
@@ -140,7 +179,7 @@ class FittedWindows:
         """Products of one record under the noise and a random force of this size, bandwidth as beside nothing."""
         record = self.records[k]
         root, w = self.roots[self.alone.bandwidth][k]
-        t = root @ record.gram[:, : record.segments]
+        t = root @ record.gram[:, : record.pulses]
         t = t * np.sqrt(size**2 / (1.0 + size**2 * w))[:, :, None]
         return record.gram - np.swapaxes(t, 1, 2) @ t
 
@@ -159,21 +198,21 @@ class FittedWindows:
         for size in sizes:
             grams, logdets = [], []
             for record, (_, w), (gram, _), t in zip(self.records, self.roots[f], mixed, turned, strict=True):
-                a = (size * self.force) ** 2
+                a = size**2
                 scaled = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
                 g, logdet = _without_start(gram - np.swapaxes(scaled, 1, 2) @ scaled, record)
                 grams.append(g)
                 logdets.append(logdet + np.log1p(a * w).sum(axis=1))
-            found.append(self._level(size * self.force, f, np.concatenate(grams), np.concatenate(logdets)))
+            found.append(self._level(float(size), f, np.concatenate(grams), np.concatenate(logdets)))
         return found
 
     def _mixed(self, record: ForceResponse, columns: Array) -> tuple[Array, Array]:
         """Products of the columns, starts, parameters and errors of each window; and those with the segments."""
-        s, n_x = record.segments, record.xi.shape[1]
+        s, n_x = record.pulses, record.xi.shape[1]
         n = record.gram.shape[1]
         k = columns.shape[2]
         mix = np.zeros((len(columns), n, k + n - s))
-        mix[:, :s, :k] = columns
+        mix[:, record.own, :k] = columns
         order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]  # starts, parameters, errors
         mix[:, order, k + np.arange(n - s)] = 1.0
         rows = record.gram @ mix
@@ -199,16 +238,16 @@ class FittedWindows:
         return gram + self.weight * prior
 
     def segment_sums(self, share: float = 1.0) -> list[tuple[Array, Array]]:
-        """Products of the segments with each other and with the errors.
+        """Products of the port's segments with each other and with the errors.
 
         Under the noise of the hypothesis alone, of its random force a share.
         """
         found = []
         for k, record in enumerate(self.records):
-            s = record.segments
-            gram = self._within_noise(k, share * self.alone.size)
+            s, gram = record.segments, self._within_noise(k, share * self.alone.size)
             n, n_x = gram.shape[1], record.xi.shape[1]
-            first = [*range(n - 1 - n_x, n - 1), *range(s), *range(s, n - 1 - n_x), n - 1]
+            own = range(n)[record.own]
+            first = [*range(n - 1 - n_x, n - 1), *own, *range(record.pulses, n - 1 - n_x), n - 1]
             g, _ = _without_start(gram[:, first][:, :, first], record)
             found.append((g, g[:, :s, -1]))
         # the parameters are eliminated approximately: at their best for the errors, not for each force

@@ -34,7 +34,7 @@ from robustlab.dynamics.effects.contract import Site
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.force_families import Family, Over, families
-from robustlab.identification.hypotheses.force_response import force_response
+from robustlab.identification.hypotheses.force_response import force_response, plain_places
 from robustlab.identification.hypotheses.random_force import FittedWindows, NoiseLevel, eliminated
 
 __all__ = ["PRIOR", "UNTOLD", "Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
@@ -117,9 +117,17 @@ class Unnamed:
     bandwidth: float
 
 
-def fitted_windows(problem: Problem, fit: Fit, place: Site) -> FittedWindows:
-    """What a hypothesis leaves in the windows under a random force at one place."""
-    return FittedWindows(force_response(problem, fit, place), fit.z, problem)
+def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Site], ...]:
+    """What a hypothesis leaves in the windows under a random force, and where curves of a force are to be looked for.
+
+    Of a plant with few joints (``most_places``) the random force acts at one of them, and each is asked; of one with
+    more at all of them, and those are asked where more than it is left.
+    """
+    places, most = plain_places(problem, fit), problem.tuning.most_places
+    if len(places) <= most:
+        return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
+    everywhere = FittedWindows(force_response(problem, fit, places), fit.z, problem)
+    return tuple((everywhere.at(k), places[k]) for k in everywhere.strongest()[:most])
 
 
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
@@ -132,7 +140,7 @@ def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     level, rest = (first.level, first.q) if told[order[0]].wins else (windows.alone, windows.alone.alone_q)
     # What is called the sensors' noise was told by the nominal model, and is too large where that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(told[k] for k in order), ratio, level.size, level.size / windows.force, level.bandwidth)
+    return Unnamed(tuple(told[k] for k in order), ratio, level.size * windows.force, level.size, level.bandwidth)
 
 
 class _Best(NamedTuple):
@@ -229,5 +237,5 @@ def _told(windows: FittedWindows, place: Site, family: Family, best: _Best) -> U
     return UnnamedEvidence(
         place.name, family.over, family.coordinate, bool(dry), best.evidence, best.cross_validated, float(fall), share,
         float(np.sqrt(np.mean(along**2))),
-        family.grid, drawn @ mean, std, windows.records[0].unit, family.unit, period, amplitude, amplitude_std,
+        family.grid, drawn @ mean, std, windows.records[0].motion.unit, family.unit, period, amplitude, amplitude_std,
     )  # fmt: skip

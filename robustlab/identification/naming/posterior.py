@@ -30,7 +30,6 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
-from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
 from robustlab.identification.hypotheses.phase import in_phase
 from robustlab.identification.hypotheses.random_force import FittedWindows
@@ -270,10 +269,9 @@ def _weight(found: Found, visited: Visited) -> _Weight | None:
     """A set weighed; None where there is hardly any motion."""
     held, price = in_phase(found.held, visited.fit, found.problem.records)
     both, fit = _all_windows(found, held, visited.fit)
-    places = plain_places(both, fit)[: both.tuning.most_places]
     try:
         with np.errstate(all="ignore"):
-            weight = _Weight(tuple((fitted_windows(both, fit, place), place) for place in places), price)
+            weight = _Weight(fitted_windows(both, fit), price)
     except UNTOLD:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None

@@ -35,7 +35,6 @@ from robustlab.identification.hypotheses.effect_fit import (
     Problem,
     refit_distance,
 )
-from robustlab.identification.hypotheses.force_response import plain_places
 from robustlab.identification.hypotheses.noise import (
     careful,
     first_noise,
@@ -175,6 +174,7 @@ class _Search:
     asked: set[Key] = field(default_factory=set)
     again: set[Key] = field(default_factory=set)
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
+    explained: dict[Fit, bool] = field(default_factory=dict)
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     sharpened: bool = False
@@ -255,7 +255,7 @@ class _Search:
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
         wanted = bool(begun) and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece
-        if wanted and sum(k <= best for k in begun) < 2:
+        if wanted and sum(k <= best for k in begun) < 2 and not self._explains(whole):
             done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
             others = [
                 v for k, v in self.visited.items() if len(k) == 1 and k not in begun and v.allowed
@@ -263,9 +263,7 @@ class _Search:
             ]  # fmt: skip
             if others:
                 return max(others, key=lambda v: v.evidence).key
-        if isinstance(
-            self.problem.plant, NonlinearPlant
-        ):  # where it is dear to look beyond a set: is all of it needed?
+        if isinstance(self.problem.plant, NonlinearPlant):  # dear to look beyond a set: is all of it needed?
             for key in (best - {one} for one in sorted(best) if len(best) > 1):
                 if key not in self.visited:
                     self._without(whole.fit, key)
@@ -284,6 +282,18 @@ class _Search:
         left = [k for k in smaller if k not in self.expanded]
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
 
+    def _explains(self, told: Visited) -> bool:
+        """Whether a set leaves a nonlinear plant no more than noise: then no other beginning can lead further."""
+        if not isinstance(self.problem.plant, NonlinearPlant) or not self.sharpened:
+            return False
+        if told.fit not in self.explained:
+            try:
+                with np.errstate(all="ignore"):
+                    self.explained[told.fit] = fitted_windows(self.problem, told.fit)[0][0].as_noise
+            except UNTOLD:
+                self.explained[told.fit] = False
+        return self.explained[told.fit]
+
     def _lines(self) -> bool:
         """Whether the best set leaves lines over position or time; effects that make such lines are then tried there.
 
@@ -295,8 +305,7 @@ class _Search:
         self.asked.add(best.key)
         try:
             with np.errstate(all="ignore"):
-                places = plain_places(self.problem, best.fit)[: self.tuning.most_places]
-                left = [unnamed_force(fitted_windows(self.problem, best.fit, place), place) for place in places]
+                left = [unnamed_force(*there) for there in fitted_windows(self.problem, best.fit)]
         except UNTOLD:
             return False
         told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
