@@ -36,6 +36,7 @@ __all__ = ["CLASSES", "NOISE", "TOLERANCES", "PlatformCase", "cached_case", "mak
 
 DT, DURATION = 2e-3, 8.0
 LEGS = 6
+OPEN = 0.01  # of a record, for which a gap must be open for its backlash to be hidden in it
 GEAR = 4.8 * 41 / 21
 U_MAX, TORQUE_MAX = 36.0, 0.25
 MIDDLE, REACH = 0.17355, 0.0100  # actuator lengths that the path keeps to: middle, and half the range, in m
@@ -366,16 +367,40 @@ def make_case(
     drives = Drives(**{key: true[key] for key in MOTOR}) if motors else Drives()
     bare = machine = Machine(bodies(true), drives, motors)
     hidden = CLASSES[name.removeprefix("2x ")]
-    legs = tuple(sorted(int(j) for j in draw.permutation(LEGS)[: 2 if name.startswith("2x ") else 1]))
+    order = [int(j) for j in draw.permutation(LEGS)]
+    legs = tuple(sorted(order[: 2 if name.startswith("2x ") else 1]))
     values = []
     for leg in legs if hidden.where == "leg" else (-1,):
         values.append({key: float(v) for key, v in hidden.draw(draw, motors).items()})
         machine = hidden.put(machine, leg, values[-1])
-    where = {"leg": tuple(j + 1 for j in legs), "all": tuple(range(1, LEGS + 1)), "common": ()}[hidden.where]
     runs = tuple(_run(machine, seed, name, run, noise, round(duration / DT)) for run in range(2))
+    if name == "backlash":
+        legs, machine, runs = _opening(bare, values[0], order, (legs, machine, runs), (seed, noise, duration))
+    where = {"leg": tuple(j + 1 for j in legs), "all": tuple(range(1, LEGS + 1)), "common": ()}[hidden.where]
     records = [_record(run, noise, motors, generator(seed, "current", name, k), word)
                for k, (run, word) in enumerate(zip(runs, ("record", "held-out"), strict=True))]  # fmt: skip
     return PlatformCase(name, where, tuple(values), factors, seed, motors, noise, *records, machine, bare, runs)
+
+
+def _opening(
+    bare: Machine, values: Values, order: Sequence[int], first: Any, how: tuple[int, str, float]
+) -> tuple[tuple[int, ...], Machine, tuple[Run, ...]]:
+    """The first leg in the order whose gap opens in both records, else the one where it opens most.
+
+    The weight on a leg may hold its gap shut along a whole path: then nothing is hidden there.
+    """
+    seed, noise, duration = how
+    tried = []
+    for leg in order:
+        machine = CLASSES["backlash"].put(bare, leg, values)
+        runs = first[2] if (leg,) == first[0] else tuple(
+            _run(machine, seed, "backlash", run, noise, round(duration / DT)) for run in range(2)
+        )  # fmt: skip
+        open_for = min(float(np.mean(run.flights[:, leg])) for run in runs)
+        tried.append((open_for, (leg,), machine, runs))
+        if open_for >= OPEN:
+            break
+    return max(tried, key=lambda t: t[0])[1:]
 
 
 def _run(machine: Machine, seed: int, name: str, run: int, noise: str, n: int) -> Run:
