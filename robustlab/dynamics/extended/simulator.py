@@ -19,7 +19,14 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course, MotionModel, exponentials, motion_model, with_factors
+from robustlab.dynamics.ports.motion_model import (
+    Course,
+    MotionModel,
+    exponentials,
+    exponentials_and_ramps,
+    motion_model,
+    with_factors,
+)
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
@@ -391,7 +398,11 @@ def _kept_model(
 
 def _steps_along(model: PortModel, h: float, n_u: int, rising: bool) -> tuple[Array, Array, Array, Array]:
     """Phi (3, ...), psi, gamma_u (3, ...) as of `_Table`, and what rates along a motion add in half a step."""
-    phi, psi, ramp = exponentials(model.A, 0.5 * h)
+    if rising:
+        phi, psi, ramp = exponentials_and_ramps(model.A, 0.5 * h)
+    else:
+        phi, psi = exponentials(model.A, 0.5 * h)
+        ramp = psi
     return *_in_steps(model.B[..., :n_u], phi, psi, ramp, rising), psi @ model.B[..., n_u:]
 
 
@@ -400,10 +411,12 @@ _kept_steps = lru_cache(maxsize=KEPT_MOTIONS)(_steps_along)
 
 def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, rising: bool) -> _Table:
     """The steps of a nonlinear plant about its motion."""
+    from robustlab.dynamics.ports.law_kernel import drifts
+
     phi, psi, gamma_u, entering = (_kept_steps if model is about.model else _steps_along)(model, h, n_u, rising)
-    half = (entering[about.steps] @ about.rates[..., None])[..., 0]
-    whole = (phi[1][about.steps] @ half[..., None])[..., 0] + half
-    return _Table(phi, psi, gamma_u, np.array([whole, half, half]), about.stride)
+    drift = np.empty((3, len(about.rates), phi.shape[-1]))
+    drifts(entering, phi[1], about.steps, about.rates, drift)
+    return _Table(phi, psi, gamma_u, drift, about.stride)
 
 
 _kept_along = lru_cache(maxsize=KEPT_MOTIONS)(_table_along)

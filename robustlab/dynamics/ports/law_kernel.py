@@ -48,6 +48,7 @@ __all__ = [
     "Q",
     "Run",
     "V",
+    "drifts",
     "law",
     "step_windows",
 ]
@@ -134,6 +135,27 @@ def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-de
         return builder.call(builder.inttoptr(arguments[0], function), arguments[1:])
 
     return types.float64(types.uintp, NUMBERS, NUMBERS, NUMBERS, NUMBERS), call
+
+
+@nb.njit("void(f8[:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[:,:,::1])", cache=True, nogil=True)
+def drifts(entering, phi, points, rates, drift):  # type: ignore[no-untyped-def]
+    """What rates (n_steps, k) along a motion add in each step, in its halves and as a whole: drift (3, n_steps, n).
+
+    entering (m, n, k) and phi (m, n, n) of half a step, of which ``points`` (n_steps,) tells the row of each step.
+    """
+    n, k = entering.shape[1:]
+    for s in range(rates.shape[0]):
+        at = points[s]
+        for i in range(n):
+            a = 0.0
+            for c in range(k):
+                a += entering[at, i, c] * rates[s, c]
+            drift[1, s, i] = drift[2, s, i] = a
+        for i in range(n):
+            a = drift[1, s, i]
+            for c in range(n):
+                a += phi[at, i, c] * drift[1, s, c]
+            drift[0, s, i] = a
 
 
 @nb.njit(cache=True, nogil=True)

@@ -23,7 +23,7 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
 
-__all__ = ["Course", "MotionModel", "exponentials", "local_port_model", "motion_model", "with_factors"]
+__all__ = ["Course", "MotionModel", "exponentials", "exponentials_and_ramps", "local_port_model", "motion_model", "with_factors"]
 
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
@@ -181,23 +181,32 @@ def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
     return PortModel(local.A, wide, local.C, local.D, ports, n)
 
 
-def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
-    r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds` and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds` of A (m, n, n).
+def exponentials(a: Array, h: float) -> tuple[Array, Array]:
+    r"""``exp(A h)`` and :math:`\int_0^h e^{A s} ds` of A (m, n, n).
 
     By their series, after halving until :math:`\|A h\|` is small, and doubling back:
-    :math:`\varphi_1(2 z) = (\varphi_0 + 1) \varphi_1 / 2`, :math:`\varphi_2(2 z) = (\varphi_1^2 + 2 \varphi_2) / 4`.
+    :math:`\varphi_1(2 z) = (\varphi_0 + 1) \varphi_1 / 2`.
 
     References
     ----------
     Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010).
     """
-    size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
-    doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
-    one = np.eye(a.shape[-1])
-    z = a * (h / 2.0**doublings)
-    second = np.broadcast_to(one / _factorial(TERMS + 2), a.shape)
-    for k in range(TERMS - 1, -1, -1):
-        second = one / _factorial(k + 2) + z @ second  # phi_2 by Horner's rule
+    z, doublings = _halved(a, h)
+    first = _series(z, 1)
+    zeroth = np.eye(a.shape[-1]) + z @ first
+    for _ in range(doublings):
+        first = 0.5 * (zeroth @ first + first)
+        zeroth = zeroth @ zeroth
+    return zeroth, h * first
+
+
+def exponentials_and_ramps(a: Array, h: float) -> tuple[Array, Array, Array]:
+    r"""`exponentials`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds`.
+
+    With :math:`\varphi_2(2 z) = (\varphi_1^2 + 2 \varphi_2) / 4`.
+    """
+    z, doublings = _halved(a, h)
+    one, second = np.eye(a.shape[-1]), _series(z, 2)
     first = one + z @ second
     zeroth = one + z @ first
     for _ in range(doublings):
@@ -205,6 +214,22 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
         first = 0.5 * (zeroth @ first + first)
         zeroth = zeroth @ zeroth
     return zeroth, h * first, h * (2.0 * second - first)
+
+
+def _halved(a: Array, h: float) -> tuple[Array, int]:
+    """A h, halved so often that it is small, and how often."""
+    size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
+    doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
+    return a * (h / 2.0**doublings), doublings
+
+
+def _series(z: Array, k: int) -> Array:
+    r""":math:`\varphi_k(z) = \sum_j z^j / (j + k)!` of small z, by Horner's rule."""
+    one = np.eye(z.shape[-1])
+    found = np.broadcast_to(one / _factorial(TERMS + k), z.shape)
+    for j in range(TERMS - 1, -1, -1):
+        found = one / _factorial(j + k) + z @ found
+    return found
 
 
 def _factorial(k: int) -> float:

@@ -129,7 +129,7 @@ class MotionResponse:
     def _responses(self, starts: Indices, length: int, added: Array | None) -> WindowResponses:
         dt, n_x, n_u = self.course.dt, self.n_states, self.course.u.shape[1]
         about = motion_model(self.course, {}, starts, length, STEPS)
-        phi, psi, _ = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
+        phi, psi = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
         b, columns = about.model.B[..., :n_u], list(self.columns)
         entering = psi @ b
         steps = about.steps.reshape(len(starts), -1)
