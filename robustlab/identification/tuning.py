@@ -105,7 +105,7 @@ class NamingTuning:
 
     # --- rivals
     cannot_tell: float = 3.0  # refit distance in noise sigmas below which no test on these records tells two effects
-    most_places: int = 2  # at which an unnamed force is looked for; with more joints a random one acts at all of them
+    most_places: int = 2  # at which an unnamed force is looked for
     most_weighed: int = 5  # sets that are weighed again under a random force
     most_rivals: int = 5  # looked at for each named effect
     far_behind: float = 40.0  # log evidence beyond which the distance is not worth its time

@@ -31,6 +31,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.force_families import Family, Over, families
@@ -120,11 +121,11 @@ class Unnamed:
 def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Site], ...]:
     """What a hypothesis leaves in the windows under a random force, and where curves of a force are to be looked for.
 
-    Of a plant with few joints (``most_places``) the random force acts at one of them, and each is asked; of one with
-    more at all of them, and those are asked where more than it is left.
+    Of a linear plant with few joints (``most_places``) the random force acts at one of them, and each is asked; of
+    any other at all of them, and those are asked where more than it is left.
     """
     places, most = plain_places(problem, fit), problem.tuning.most_places
-    if len(places) <= most:
+    if len(places) <= most and not isinstance(problem.plant, NonlinearPlant):
         return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
     everywhere = FittedWindows(force_response(problem, fit, places), fit.z, problem)
     return tuple((everywhere.at(k), places[k]) for k in everywhere.strongest()[:most])
