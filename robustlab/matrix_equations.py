@@ -544,6 +544,8 @@ def balanced_eigenvalues(matrix: AnyArray) -> AnyArray | None:
     """Eigenvalues of a square matrix after balancing, shape (n,); None where it is not finite."""
     if not np.isfinite(matrix).all():
         return None
+    if not matrix.size:
+        return np.zeros(0)
     return np.linalg.eigvals(lapack().dgebal(matrix, scale=1, permute=0)[0])
 
 

@@ -351,23 +351,20 @@ def compare(
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
     from robustlab.dynamics.plant_file import code_of
+    from robustlab.identification.comparison.comparison import Comparison
     from robustlab.identification.comparison.comparison import compare as compare_with
 
     system = plant_or_model(model, settings or [])
     repeat = windows.repeat or []
     inputs = options.inputs or ",".join(_input_names(system))
     first, *others = (options.read(file, inputs) for file in (data, *repeat))
-    if hasattr(system, "compare"):  # a co-simulation unit: a free run from its own initial state is all there is
-        if figures or others or windows.window is not None or windows.period is not None:
-            found = f"options for the windows of {system.name}"
-            raise UsageError(model, found, "none: a co-simulation unit runs from its own initial state only")
-        found = system.compare(first)
-    else:
-        found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
+    found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
     if figures:
         from robustlab.report.comparison_figures import comparison_figures
 
+        if not isinstance(found, Comparison):
+            raise UsageError("--figures", f"a free run of {found.simulated.name}", "none: it has no windows to draw")
         files += save_figures(comparison_figures(found), figures)
     files += _keep(found, output.out, "data compare", (model, data, *repeat), code_of(system))
     _tell(files)

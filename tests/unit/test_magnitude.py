@@ -70,6 +70,7 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "h2_norm": (h2_norm, "h2_norm", True),
     "h2": (lambda m: rl.h2(generalised(m), 1, 1), "synth h2", True),
     "hinf": (lambda m: rl.hinf(generalised(m), 1, 1, time_limit=2), "synth hinf", False),
+    "dk": (lambda m: rl.dk(generalised(m), [rl.FullBlock("k", 1, 1)], 1, 1, time_limit=2), "synth dk", False),
     "mixsyn": (lambda m: rl.mixsyn(m, W1=0.5, W2=0.1, time_limit=2), "synth mixsyn", False),
     "ncf": (rl.ncf, "synth ncf", True),
     "lqg": (lambda m: rl.lqg(m, *PAIR, *PAIR), "synth lqg", False),
@@ -219,6 +220,34 @@ def test_hinf_of_any_disturbance_gain(b1):
     design = rl.hinf(Model([[1.0]], [[b1, 1]], [[1], [1]], [[0, 1], [1, 0]]), 1, 1)
     assert design.status is rl.Status.CERTIFIED
     assert b1 * (1 - 1e-9) <= design.gamma <= 1.05 * b1
+
+
+D11, D12, D21 = np.array([[1, 0.5], [0.3, 1]]), np.array([[1.0], [2.0]]), np.array([[1, 0.5]])
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e155, 1e300])
+@pytest.mark.parametrize("n", [0, 1])
+def test_synthesis_with_direct_terms_of_any_magnitude(size, n):
+    """No K is better than Parrott's bound: the part of D11 past D12, and the part of it past D21."""
+    x = np.ones((n, 1))
+    P = Model(-np.eye(n), np.hstack([x] * 3), np.vstack([x.T] * 3), np.block([[size * D11, D12], [D21, 0.0]]))
+    bound = max(np.linalg.norm([-2, 1] @ D11), np.linalg.norm(D11 @ [-1, 2])) / np.sqrt(5) * size
+    design = rl.hinf(P, 1, 1)
+    assert bound * (1 - 1e-9) <= design.gamma < np.inf
+    assert n or size != 1.0 or design.gamma <= bound * (1 + 1e-3)
+    try:
+        robust = rl.dk(P, [rl.FullBlock("k", 1, 1)], 1, 1, time_limit=5)
+    except rl.NoTrustworthyNumber as error:
+        assert (size > 1, error.where) == (True, "synth dk")
+    else:
+        assert robust.gamma <= design.gamma * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("size", [1e155, 1e300])
+def test_dk_where_all_direct_terms_are_large_ends_in_one_line(size):
+    P = Model(-np.eye(1), np.ones((1, 3)), np.ones((3, 1)), size * np.block([[D11, D12], [D21, 0.0]]))
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"^synth dk: .*1e(310|600)"):
+        rl.dk(P, [rl.FullBlock("k", 1, 1)], 1, 1, time_limit=2)
 
 
 def test_h2_where_the_control_acts_1e20_times_weaker_than_the_disturbance():

@@ -109,6 +109,16 @@ def test_other_parameters_are_another_plant():
     assert abs(plant.derivative(x, u) - make().derivative(x, u)).max() > 0.1
 
 
+def test_a_tolerance_from_outside_keeps_the_role_of_the_file_and_asks_for_none():
+    given = {"l": (0.3, 0.05), "m": (0.2, 0.1)}
+    made, changed = maker("cart_pole")(**given), maker("cart_pole")().with_parameters(**given)
+    assert made.parameters == changed.parameters
+    assert {name: (made.parameters[name].tolerance, made.parameters[name].role) for name in given} == {
+        "l": (0.05, ""),
+        "m": (0.1, "inertia"),
+    }
+
+
 def test_it_goes_to_other_processes():
     plant = maker("two_link_arm")()
     x, u = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0, 2.0])

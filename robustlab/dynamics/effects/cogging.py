@@ -40,16 +40,14 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Parameters p = (A_c, A_s, k)."""
     most = abs(p[0]) + abs(p[1])
     args = (seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2])
-    # The force hardly changes the way: Newton steps from no force at all are there after two looks.
-    force = 0.0
-    for _ in range(LOOKS):
+    # The force hardly changes the way: Newton steps from no force at all are there after two looks. What it does back
+    # to its mean is at most `feedback`; the slope at one place says less: none where a crest is the middle of the way.
+    force, feedback = 0.0, 0.5 * seen[GQ] * abs(p[2]) * most
+    for _ in range(LOOKS if feedback < 0.5 else 0):
         mean, slope = wave_mean_and_slope(seen[Q0], seen[Q] + seen[GQ] * force, p[0], p[1], p[2])
-        feedback = seen[GQ] * slope
         r = force - mean
-        if abs(feedback) > 0.5:
-            break
-        force -= r / (1.0 - feedback)
-        if abs(r * feedback) <= CLOSE * most:
+        force -= r / (1.0 - seen[GQ] * slope)
+        if abs(r) * feedback <= CLOSE * most:
             return force
     b = bracket(-most, _residual(-most, args), most, _residual(most, args))
     while is_open(b):

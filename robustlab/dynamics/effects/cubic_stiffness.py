@@ -33,7 +33,8 @@ def _residual(force, args):  # type: ignore[no-untyped-def]
 
 @law
 def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (k_3,); hardening, the residual has a slope of at least one: -residual(0) bounds the root.
+    """Parameters p = (k_3,); hardening, the residual has a slope of at least one: -residual(0) bounds the root, and so
+    does the force that takes the mass to the mirror image of its start, where the spring has done no work.
 
     A softening spring goes beyond that bound; twice the bound holds it as long as the step resolves the motion.
     """
@@ -41,6 +42,8 @@ def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     bound = -_residual(0.0, args)
     if p[0] < 0.0:
         bound *= 2.0
+    elif abs(seen[Q] + seen[Q0]) < seen[GQ] * abs(bound):
+        bound = -(seen[Q] + seen[Q0]) / seen[GQ]
     low, high = min(bound, 0.0), max(bound, 0.0)
     b = bracket(low, _residual(low, args), high, _residual(high, args))
     while is_open(b):

@@ -75,7 +75,6 @@ class PlantEquations:
         self._where = _title(name, "PlantEquations", "name of the plant")
         self._ca = _casadi(self._where)
         self._parameters: dict[str, Parameter] = {}
-        self._without_role: set[str] = set()
         self._inputs: list[Signal] = []
         self._states: list[Signal] = []
         self._outputs: dict[str, tuple[Any, str]] = {}
@@ -108,7 +107,7 @@ class PlantEquations:
             As of `robustlab.dynamics.parameters.Parameter`.
         role
             What effects may act on it: an inertia that is wrong, a torque constant that is wrong. ``"none"``: none
-            does. It must be said where a tolerance is stated.
+            does. It must be said where a tolerance is stated here; whoever gives one later need not know it.
         sign
             What physics allows; left out, what the role says: an inertia is ``"positive"``.
 
@@ -130,8 +129,6 @@ class PlantEquations:
         symbol = self._new(name, "parameter")
         _unit(unit, where)
         self._parameters[name] = Parameter(name, value, unit, tolerance, source, meaning, sign, kept)
-        if role is None:
-            self._without_role.add(name)
         return symbol
 
     def input(self, name: str, unit: str = "") -> Any:
@@ -244,10 +241,6 @@ class PlantEquations:
             the plant (an algebraic loop is one), NaN, a mass matrix that is none, an unknown parameter.
         """
         parameters = overridden(self._parameters.values(), given, self._where)
-        for name in self._without_role & given.keys():
-            if parameters[name].tolerance:
-                found = "a tolerance, but no role"
-                raise InputError(f"{self._where}: parameter {name!r}", found, f"role= one of {_listed(ROLES)}")
         if not self._states:
             raise InputError(self._where, "no state", "p.joint(...) or p.state(...)")
         if not self._outputs:

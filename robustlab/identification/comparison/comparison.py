@@ -14,8 +14,10 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
+from robustlab.dynamics.fmu.fmu_co_simulation import FmuCoSimulation
+from robustlab.dynamics.fmu.fmu_co_simulation import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-from robustlab.errors import NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber, UsageError
 from robustlab.identification.comparison.along_motion import compare_along
 from robustlab.identification.comparison.best_linear_approximation import (
     BestLinearApproximation,
@@ -65,7 +67,7 @@ def compare(
     position: str | None = None,
     period: float | None = None,
     repeats: Sequence[Record] = (),
-) -> Comparison:
+) -> Comparison | RunOfUnit:
     """Compare a plant or model with a measured record at all outputs they share.
 
     Parameters
@@ -73,7 +75,8 @@ def compare(
     plant
         A `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record. Inputs are
         held between samples. A nonlinear plant, whose positions must all be recorded, is linear in each window about
-        the recorded motion; its free run is its own, and may end early (``free_run``).
+        the recorded motion; its free run is its own, and may end early (``free_run``). A co-simulation unit runs from
+        its own initial state only, and takes none of the options.
     record
         The measurement; it may hold any subset of the outputs, and signals that the model does not know.
     window
@@ -97,10 +100,12 @@ def compare(
     Returns
     -------
     Comparison
-        A large gap is a result, not an error.
+        A large gap is a result, not an error. Of a co-simulation unit what `FmuCoSimulation.compare` gives.
 
     Raises
     ------
+    UsageError
+        Options for windows, period or repeats with a co-simulation unit.
     InputError
         An input of the model or every output is missing, a wrong sample time, a window that does not fit; a stated
         period or repeat that the inputs contradict; a plant with effects; of a nonlinear plant a position that is not
@@ -120,6 +125,12 @@ def compare(
     >>> round(gap.peak, 3), round(gap.peak_percent, 2)
     (0.1, 9.09)
     """
+    if isinstance(plant, FmuCoSimulation):
+        if repeats or (window, start, lags, speed, position, period) != (None, None, LAGS, None, None, None):
+            found = f"options for the windows of {plant.name}"
+            expected = "none: a co-simulation unit runs from its own initial state"
+            raise UsageError(f"compare {record.name}", found, expected)
+        return plant.compare(record)
     if isinstance(plant, NonlinearPlant) and not isinstance(plant, SteppedPlant):
         return compare_along(
             plant, record, window=window, start=start, lags=lags, speed=speed, position=position, period=period,

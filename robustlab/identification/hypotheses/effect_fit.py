@@ -457,10 +457,6 @@ class Problem:
         covariance = sandwich(parts, hessian) if plan.robust else None
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
 
-    def cost(self, hypothesis: Hypothesis, noise: NoiseModel, z: Array, starts: Sequence[Array]) -> float:
-        """V at a point."""
-        return _total(self.whitened(self.errors(hypothesis, z, starts), noise), starts, z)
-
     @staticmethod
     def _expected(z: Array, xi: Sequence[Array], parts: Sequence[Linearised], fixed: bool) -> float:
         """By how much V would fall in an undamped step, were the errors linear."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
+from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     Positive,
@@ -101,11 +102,14 @@ class CompareStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Disagreement of a model with a record: how much, and where in time, speed and frequency it lives."""
+        from robustlab.identification.comparison.comparison_result import Comparison
         from robustlab.report.comparison_figures import comparison_figures
 
         options = {name: getattr(self, name) for name in ("window", "start", "lags", "speed", "position")}
         model, measured = work.values[self.of], work.record(self.record)
         found = rl.compare(model, measured, **{name: value for name, value in options.items() if value is not None})
+        if not isinstance(found, Comparison):
+            raise InputError(f"step {work.step!r}", "a co-simulation unit", "a model, or a unit for model exchange")
         work.keep(found)
         facts: list[Fact] = []
         for name, gap in found.outputs.items():

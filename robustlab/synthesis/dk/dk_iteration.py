@@ -138,7 +138,7 @@ def dk(
         max_order = max(3 * n, n + 24)
     elif isinstance(max_order, bool) or not isinstance(max_order, (int, np.integer)) or max_order < n:
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
-    with one_thread():
+    with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         compile_kernels()
         search = _Search(plant, structure, budget, int(max_order), mixed, progress, tuning)
         search.start(K0)
@@ -352,7 +352,7 @@ class _Search:
         """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
             self.curve = self._followed(self.best)
-        high = self.curve.omega[self.curve.levels > self.tuning.band_level * self.curve.peak]
+        high = self.curve.omega[self.curve.levels >= self.tuning.band_level * self.curve.peak]
         return float(high[0] / self.tuning.beyond), float(high[-1] * self.tuning.beyond)
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:

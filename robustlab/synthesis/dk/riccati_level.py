@@ -56,7 +56,7 @@ class _Pair:
     @property
     def coupling(self) -> float:
         """``rho(X Y) / gamma^2``."""
-        return float(self.eigenvalues[0])
+        return float(self.eigenvalues.max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class LevelSearch:
         rtol = self.tuning.level_rtol if rtol is None else rtol
         high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
         best: tuple[float, _Pair] | None = None
-        log_beta, step = float(np.log(start)), 1e-4
+        log_beta, step = float(np.log(max(start, 1e-300))), 1e-4
         side = 0
         for _ in range(self.tuning.max_tests):
             pair = self._test(theta, float(np.exp(log_beta)))

@@ -177,6 +177,8 @@ class RobustProblem:
         they are slower by orders of magnitude, and slower once more with penalties on u and noises on y as large as
         the limit allows.
         """
+        if not iterate.level:  # a static loop that lets nothing through
+            return iterate
         search = self.search(iterate.scalings)
         theta = iterate.scalings.parameters()
         best, middle = iterate, None

@@ -96,14 +96,14 @@ def mu_curve(
         levels = np.array([b.beta for b in bounds])
         d = np.log(np.array([np.einsum("ii->i", b.Dw).real for b in bounds]))
         d -= d.mean(axis=1, keepdims=True)
-        height = np.maximum(levels[1:], levels[:-1]) / levels.max()
-        change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / levels.max()
+        height = np.maximum(levels[1:], levels[:-1]) / max(levels.max(), 1e-300)
+        change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / max(levels.max(), 1e-300)
         urgency = height**4 * change * (np.diff(np.log(omega)) > 1e-3)
         chosen = np.argsort(-urgency)[: tuning.added]
         chosen = chosen[urgency[chosen] > 0.02]
         if not len(chosen):
             break
-        new = np.sqrt(omega[chosen] * omega[chosen + 1])
+        new = np.sqrt(omega[chosen]) * np.sqrt(omega[chosen + 1])
         more, found = _until(loop, blocks, new, budget, tuning)
         new = new[: len(found)]
         order = np.argsort(np.concatenate([omega, new]), kind="stable")
@@ -218,8 +218,8 @@ class _Fit:
         left = frequency_response(StateSpaceModel(*scalings.on_outputs()), self.curve.omega)
         right = frequency_response(StateSpaceModel(*scalings.on_inputs()), self.curve.omega)
         peaks = np.linalg.svd(left @ self.curve.response @ right, compute_uv=False)[:, 0]
-        top, power = float(peaks.max(initial=1e-300)), self.tuning.sharpness
-        return float(np.log(top) + np.log(np.mean((peaks / top) ** power)) / power), top
+        top, power = max(float(peaks.max(initial=0.0)), 1e-300), self.tuning.sharpness
+        return float(np.log(top) + np.log(max(np.mean((peaks / top) ** power), 1e-300)) / power), top
 
 
 def _peaks_work(curve: MuCurve, scalings: DynamicScalings) -> float:

@@ -131,7 +131,7 @@ def synthesize(
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
     if bandwidth is not None and not bandwidth > 0:
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
-    with one_thread():
+    with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         say = progress or (lambda _: None)
         return _Task(plant, method, gamma_rel, bandwidth, weights or {}, budget, say, tuning).result()
 

@@ -24,6 +24,7 @@ __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
 # Smallest singular value of D12 or D21, relative to the largest, that is none.
 RANK = 1e-13
+LARGEST = 1e150  # direct term whose square, of many channels, is still a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class TwoRiccatiProblem:
     Raises
     ------
     NoTrustworthyNumber
-        D12 has no full column rank or D21 no full row rank.
+        D12 has no full column rank or D21 no full row rank, or the square of D11 overflows.
     """
 
     def __init__(
@@ -74,6 +75,8 @@ class TwoRiccatiProblem:
         self.A, self.B1, self.B2 = plant.A, plant.B1 @ w_turn, plant.B2 @ self.u_back
         self.C1, self.C2 = z_turn.T @ plant.C1, self.y_into @ plant.C2
         self.D11 = z_turn.T @ plant.D11 @ w_turn
+        if not np.abs(self.D11).max(initial=0.0) < LARGEST:
+            raise NoTrustworthyNumber("H-infinity Riccati test", "the square of D11 overflows")
         D12 = np.vstack([np.zeros((self.a, n_u)), np.eye(n_u)])
         D21 = np.hstack([np.zeros((n_y, self.b)), np.eye(n_y)])
         parts = (self.D11[: self.a], self.D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them

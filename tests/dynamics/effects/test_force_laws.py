@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.special import ellipk
@@ -62,8 +62,7 @@ class Step:
 signed = st.floats(-1e3, 1e3).map(lambda x: 0.0 if abs(x) < 1e-6 else x)
 positive = st.floats(-6, 6).map(lambda e: 10.0**e)
 steps = st.sampled_from([1e-5, 5e-4, 1e-2])
-# The same examples in every run. A random one (k3 = 10^7.5, q0 = 193, h = 0.01) had the work of a cubic spring
-# off by 0.4 %, 2.3 times the allowance below, in a step no machine makes; which of the two is at fault is open.
+# The same examples in every run of one version of hypothesis.
 asked = settings(deadline=None, max_examples=100, derandomize=True)
 
 
@@ -194,6 +193,7 @@ def test_position_dependent_friction_has_the_level_of_its_way(Fc, Pc, Ps, k, q0,
 
 @asked
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.01, 1e4), signed, signed, signed, steps)
+@example(1.0, 0.0, 8.0, 0.0, 0.0, 0.0, 0.01)  # a crest in the middle of the way, where the wave's slope is zero
 def test_cogging_does_the_work_of_its_potential(Ac, As, k, q0, v0, drive, h):
     s = Step(cogging_force, [Ac, As, k], q0=q0, v0=v0, drive=drive, h=h)
 
@@ -208,6 +208,8 @@ def test_cogging_does_the_work_of_its_potential(Ac, As, k, q0, v0, drive, h):
 
 @asked
 @given(st.floats(-9, 9).map(lambda e: 10.0**e), signed, signed, signed, steps)
+@example(10.0**7.546875, 183.0, 0.0, 0.0, 0.01)  # thrown back to the other side within the step
+@example(1e9, 69.0, 0.0, 0.0, 0.01)
 def test_a_cubic_spring_does_the_work_of_its_potential_however_stiff(k3, q0, v0, drive, h):
     s = Step(cubic_force, [k3], q0=q0, v0=v0, drive=drive, h=h)
     bound = abs(k3 * (abs(q0) + abs(s.q)) ** 3)

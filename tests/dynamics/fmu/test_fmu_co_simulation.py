@@ -8,7 +8,7 @@ import pytest
 from fmu_units import needs_compiler
 
 import robustlab as rl
-from robustlab.errors import NativeTimeout, UnitMismatch
+from robustlab.errors import NativeTimeout, UnitMismatch, UsageError
 
 T = np.linspace(0.0, 1.0, 101)
 
@@ -32,7 +32,8 @@ def test_a_python_unit_follows_its_closed_form(motor):
 
 def test_a_record_is_compared_from_the_initial_state(motor):
     measured = rl.Record(T, {"u": 2 * np.ones(101)}, {"omega": speed(T) + 0.01}, {"omega": "rad/s"}, "run 1")
-    found = motor.compare(measured)
+    found = rl.compare(motor, measured)
+    assert found.to_json(series=False) == motor.compare(measured).to_json(series=False)
     assert found.gaps["omega"]["rms"] == pytest.approx(0.01)
     assert found.gaps["omega"]["peak"] == pytest.approx(0.01)
     assert "free run from the unit's own initial state" in found.summary()
@@ -40,7 +41,10 @@ def test_a_record_is_compared_from_the_initial_state(motor):
     with pytest.raises(rl.InputError, match="no input 'u'"):
         motor.compare(rl.Record(T, {"F": T}, {"omega": T}))
     with pytest.raises(rl.InputError, match="no output in common"):
-        motor.compare(rl.Record(T, {"u": T}, {"phi": T}))
+        rl.compare(motor, rl.Record(T, {"u": T}, {"phi": T}))
+    for option in ({"window": 0.1}, {"lags": 5}, {"repeats": [measured]}):
+        with pytest.raises(UsageError, match="runs from its own initial state"):
+            rl.compare(motor, measured, **option)
 
 
 def test_samples_over_parameters(motor):
