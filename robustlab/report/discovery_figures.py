@@ -51,7 +51,8 @@ DRAWN = 4000  # samples of a curve
 BEYOND = 0.6  # of the measured range, drawn of a model that leaves it
 DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "updated": "-"}
 
-FREE = "free run"
+FREE, ALONG = "free run", "one run, linear about the recorded motion"
+SHORT = {ALONG: "one linear run"}  # above narrow panels
 LINEAR = "linear about the recorded motion"  # as a discovery says of the records of its runs
 
 COLUMNS = 2
@@ -59,7 +60,8 @@ ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
 
 CAPTIONS = {
-    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
+    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated. "
+    "A free run is one over a whole record; of a nonlinear plant it is a linear run, about the recorded motion.",
     "run": "One simulation from the start of a held-out record to its end, without restarts; errors below.",
     "stretch": "A held-out stretch, window by window: record and models, and their errors below.",
     "posterior": "Sets of effects and how probable they are; blue: the smallest collection with 95 %.",
@@ -86,7 +88,7 @@ def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
 
 def run_in_words(discovery: Discovery) -> str:
     """What the run over a whole record is: a free run, or of a nonlinear plant one that is linear about the record."""
-    return "one run, linear about the record" if LINEAR in discovery.free_run_on else FREE
+    return ALONG if LINEAR in discovery.free_run_on else FREE
 
 
 def gap_figure(discovery: Discovery) -> Figure:
@@ -99,7 +101,7 @@ def gap_figure(discovery: Discovery) -> Figure:
             *bars, traces = axes[len(ratios) * k : len(ratios) * (k + 1)]
             _bars(bars[0], gap, f"{name}: windows of {d.window:.3g} s")
             if name in d.free_run:
-                _bars(bars[1], d.free_run[name], f"{name}: {run_in_words(d)}")
+                _bars(bars[1], d.free_run[name], f"{name}: {SHORT.get(run_in_words(d), FREE)}")
                 bars[1].set_yticklabels([])
             signals = d.series.get("outputs", {}).get(name)
             if signals is None:

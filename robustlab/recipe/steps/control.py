@@ -360,14 +360,20 @@ class FollowTrajectoryStep(Step):
     points: Annotated[int, Field(ge=2, le=100_000)] = 2501
 
     def run(self, work: Workspace) -> Outcome:
-        """The nonlinear platform under each controller, with its motors' torque loops below if it has motors."""
+        """The nonlinear platform under each controller, with its motors' torque loops below if it has motors.
+
+        Numbers, by controller: ``worst_error`` (largest distance from the path in mm), ``position_error`` in m and
+        ``orientation_error`` in rad of the worst axis, ``nut_errors.phi_1`` ... in rad, ``largest_torque`` and, with
+        motors, ``largest_voltage``, ``within_limits``, ``spectral_abscissa`` of the linear loop.
+        """
         import numpy as np
 
         from robustlab.report.design_figures import TimePanel, runs_figure
         from robustlab.statespace import as_model
 
-        runs, abscissas, below = _followed(self, work)
+        runs, abscissas, asked, below = _followed(self, work)
         t, limits = np.linspace(0.0, self.t_end, self.points), next(iter(runs.values())).limits
+        late = t >= self.after
         rows: dict[str, dict[str, Any]] = {}
         curves: dict[str, dict[str, Any]] = {key: {} for key in ("position", "torque", "voltage")}
         for name, run in runs.items():
@@ -375,9 +381,10 @@ class FollowTrajectoryStep(Step):
             curves["position"][name] = distance = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
             rows[name] = {
                 "order": as_model(work.values[name], name).n_states,
-                "worst_error": float(distance[t >= self.after].max()),
+                "worst_error": float(distance[late].max()),
                 "position_error": float(error[:3].max()),
                 "orientation_error": float(error[3:].max()),
+                "nut_errors": {f"phi_{i + 1}": float(off) for i, off in enumerate(_largest(run.phi - asked, late))},
                 "largest_torque": float(run.largest_torque().max()),
                 "within_limits": run.within_limits,
                 "spectral_abscissa": abscissas[name],
@@ -428,14 +435,17 @@ class FollowTrajectoryStep(Step):
 
 def _followed(
     step: FollowTrajectoryStep, work: Workspace
-) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], Fact]:
-    """The run under each controller, the rightmost pole of its linear loop, and what is below the controllers."""
+) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], Any, Fact]:
+    """The run under each controller, the rightmost pole of its linear loop, the nut angles asked for (n, 6), and what
+    is below the controllers.
+    """
     import numpy as np
 
     from robustlab.dynamics import linearise, trim
     from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
     from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow, follow_with_torques, torque_loop
     from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.stewart.kinematics import nut_angles
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
     from robustlab.statespace import as_model
 
@@ -448,17 +458,23 @@ def _followed(
     path = SineTrajectory(machine.geometry.home if step.at is None else step.at, rise_time=step.rise_time)
     path = replace(path, lift=step.scale * np.asarray(path.lift), amplitude=step.scale * np.asarray(path.amplitude))
     t = np.linspace(0.0, step.t_end, step.points)
+    asked = nut_angles(machine.geometry, path.pose(t))
     models = {name: as_model(work.values[name], name) for name in step.controllers}
     if not machine.motors:
         named = f", with {', '.join(e.in_words for e in plant.effects)}" if machine is not plant else ""
         runs = {name: follow_with_torques(plant, K, path, t, at=point) for name, K in models.items()}
         poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
-        return runs, poles, Fact("The machine", f"takes torques{named}")
+        return runs, poles, asked, Fact("The machine", f"takes torques{named}")
     lower = two_layer(plant, p_low=step.p_low).lower
     layered = {name: LayeredController(K, lower, point) for name, K in models.items()}
     runs = {name: follow(plant, controller, path, t) for name, controller in layered.items()}
     poles = {name: closed_loop(plant, controller).spectral_abscissa() for name, controller in layered.items()}
-    return runs, poles, Fact("Torque loops below", f"triple pole at {step.p_low:g} 1/s")
+    return runs, poles, asked, Fact("Torque loops below", f"triple pole at {step.p_low:g} 1/s")
+
+
+def _largest(errors: Any, late: Any) -> Any:
+    """Largest magnitude of each column at the times that count."""
+    return abs(errors[late]).max(axis=0)
 
 
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
