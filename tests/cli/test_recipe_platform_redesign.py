@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.dynamics.stewart import nut_angles
 from robustlab.recipe.load import load_recipe
 from robustlab.recipe.paths import recipe_path
+from robustlab.recipe.steps.records import _worst
 
 RECIPE = """
 schema = "robustlab.recipe/1"
@@ -96,6 +100,25 @@ def test_a_machine_that_cannot_be_followed_is_refused(tmp_path):
     done = robustlab(tmp_path, "wrong.toml")
     assert done.returncode == 3
     assert "no Stewart platform" in done.stderr + done.stdout
+
+
+def test_the_pose_of_the_worst_window_is_told():
+    """The platform 5 mm up in the middle of the window that is furthest off."""
+    machine = rl.plant("stewart-platform")
+    t = np.linspace(0.0, 1.0, 101)
+    height = machine.geometry.home[2] + 0.01 * t
+    phi = nut_angles(machine.geometry, np.array([[0.0, 0.0, z, 0.0, 0.0, 0.0] for z in height]))
+    outputs = {f"phi_{i + 1}": phi[:, i] for i in range(6)}
+    gaps = {name: SimpleNamespace(name=name, windowed_rms_percent=float(name[-1] == "4")) for name in outputs}
+    windows = SimpleNamespace(start=[0.0, 0.4], stop=[0.4, 0.6], worst=1)
+    found = SimpleNamespace(
+        outputs=gaps, windows=dict.fromkeys(outputs, windows), measured=rl.Record(t, {}, outputs, {}, "lift")
+    )
+    worst = _worst(machine, found)
+    assert (worst["output"], worst["start"], worst["stop"]) == ("phi_4", 0.4, 0.6)
+    assert worst["pose"]["tz"] == pytest.approx(machine.geometry.home[2] + 0.005)
+    assert worst["words"][0].startswith("phi_4, 0.4 to 0.6 s, at the pose tx ")
+    assert "pose" not in _worst(rl.plant("servo-axis"), found)
 
 
 def test_the_shipped_recipe_redesigns_for_what_it_named():
