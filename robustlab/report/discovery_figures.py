@@ -35,6 +35,7 @@ __all__ = [
     "gap_figure",
     "posterior_figure",
     "residual_force_figure",
+    "run_in_words",
     "stretch_figure",
 ]
 
@@ -50,13 +51,18 @@ DRAWN = 4000  # samples of a curve
 BEYOND = 0.6  # of the measured range, drawn of a model that leaves it
 DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "updated": "-"}
 
+FREE, ALONG = "free run", "one run, linear about the recorded motion"
+SHORT = {ALONG: "one linear run"}  # above narrow panels
+LINEAR = "linear about the recorded motion"  # as a discovery says of the records of its runs
+
 COLUMNS = 2
 ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
 
 CAPTIONS = {
-    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
-    "run": "Free run: one simulation from the start of a held-out record to its end, without restarts; errors below.",
+    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated. "
+    "A free run is one over a whole record; of a nonlinear plant it is a linear run, about the recorded motion.",
+    "run": "One simulation from the start of a held-out record to its end, without restarts; errors below.",
     "stretch": "A held-out stretch, window by window: record and models, and their errors below.",
     "posterior": "Sets of effects and how probable they are; blue: the smallest collection with 95 %.",
     "force": "The force that the refitted and the updated model lack, over each coordinate, with its 95 % band.",
@@ -80,6 +86,11 @@ def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
     return figures
 
 
+def run_in_words(discovery: Discovery) -> str:
+    """What the run over a whole record is: a free run, or of a nonlinear plant one that is linear about the record."""
+    return ALONG if LINEAR in discovery.free_run_on else FREE
+
+
 def gap_figure(discovery: Discovery) -> Figure:
     """For every output: bars of the held-out error of the three models in windows and in free run; errors over time."""
     d = discovery
@@ -90,7 +101,7 @@ def gap_figure(discovery: Discovery) -> Figure:
             *bars, traces = axes[len(ratios) * k : len(ratios) * (k + 1)]
             _bars(bars[0], gap, f"{name}: windows of {d.window:.3g} s")
             if name in d.free_run:
-                _bars(bars[1], d.free_run[name], f"{name}: free run")
+                _bars(bars[1], d.free_run[name], f"{name}: {SHORT.get(run_in_words(d), FREE)}")
                 bars[1].set_yticklabels([])
             signals = d.series.get("outputs", {}).get(name)
             if signals is None:
@@ -117,7 +128,8 @@ def free_run_figure(discovery: Discovery, output: str) -> Figure:
     every = max(1, len(run["t"]) // DRAWN)
     t = np.asarray(run["t"])[::every]
     signals = {key: np.asarray(values)[::every] for key, values in run["outputs"][output].items()}
-    start = f"{output} of {run['record']}: one run from the record's start"
+    how = "one run from the record's start" if run_in_words(d) == FREE else run_in_words(d)
+    start = f"{output} of {run['record']}: {how}"
     return _signals_and_errors(t, signals, d.free_run[output], start)
 
 

@@ -15,7 +15,7 @@ from robustlab.identification.naming.discovery_result import (
     with_interval,
 )
 from robustlab.provenance import Provenance
-from robustlab.report.discovery_figures import CAPTIONS, discovery_figures
+from robustlab.report.discovery_figures import CAPTIONS, discovery_figures, run_in_words
 from robustlab.report.figures import save_figure
 from robustlab.report.html import render
 from robustlab.result import plain
@@ -50,7 +50,7 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
         if r.instead_of == "none":
             values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
             found.append((f"Not excluded: {r.title}", values, "tolerances of other parameters may hide it"))
-    for gaps, how, on in ((d.gaps, "windows", d.held_out), (d.free_run, "free run", d.free_run_on)):
+    for gaps, how, on in ((d.gaps, "windows", d.held_out), (d.free_run, run_in_words(d), d.free_run_on)):
         for g in gaps.values():
             sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
             change = compared(g.refitted, g.updated, "refitted")

@@ -24,7 +24,7 @@ from robustlab.report.figures import (
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
 
-__all__ = ["Story", "fall_in_words", "fall_percent", "story_figure"]
+__all__ = ["Story", "fall_in_words", "fall_percent", "story_figure", "times_in_words"]
 
 BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
 WORDS = ("before", "after")
@@ -133,8 +133,7 @@ def _error(axes: Axes, story: Story, number: int) -> None:
         axes.plot(story.t, curve, color=colour, lw=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
     headroom(axes, above=0.25)
-    ratio = story.errors[0] / max(story.errors[1], 1e-300)
-    axes.set_title(f"{number}  Simulated machine: error {_number(ratio)} times smaller", loc="left")
+    axes.set_title(f"{number}  Simulated machine: error {times_in_words(*story.errors)}", loc="left")
     axes.legend(loc="upper right")
 
 
@@ -146,7 +145,16 @@ def fall_percent(before: float, after: float) -> float:
 def fall_in_words(before: float, after: float) -> str:
     """The fall of mu, or that there is none to tell."""
     fall = fall_percent(before, after)
-    return f"{fall:.3g} % lower" if np.isfinite(fall) else "not to be compared"
+    if not np.isfinite(fall):
+        return "not to be compared"
+    return f"{abs(fall):.3g} % {'higher' if fall < 0 else 'lower'}"
+
+
+def times_in_words(before: float, after: float) -> str:
+    """How many times smaller, or larger, the second is: ``1.1 times larger``."""
+    if after > before:
+        return f"{_number(after / max(before, 1e-300))} times larger"
+    return f"{_number(before / max(after, 1e-300))} times smaller"
 
 
 def _number(ratio: float) -> str:

@@ -142,6 +142,15 @@ def test_a_simulated_record_is_called_simulated(tmp_path):
     assert "a simulated record" in steps["gap"]
 
 
+def test_what_grew_is_not_called_so_many_times_smaller():
+    from robustlab.report.story_figures import fall_in_words, times_in_words
+
+    assert times_in_words(3.0, 2.0) == "1.5 times smaller"
+    assert times_in_words(2.0, 3.0) == "1.5 times larger"
+    assert fall_in_words(1.0, 0.7) == "30 % lower"
+    assert fall_in_words(1.0, 1.2) == "20 % higher"
+
+
 def test_the_story_says_what_is_simulated():
     from types import SimpleNamespace
 

@@ -367,6 +367,15 @@ def curve(axes, label):
     return next(line for line in axes.get_lines() if line.get_label() == label)
 
 
+def test_a_run_about_a_recorded_motion_is_not_called_free():
+    d = made(free_run_on="held (linear about the recorded motion)")
+    figures = discovery_figures(d)
+    assert figures["story"].axes[1].get_title(loc="left") == "q: one linear run"
+    assert "linear about the recorded motion" in figures["run-q"].axes[0].get_title(loc="left")
+    assert any("one run, linear about the recorded motion" in label for label, *_ in facts(d))
+    assert not any("free run" in label for label, *_ in facts(d))
+
+
 def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free_run():
     figures = discovery_figures(made())
     assert list(figures) == ["story", "run-q", "stretch-q", "posterior"]

@@ -17,10 +17,11 @@ import numpy as np
 
 from robustlab.dynamics.control.controllers import torque_gains
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["actuator_cascade", "controlled_plant"]
+__all__ = ["actuator_cascade", "controlled_plant", "loop_parts"]
 
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
@@ -56,15 +57,8 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
     >>> float(simulate(loop, [0.0, 0.1, 0.2], [1.0, 1.0, 1.0])["phi"][-1].round(3))
     1.0
     """
-    model, where = as_model(K, "controller"), f"{plant.name} under control"
-    c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
-    sizes = (len(c) + len(m), len(plant.inputs))
-    if (model.n_inputs, model.n_outputs) != sizes:
-        found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
-        raise InputError(f"{where}: controller", found, f"{sizes[0]} and {sizes[1]}")
-    if model.is_discrete:
-        hint = "the design before its step discretise; that step (rl.discretise_controller) judges the sampled loop"
-        raise InputError(f"{where}: controller", f"a discrete one, dt = {model.dt:g} s", "a continuous one", hint)
+    where = f"{plant.name} under control"
+    model, c, m = loop_parts(plant, K, controlled, measured)
     n, n_k, n_r = len(plant.states), model.n_states, len(c)
     from_r, from_y = model.B[:, :n_r], model.B[:, n_r:]
     d_r, d_y = model.D[:, :n_r], model.D[:, n_r:]
@@ -88,6 +82,28 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
         where, plant.parameters, references, (*plant.outputs, *plant.inputs), states,
         equations=equations, exact=plant.exact,
     )  # fmt: skip
+
+
+def loop_parts(
+    plant: Plant, K: Any, controlled: Sequence[str], measured: Sequence[str]
+) -> tuple[StateSpaceModel, list[int], list[int]]:
+    """A controller as a model, and the numbers of the outputs that it controls and that it sees.
+
+    Raises
+    ------
+    InputError
+        Unknown outputs, a controller of other sizes or a discrete one.
+    """
+    model, where = as_model(K, "controller"), f"{plant.name} under control"
+    c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
+    sizes = (len(c) + len(m), len(plant.inputs))
+    if (model.n_inputs, model.n_outputs) != sizes:
+        found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
+        raise InputError(f"{where}: controller", found, f"{sizes[0]} and {sizes[1]}")
+    if model.is_discrete:
+        hint = "the design before its step discretise; that step (rl.discretise_controller) judges the sampled loop"
+        raise InputError(f"{where}: controller", f"a discrete one, dt = {model.dt:g} s", "a continuous one", hint)
+    return model, c, m
 
 
 def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 3000.0) -> StateSpaceModel:
@@ -141,7 +157,7 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     )
 
 
-def _positions(where: str, names: Sequence[str], plant: LinearPlant) -> list[int]:
+def _positions(where: str, names: Sequence[str], plant: Plant) -> list[int]:
     known = [s.name for s in plant.outputs]
     for name in names:
         if name not in known:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,20 +24,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.dynamics.control.controlled_nonlinear import ControlledNonlinearPlant, controlled_nonlinear
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
+from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.dynamics.stewart.workspace import check_pose, inside
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.statespace import real_array
+from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 __all__ = [
     "MotorLimits",
     "TrajectoryFollowing",
     "follow",
+    "follow_with_torques",
     "SineTrajectory",
+    "torque_loop",
 ]
 
 
@@ -125,13 +130,14 @@ class TrajectoryFollowing:
     reference, pose
         Poses asked for and reached, (n, 6).
     phi, torque, voltage, current
-        Of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega.
+        Of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega. Of a machine that takes
+        torques voltage and current are empty, (n, 0).
     lengths
         Of the actuators in m, (n, 6).
     limits
         What the motors may be asked for.
     evaluations
-        How often the equations of motion were evaluated.
+        How often the equations of motion were evaluated; 0 where nobody counted.
     status
         CONVERGED: integrated to the end with its local error held.
     """
@@ -172,17 +178,22 @@ class TrajectoryFollowing:
 
     @property
     def within_limits(self) -> bool:
-        """True where no sample exceeds the motors' torque or voltage."""
+        """True where no sample exceeds the motors' torque or voltage, as far as these are known."""
         within = self.largest_torque().max() <= self.limits.torque
-        return bool(within and self.largest_voltage().max() <= self.limits.voltage)
+        return bool(within and self.largest_voltage().max(initial=0.0) <= self.limits.voltage)
 
     def record(self, name: str = "trajectory following") -> Record:
-        """Voltages as inputs; nut angles, torques and currents as outputs."""
-        columns = {"phi": (self.phi, "rad"), "torque": (self.torque, "N m"), "i": (self.current, "A")}
-        outputs = {f"{key}_{i + 1}": values[:, i] for key, (values, _) in columns.items() for i in range(6)}
-        units = {f"{key}_{i + 1}": unit for key, (_, unit) in columns.items() for i in range(6)}
-        inputs = {f"u_{i + 1}": self.voltage[:, i] for i in range(6)}
-        return Record(self.t, inputs, outputs, units | dict.fromkeys(inputs, "V"), name)
+        """Voltages as inputs; nut angles, torques and currents as outputs. Without motors torques are the inputs."""
+        phi, torque = {"phi": (self.phi, "rad")}, {"torque": (self.torque, "N m")}
+        motors = self.voltage.shape[1] > 0
+        into = {"u": (self.voltage, "V")} if motors else torque
+        out = {**phi, **torque, "i": (self.current, "A")} if motors else phi
+
+        def signals(kinds: Mapping[str, tuple[Array, str]]) -> dict[str, Array]:
+            return {f"{key}_{i + 1}": values[:, i] for key, (values, _) in kinds.items() for i in range(6)}
+
+        units = {f"{key}_{i + 1}": unit for key, (_, unit) in {**into, **out}.items() for i in range(6)}
+        return Record(self.t, signals(into), signals(out), units, name)
 
     def to_json(self) -> dict[str, Any]:
         """All arrays, the largest torques and voltages, and whether they keep to the limits."""
@@ -221,11 +232,7 @@ def follow(
         The loop is unstable or leaves the poses that exist; the message names the time.
     """
     clock = Record(t, name="follow").t
-    reference = trajectory.pose(clock)
-    within = inside(plant.geometry, reference)
-    if not within.all():
-        k = int(np.argmin(within))
-        check_pose(plant.geometry, reference[k], f"{plant.name}: trajectory at t = {clock[k]:.6g} s")
+    reference = _within(plant, trajectory, clock)
     loop = _Loop(plant, controller, lambda time: nut_angles(plant.geometry, trajectory.pose(time)))
     states = _integrated(loop, clock, trajectory.breaks, rtol)
     y = states[:, :18] @ measured(plant).T
@@ -241,6 +248,84 @@ def follow(
         clock, reference, poses, states[:, :6].copy(), y[:, 12:].copy(), voltage, states[:, 12:18].copy(), lengths,
         limits or MotorLimits(), loop.evaluations,
     )  # fmt: skip
+
+
+def follow_with_torques(
+    plant: StewartPlatform | ExtendedNonlinearPlant,
+    K: StateSpaceModel,
+    trajectory: SineTrajectory,
+    t: ArrayLike,
+    *,
+    at: Trim,
+    limits: MotorLimits | None = None,
+) -> TrajectoryFollowing:
+    """Nonlinear simulation of a machine that takes torques, with effects at its joints or without, under a controller.
+
+    Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
+    stands (`robustlab.dynamics.extended.extended_nonlinear`).
+
+    Parameters
+    ----------
+    plant
+        A Stewart platform without motors, perhaps with effects as after naming.
+    K
+        Controller from r, phi (6 each), or r, phi, phidot, to the six motor torques, in deviations from ``at``;
+        continuous.
+    t
+        Times in s to report, equally spaced, (n,).
+    at
+        Trim of the machine, at which it rests at the first time.
+    limits
+        Only compared with; nothing is clipped. The thesis' motor where left out.
+
+    Raises
+    ------
+    InputError
+        A machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with the time.
+    NoTrustworthyNumber
+        The loop is unstable or leaves the poses that exist; the message names the time.
+    """
+    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    if not isinstance(machine, StewartPlatform) or machine.motors:
+        raise InputError("follow_with_torques", "no Stewart platform that takes torques", "motors = False")
+    record = Record(t, name="follow")
+    if not record.is_uniform:
+        raise InputError("follow_with_torques: t", "irregular times", "equal steps")
+    clock, reference = record.t, _within(machine, trajectory, record.t)
+    loop = torque_loop(plant, K, at)
+    if isinstance(loop, ControlledNonlinearPlant):  # stepped like one with effects: the loop is stiff
+        loop = ExtendedNonlinearPlant(loop.name, loop.parameters, loop.inputs, loop.outputs, loop.states, loop, ())
+    asked = nut_angles(machine.geometry, reference)
+    start = np.concatenate([at.x[:12], np.zeros(as_model(K).n_states)])
+    try:
+        made = loop.motion(asked, float(np.diff(clock).mean()), float(clock[0]), start, None, "foh")[1]
+    except NoTrustworthyNumber as wrong:
+        raise NoTrustworthyNumber(wrong.where, wrong.found, wrong.expected, UNSTABLE) from None
+    phi, torque = made[:, :6].copy(), made[:, 12:18].copy()
+    none = np.zeros((len(clock), 0))
+    return TrajectoryFollowing(
+        clock, reference, machine.poses(phi, reference[0]), phi, torque, none, none,
+        machine.geometry.home_lengths + phi / machine.geometry.turns, limits or MotorLimits(), 0,
+    )  # fmt: skip
+
+
+def torque_loop(
+    plant: StewartPlatform | ExtendedNonlinearPlant, K: StateSpaceModel, at: Trim
+) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
+    """A machine that takes torques under a controller as `follow_with_torques` has it: references of the angles in."""
+    angles, rates = ([s.name for s in plant.outputs[k : k + 6]] for k in (0, 6))
+    seen = angles if as_model(K).n_inputs == 12 else [*angles, *rates]
+    return controlled_nonlinear(plant, K, angles, seen, at)
+
+
+def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) -> Array:
+    """The poses asked for, (n, 6), all of them within the workspace."""
+    reference = trajectory.pose(clock)
+    within = inside(plant.geometry, reference)
+    if not within.all():
+        k = int(np.argmin(within))
+        check_pose(plant.geometry, reference[k], f"{plant.name}: trajectory at t = {clock[k]:.6g} s")
+    return reference
 
 
 class _Loop:

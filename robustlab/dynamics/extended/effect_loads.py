@@ -20,18 +20,20 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.effect_blocks import NoiseInput, with_forces
+from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects, without_signals
 from robustlab.dynamics.extended.law_forces import is_set_valued, rest_band, steady_force
 from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, port_model
 from robustlab.dynamics.simulation import transition
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import OperatingPoint, StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EffectLoads", "effect_loads", "resting_start"]
+__all__ = ["EffectLoads", "effect_loads", "loaded_model", "resting_start"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,6 +251,47 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded), tuple(acts))
 
 
+def loaded_model(
+    plant: ExtendedNonlinearPlant, at: Trim, sigmas: float = 2.0
+) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
+    """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads.
+
+    Parameters
+    ----------
+    at
+        A rest of the plant.
+    sigmas
+        Half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
+
+    Returns
+    -------
+    StateSpaceModel
+        The linear model at the rest (`robustlab.linearise`); its inputs are the loads, each over its bound, so that
+        they are at most one, then the plant's.
+
+    Raises
+    ------
+    InputError
+        An effect that is neither linear nor bounded whatever the motion.
+    """
+    linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
+    loads, columns = [], []
+    for e in plant.effects:
+        if _is_linear(e) or not e.effect.nameable:
+            continue
+        bound, unit, way = _load(plant, ports, e, sigmas)
+        if not np.isfinite(bound):
+            raise InputError(f"loads of {e.in_words}", "no bound whatever the motion", "effects that have one")
+        loads.append(NoiseInput(e.load_name, bound, unit, f"{e.in_words}; {e.values_in_words}"))
+        columns.append(bound * (linear.B[:, way] if isinstance(way, int) else way.force))
+    b = np.column_stack([*columns, linear.B])
+    d = np.hstack([np.zeros((len(linear.C), len(loads))), linear.D])
+    inputs = [*((load.name, "1") for load in loads), *linear.inputs]
+    point = OperatingPoint(at.x, np.concatenate([np.zeros(len(loads)), at.u]), at.y)
+    model = StateSpaceModel(linear.A, b, linear.C, d, 0.0, inputs, linear.outputs, linear.states, point, plant.name)
+    return model, tuple(loads)
+
+
 def _bounded_by(
     bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record], sigmas: float, margin: float
 ) -> list[NoiseInput]:
@@ -282,7 +325,9 @@ def _is_linear(e: AttachedEffect) -> bool:
     return not e.on_signal and not e.laws()
 
 
-def _load(plant: ExtendedPlant, ports: Any, e: AttachedEffect, sigmas: float) -> tuple[float, str, Port | int]:
+def _load(
+    plant: ExtendedPlant | ExtendedNonlinearPlant, ports: Any, e: AttachedEffect, sigmas: float
+) -> tuple[float, str, Port | int]:
     """Bound, unit, and the port or the number of the input where it acts."""
     where = f"effect_loads: {e.in_words}"
     hint = "rl.uncertain_from has sectors and weights for such effects"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -62,8 +62,13 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         wide, narrow = ((a - b) / steps[:, None] for a, b in ((0.5 * up, 0.5 * down), (near_up, near_down)))
         return np.column_stack([((4.0 * narrow - wide) / 3.0).T, np.zeros((n, n - own))])
 
-    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+    def motion(
+        self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
+    ) -> tuple[Array, Array]:
         """States and outputs, by `robustlab.dynamics.extended.nonlinear_steps`.
+
+        The inputs are held from sample to sample, or go straight to the next one (not for a plant with effects on its
+        inputs, which are given for held ones).
 
         Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
         more than ``TUNING.halved`` (1e-4), in root mean square, of the largest state of the same unit. What is left
@@ -74,8 +79,12 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         NoTrustworthyNumber
             Steps that many times shorter still change the motion; a motion that leaves what the plant can do.
         """
+        if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
+            raise InputError(
+                f"{self.name}: simulate", "inputs that are not held, with an effect on one", "hold = 'zoh'"
+            )
         parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
-        states, outputs = self._stepped(u, dt / parts, t0, x0, parts, None)
+        states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
         if step is not None:
             return states[::parts], outputs[::parts]
         off = np.inf
@@ -83,7 +92,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
             coarse, parts = states, 2 * parts
             between = np.arange(len(u) * parts) / 2.0
             guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
-            states, outputs = self._stepped(u, dt / parts, t0, x0, parts, guess)
+            states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, guess)
             found, before = states[::parts], coarse[:: parts // 2]
             off = self._difference(found, before)
             if off <= TUNING.halved:
@@ -95,20 +104,15 @@ class ExtendedNonlinearPlant(ExtendedEquations):
             "a step of your own, without error control: simulate(..., step=1e-4)",
         )
 
-    def _stepped(
-        self, u: Array, h: float, t0: float, x0: Array, parts: int, guess: Array | None
-    ) -> tuple[Array, Array]:
-        """States and outputs at all steps of h seconds, ``parts`` of them a sample."""
-        held, pairs = np.repeat(u, parts, axis=0), [(e.effect, e.site) for e in self.effects]
+    def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
+        """States and outputs at all steps of a drive."""
         own = len(self.plant.states)
-        inputs = Simulator(self.plant, pairs, held, h, sub=1, motion=np.zeros((2, own)))  # it steps nothing
-        mean, rise = inputs.seen_input([e.values for e in self.effects])
-        states = march(self.changed, self.effects, Drive(mean, rise, h, t0), self.whole_state(x0), guess)
-        outputs = self.changed.outputs_along(states[:, :own], mean - rise).copy()
+        states = march(self.changed, self.effects, drive, self.whole_state(x0), guess)
+        outputs = self.changed.outputs_along(states[:, :own], drive.mean - drive.rise).copy()
         for e in self.effects:
             if e.site.kind == "output":
                 k = [s.name for s in self.outputs].index(e.site.name)
-                outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, h)[0]
+                outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, drive.h)[0]
         return states, outputs
 
     def _difference(self, one: Array, other: Array) -> float:
@@ -135,3 +139,19 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         if other and rest.pose is not None:
             given |= {p.position: x[names.index(p.position)] for p in joints}
         return np.concatenate([x, rest.u]), given
+
+
+def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
+    """The inputs as the plant sees them in steps, ``parts`` of them a sample."""
+    h = dt / parts
+    if hold == "foh":
+        between = np.arange(len(u) * parts + 1) / parts
+        fine = np.column_stack([np.interp(between, np.arange(len(u)), column) for column in u.T])
+        rise = 0.5 * np.diff(fine, axis=0)
+        return Drive(fine[:-1] + rise, rise, h, t0)
+    pairs, held = [(e.effect, e.site) for e in plant.effects], np.repeat(u, parts, axis=0)
+    motion = np.zeros((2, len(plant.plant.states)))  # it steps nothing
+    mean, rise = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion).seen_input(
+        [e.values for e in plant.effects]
+    )
+    return Drive(mean, rise, h, t0)

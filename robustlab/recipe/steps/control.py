@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -26,8 +26,12 @@ from robustlab.recipe.steps.vocabulary import (
     TimeLimit,
     ToController,
     ToPlant,
+    ToPlantOrFile,
     ToUncertainOrProblem,
 )
+
+if TYPE_CHECKING:
+    from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
 
 Sizes = Positive | dict[str, Positive]
 
@@ -335,80 +339,80 @@ class SimulateControlStep(Step):
 
 @step
 class FollowTrajectoryStep(Step):
-    """The nonlinear Stewart platform with motors under several upper layers, following the path of section 9.1.3."""
+    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
+
+    With motors the controllers are upper layers that ask for torques, above the motors' torque loops. Without, the
+    machine takes their torques; it may have effects then, as after `discover`, and controllers may see angles alone.
+    """
 
     gives: ClassVar[str] = "runs"
     do: Literal["follow-trajectory"]
-    of: ToPlant
+    of: ToPlantOrFile
     controllers: Controllers
     p_low: Positive = Field(3000.0, description="Triple pole of the motors' torque loops in 1/s.")
     at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
         None, description="Pose at which the path begins; home, where the controllers are trimmed, where left out."
     )
+    scale: Positive = Field(1.0, description="Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad.")
     rise_time: Annotated[float, Field(ge=0)] = 0.0
     t_end: Positive = 5.0
     after: Annotated[float, Field(ge=0)] = Field(3.0, description="s from which on the errors count.")
     points: Annotated[int, Field(ge=2, le=100_000)] = 2501
 
     def run(self, work: Workspace) -> Outcome:
-        """The nonlinear platform under each upper layer, its motors' torque loops below."""
+        """The nonlinear platform under each controller, with its motors' torque loops below if it has motors.
+
+        Numbers, by controller: ``worst_error`` (largest distance from the path in mm), ``position_error`` in m and
+        ``orientation_error`` in rad of the worst axis, ``nut_errors.phi_1`` ... in rad, ``largest_torque`` and, with
+        motors, ``largest_voltage``, ``within_limits``, ``spectral_abscissa`` of the linear loop.
+        """
         import numpy as np
 
-        from robustlab.dynamics import trim
-        from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
-        from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
-        from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
         from robustlab.report.design_figures import TimePanel, runs_figure
         from robustlab.statespace import as_model
 
-        plant = work.values[self.of]
-        if not (isinstance(plant, StewartPlatform) and plant.motors):
-            raise InputError(f"step {self.of!r}", "gave no Stewart platform with motors", "choices = { motors = true }")
-        point = trim(plant) if self.at is None else trim(plant, pose=self.at)
-        lower = two_layer(plant, p_low=self.p_low).lower
-        start = plant.geometry.home if self.at is None else self.at
-        path = SineTrajectory(start, rise_time=self.rise_time)
-        t = np.linspace(0.0, self.t_end, self.points)
+        runs, abscissas, asked, below = _followed(self, work)
+        t, limits = np.linspace(0.0, self.t_end, self.points), next(iter(runs.values())).limits
+        late = t >= self.after
         rows: dict[str, dict[str, Any]] = {}
         curves: dict[str, dict[str, Any]] = {key: {} for key in ("position", "torque", "voltage")}
-        limits = None
-        for name in self.controllers:
-            controller = LayeredController(as_model(work.values[name], name), lower, point)
-            run = follow(plant, controller, path, t)
-            rows[name], error = {"order": controller.upper.n_states}, run.largest_error(self.after)
+        for name, run in runs.items():
+            error = run.largest_error(self.after)
             curves["position"][name] = distance = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
-            rows[name] |= {
-                "worst_error": float(distance[t >= self.after].max()),
+            rows[name] = {
+                "order": as_model(work.values[name], name).n_states,
+                "worst_error": float(distance[late].max()),
                 "position_error": float(error[:3].max()),
                 "orientation_error": float(error[3:].max()),
+                "nut_errors": {f"phi_{i + 1}": float(off) for i, off in enumerate(_largest(run.phi - asked, late))},
                 "largest_torque": float(run.largest_torque().max()),
-                "largest_voltage": float(run.largest_voltage().max()),
                 "within_limits": run.within_limits,
-                "spectral_abscissa": closed_loop(plant, controller).spectral_abscissa(),
+                "spectral_abscissa": abscissas[name],
             }
             curves["torque"][name] = 1e3 * np.abs(run.torque).max(axis=1)
-            curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
-            limits = run.limits
-        assert limits is not None
+            if run.voltage.size:
+                rows[name]["largest_voltage"] = float(run.largest_voltage().max())
+                curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
         panels = [
             TimePanel("distance to path [mm]", curves["position"]),
             TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
             TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
         ]
-        caption = "The nonlinear machine on the path of section 9.1.3: a lift of 5 mm, then sines of 5 mm and 20 mrad."
-        work.draw(runs_figure(t, panels), "runs", caption)
-        header = ["upper layer", "order", "position [mm]", "angle [mrad]", "torque [mN m]", "voltage [V]", "in limits"]
+        sizes = f"a lift of {5 * self.scale:g} mm, then sines of {5 * self.scale:g} mm and {20 * self.scale:g} mrad"
+        caption = f"The nonlinear machine on the path of section 9.1.3: {sizes}."
+        work.draw(runs_figure(t, [p for p in panels if p.curves]), "runs", caption)
         columns = (
-            ("position_error", 1e3),
-            ("orientation_error", 1e3),
-            ("largest_torque", 1e3),
-            ("largest_voltage", 1.0),
+            ("position [mm]", "position_error", 1e3),
+            ("angle [mrad]", "orientation_error", 1e3),
+            ("torque [mN m]", "largest_torque", 1e3),
+            *([("voltage [V]", "largest_voltage", 1.0)] if curves["voltage"] else []),
         )
+        header = ["controller", "order", *(title for title, _, _ in columns), "in limits"]
         table = [
             [
                 name,
                 str(row["order"]),
-                *(f"{factor * row[key]:.4g}" for key, factor in columns),
+                *(f"{factor * row[key]:.4g}" for _, key, factor in columns),
                 "yes" if row["within_limits"] else "no",
             ]
             for name, row in rows.items()
@@ -416,15 +420,61 @@ class FollowTrajectoryStep(Step):
         pose = "home" if self.at is None else ", ".join(f"{v:g}" for v in self.at)
         facts = (
             Fact("Path begins at", pose),
-            Fact("Torque loops below", f"triple pole at {self.p_low:g} 1/s"),
+            Fact("Path", sizes),
+            below,
             Fact("Errors count from", quantity(self.after, "s")),
         )
-        summary = f"Nonlinear simulation of {self.of} under {len(rows)} upper layers."
-        note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
+        summary = f"Nonlinear simulation of {self.of} under {len(rows)} controllers."
+        what = "torque and voltage" if curves["voltage"] else "torque"
+        note = f"Nothing is clipped: 'in limits' says whether the motors' {what} would have been enough."
         kept = Runs(t, curves["position"], "mm", self.after)
         return Outcome(
             kept, summary, {"controllers": rows}, facts, rl.Status.CONVERGED, (note,), text_table(header, table)
         )
+
+
+def _followed(
+    step: FollowTrajectoryStep, work: Workspace
+) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], Any, Fact]:
+    """The run under each controller, the rightmost pole of its linear loop, the nut angles asked for (n, 6), and what
+    is below the controllers.
+    """
+    import numpy as np
+
+    from robustlab.dynamics import linearise, trim
+    from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
+    from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow, follow_with_torques, torque_loop
+    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.stewart.kinematics import nut_angles
+    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+    from robustlab.statespace import as_model
+
+    plant = work.values[step.of]
+    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
+        expected = "one, with motors, or without them and perhaps with effects"
+        raise InputError(f"step {step.of!r}", "gave no Stewart platform that can be followed here", expected)
+    point = trim(plant) if step.at is None else trim(plant, pose=step.at)
+    path = SineTrajectory(machine.geometry.home if step.at is None else step.at, rise_time=step.rise_time)
+    path = replace(path, lift=step.scale * np.asarray(path.lift), amplitude=step.scale * np.asarray(path.amplitude))
+    t = np.linspace(0.0, step.t_end, step.points)
+    asked = nut_angles(machine.geometry, path.pose(t))
+    models = {name: as_model(work.values[name], name) for name in step.controllers}
+    if not machine.motors:
+        named = f", with {', '.join(e.in_words for e in plant.effects)}" if machine is not plant else ""
+        runs = {name: follow_with_torques(plant, K, path, t, at=point) for name, K in models.items()}
+        poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
+        return runs, poles, asked, Fact("The machine", f"takes torques{named}")
+    lower = two_layer(plant, p_low=step.p_low).lower
+    layered = {name: LayeredController(K, lower, point) for name, K in models.items()}
+    runs = {name: follow(plant, controller, path, t) for name, controller in layered.items()}
+    poles = {name: closed_loop(plant, controller).spectral_abscissa() for name, controller in layered.items()}
+    return runs, poles, asked, Fact("Torque loops below", f"triple pole at {step.p_low:g} 1/s")
+
+
+def _largest(errors: Any, late: Any) -> Any:
+    """Largest magnitude of each column at the times that count."""
+    return abs(errors[late]).max(axis=0)
 
 
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:

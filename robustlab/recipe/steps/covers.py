@@ -25,7 +25,7 @@ from robustlab.recipe.steps.vocabulary import (
 )
 
 if TYPE_CHECKING:
-    from robustlab.dynamics.extended.effect_blocks import EffectBlocks
+    from robustlab.dynamics.extended.effect_blocks import EffectBlocks, NoiseInput
     from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.statespace import StateSpaceModel
 
@@ -40,7 +40,9 @@ MOST_FACTS = 40
 class CoverModelsStep(Step):
     """The smallest uncertain model of a chosen form that holds every one of a set of models.
 
-    The set: the models of earlier steps, or one plant linearised at several poses, or both.
+    The set: the models of earlier steps, or one plant linearised at several poses, or both. Of a plant with effects,
+    as after `discover`, those that have no linear model (dry friction) become bounded inputs ("load *"), exact for
+    every motion: a tracking problem takes them as loads.
     """
 
     gives: ClassVar[str] = "uncertain"
@@ -89,7 +91,7 @@ class CoverModelsStep(Step):
 
         Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
         ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
-        ``conservatism_at_least``.
+        ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
         """
         from robustlab.recipe.steps.design import tracking_loop
         from robustlab.report.cover_figures import cover_figures
@@ -107,6 +109,9 @@ class CoverModelsStep(Step):
         for name, (figure, caption) in cover_figures(found, models).items():
             work.draw(figure, name, caption)
         numbers, facts = _cover_numbers(found)
+        loads = () if self.of is None else _at_pose(work.values[self.of], self.poses[0])[1]
+        numbers["loads"] = {load.name: load.bound for load in loads}
+        facts += tuple(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in loads)
         notes = [found.reason] if found.reason else []
         if found.conservatism is not None and found.conservatism.reason:
             missing = math.isnan(found.conservatism.ratio)
@@ -220,11 +225,17 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
     made = [_selected(rl.linearise, work.values[name], step.outputs) for name in step.models]
     if step.of is not None:
         plant = work.values[step.of]
-        made += [
-            _selected(lambda p, at=pose: rl.linearise(p, at=rl.trim(p, pose=at)), plant, step.outputs)
-            for pose in step.poses
-        ]
+        made += [_selected(lambda p, at=pose: _at_pose(p, at)[0], plant, step.outputs) for pose in step.poses]
     return made
+
+
+def _at_pose(plant: Any, pose: list[float]) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
+    """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
+    from robustlab.dynamics.extended.effect_loads import loaded_model
+    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+
+    at = rl.trim(plant, pose=pose)
+    return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
 def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> StateSpaceModel:

@@ -101,7 +101,11 @@ class CompareStep(Step):
     position: str | None = Field(None, description="Output over which the error is sorted by position.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Disagreement of a model with a record: how much, and where in time, speed and frequency it lives."""
+        """Disagreement of a model with a record: how much, and where in time, speed and frequency it lives.
+
+        Numbers: all of the comparison, and ``worst.output``, the output with the largest windowed error of its range,
+        ``worst.start`` and ``.stop`` of its worst window in s, of a machine with poses ``worst.pose`` in its middle.
+        """
         from robustlab.identification.comparison.comparison_result import Comparison
         from robustlab.report.comparison_figures import comparison_figures
 
@@ -125,6 +129,8 @@ class CompareStep(Step):
             facts.append(Fact(f"{name}: free run", _errors(gap.unit, free) if found.free_run.whole else ends))
             facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, windowed)))
             facts.append(Fact(f"{name}: where", _where(found, name)))
+        worst = _worst(model, found)
+        facts.append(Fact("Worst of all", *worst.pop("words")))
         for name, figure in comparison_figures(found).items():
             work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
         head = f"{self.of} against {self.record}, a {work.origin(self.record)} record:"
@@ -141,7 +147,7 @@ class CompareStep(Step):
                 f"{most.windowed_rms_percent:.3g} % of its range (rms); the free run ends at "
                 f"{quantity(found.free_run.end, 's', 3)}."
             )
-        numbers = found.to_json(series=False)
+        numbers = {**found.to_json(series=False), "worst": worst}
         return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
 
@@ -167,6 +173,29 @@ def _where(found: Comparison, name: str) -> str:
             worst = max(bins, key=lambda b: b.rms)
             told.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} {over}")
     return f"windowed error largest at {'; at '.join(told)}"
+
+
+def _worst(model: Any, found: Comparison) -> dict[str, Any]:
+    """The output that is furthest off, its worst window, and the pose of a Stewart platform in the middle of that."""
+    import numpy as np
+
+    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+
+    gap = max(found.outputs.values(), key=lambda gap: gap.windowed_rms_percent)
+    w = found.windows[gap.name]
+    start, stop = float(w.start[w.worst]), float(w.stop[w.worst])
+    words = f"{gap.name}, {start:.3g} to {stop:.3g} s"
+    worst: dict[str, Any] = {"output": gap.name, "start": start, "stop": stop}
+    machine = model.plant if isinstance(model, ExtendedNonlinearPlant) else model
+    angles = [s.name for s in machine.outputs[:6]] if isinstance(machine, StewartPlatform) else []
+    if angles and all(name in found.measured.outputs for name in angles):
+        k = int(np.argmin(np.abs(found.measured.t - 0.5 * (start + stop))))
+        pose = machine.poses(np.array([found.measured[name][k] for name in angles]))
+        worst["pose"] = dict(zip(("tx", "ty", "tz", "ax", "ay", "az"), pose.tolist(), strict=True))
+        shown = [f"{axis} {1e3 * v:.3g} {'mm' if axis[0] == 't' else 'mrad'}" for axis, v in worst["pose"].items()]
+        words += f", at the pose {', '.join(shown)}"
+    return {**worst, "words": (words, "largest windowed error of its range; its worst window, the middle of it")}
 
 
 def _errors(unit: str, sizes: tuple[float, float, float, float, float]) -> str:

@@ -1,0 +1,118 @@
+"""Nonlinear plants under feedback: the loop's algebra, its slopes by differences, friction in the loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.control.controlled_nonlinear import controlled_nonlinear
+from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow_with_torques, torque_loop
+from robustlab.dynamics.extended.effect_loads import loaded_model
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+
+ANGLES = [f"phi_{i}" for i in range(1, 7)]
+RATES = [f"phidot_{i}" for i in range(1, 7)]
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return rl.plant("stewart-platform", preset="physical", platform_mass=10.0)
+
+
+@pytest.fixture(scope="module")
+def rough(machine):
+    return rl.with_effects(machine, {"coulomb-friction@phidot_6": {"Fc": (0.05, 1e-3)}})
+
+
+def triple_pole(machine, p):
+    """I-PD that gives every nut angle (s + p)^3 phi = p^3 r, by hand from the linear model at home."""
+    model, one, none = rl.linearise(machine), np.eye(6), np.zeros((6, 6))
+    gains = np.linalg.solve(
+        model.B[6:], np.hstack([3 * p**2 * one + model.A[6:, :6], 3 * p * one + model.A[6:, 6:], p**3 * one])
+    )
+    return StateSpaceModel(none, np.hstack([one, -one, none]), gains[:, 12:], np.hstack([none, -gains[:, :12]]))
+
+
+def test_the_loop_has_the_poles_that_its_controller_places(machine):
+    loop = torque_loop(machine, triple_pole(machine, 50.0), rl.trim(machine))
+    poles = rl.linearise(loop).poles()
+    np.testing.assert_allclose(np.poly(poles / 50.0), np.poly(-np.ones(18)), rtol=1e-6)
+    np.testing.assert_allclose(rl.linearise(loop).dc_gain()[:6], np.eye(6), atol=1e-9)
+
+
+def test_its_slopes_are_those_of_its_rates(machine):
+    """Central differences, away from rest."""
+    lag = triple_pole(machine, 30.0)
+    K = StateSpaceModel(lag.A - 0.5 * np.eye(6), lag.B, lag.C, lag.D)
+    loop = torque_loop(machine, K, rl.trim(machine))
+    rng = np.random.default_rng(3)
+    x, r = 0.3 * rng.normal(size=18), 0.3 * rng.normal(size=6)
+    point, h = np.concatenate([x, r]), 1e-5
+    a, b, c, d = loop.jacobians(x, r)
+    for of, slopes in ((loop.derivative, np.hstack([a, b])), (loop.output, np.hstack([c, d]))):
+        made = np.column_stack(
+            [(of(*np.split(point + s, [18])) - of(*np.split(point - s, [18]))) / (2 * h) for s in h * np.eye(24)]
+        )
+        np.testing.assert_allclose(made, slopes, atol=1e-6 * np.abs(slopes).max())
+
+
+def test_friction_costs_its_torque_and_holds_the_nut(machine, rough):
+    """On a ramp of one nut's angle its motor gives Fc / ratio more than that of the free machine."""
+    K, t = triple_pole(machine, 60.0), np.linspace(0.0, 1.2, 301)
+    path = SineTrajectory(machine.geometry.home, lift=(0, 0, 2e-3, 0, 0, 0), amplitude=np.zeros(6), lift_time=1.0)
+    free, held = (follow_with_torques(p, K, path, t, at=rl.trim(p)) for p in (machine, rough))
+    middle = (t > 0.4) & (t < 0.6)
+    more = (held.torque - free.torque)[middle].mean(axis=0)
+    assert more[5] == pytest.approx(0.05 / machine.values["ratio"], rel=0.02)
+    assert np.abs(more[:5]).max() < 0.05 * more[5]
+    assert held.within_limits
+    assert held.voltage.shape == (301, 0)
+    assert sorted(held.record().inputs) == [f"torque_{i}" for i in range(1, 7)]
+    begun = np.abs(held.torque - held.torque[0])[:, 5] > 0.7 * 0.05 / machine.values["ratio"]
+    before = slice(0, int(np.argmax(begun)))
+    assert np.abs(held.phi[before, 5]).max() < 1e-9  # it sticks
+    assert np.abs(free.phi[before, 5]).max() > 1e-4
+
+
+def test_small_motions_are_those_of_the_linear_loop(machine):
+    K, t = triple_pole(machine, 40.0), np.linspace(0.0, 0.6, 301)
+    path = SineTrajectory(machine.geometry.home, (0, 0, 1e-6, 0, 0, 0), np.full(6, 1e-6), 20.0, 0.1, 0.2)
+    at = rl.trim(machine)
+    run = follow_with_torques(machine, K, path, t, at=at)
+    from robustlab.dynamics.stewart import nut_angles
+
+    asked = nut_angles(machine.geometry, path.pose(t))
+    linear = rl.simulate(rl.linearise(torque_loop(machine, K, at)), t, asked, hold="foh")
+    for i in range(6):
+        np.testing.assert_allclose(run.phi[:, i], linear[ANGLES[i]], atol=1e-3 * np.abs(run.phi[:, i]).max())
+        torque = run.torque[:, i] - at.u[i]
+        np.testing.assert_allclose(torque, linear[f"torque_{i + 1}"], atol=1e-3 * np.abs(torque).max())
+
+
+def test_friction_as_a_load_acts_where_the_motor_does(machine, rough):
+    """At most Fc and two of its standard deviations; a torque of the motor acts at the nut with the gears' ratio."""
+    at = rl.trim(rough, pose=[0.0, 0.0, 0.1162, 0.0, 0.0, 0.0])
+    model, (load,) = loaded_model(rough, at)
+    assert (load.name, load.unit) == ("load phidot_6: coulomb-friction", "N m")
+    assert load.bound == pytest.approx(0.052)
+    plain = rl.linearise(machine, at=rl.trim(machine, pose=[0.0, 0.0, 0.1162, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(model.A, plain.A, rtol=1e-12)
+    np.testing.assert_allclose(model.B[:, 1:], plain.B, rtol=1e-12)
+    np.testing.assert_allclose(model.B[:, 0], 0.052 / machine.values["ratio"] * plain.B[:, 5], rtol=1e-9)
+
+
+def test_what_is_no_loop(machine, rough):
+    K, at = triple_pole(machine, 60.0), rl.trim(machine)
+    with pytest.raises(InputError, match="18 and 6"):
+        controlled_nonlinear(machine, StateSpaceModel([], [], [], np.zeros((6, 3))), ANGLES, [*ANGLES, *RATES], at)
+    late = rl.with_effects(machine, {"input-delay@torque_2": {"d": 1e-3}})
+    with pytest.raises(InputError, match="forces at joints"):
+        torque_loop(late, K, at)
+    with pytest.raises(InputError, match="takes torques"):
+        follow_with_torques(rl.plant("stewart-platform", motors=True), K, None, [0.0, 0.1], at=at)
+    with pytest.raises(InputError, match="equal steps"):
+        follow_with_torques(machine, K, SineTrajectory(machine.geometry.home), [0.0, 0.1, 0.3], at=at)
+    with pytest.raises(InputError, match="its rest"):
+        torque_loop(machine, K, at).equilibrium(pose=machine.geometry.home)
