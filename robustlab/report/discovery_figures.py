@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.identification.naming.discovery_parts import Gap, SetProbability
-from robustlab.identification.naming.discovery_result import Discovery, chance, headline
+from robustlab.identification.naming.discovery_result import LINEAR, Discovery, chance, headline
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.report.figures import (
     COLOURS,
@@ -53,7 +53,6 @@ DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "up
 
 FREE, ALONG = "free run", "one run, linear about the recorded motion"
 SHORT = {ALONG: "one linear run"}  # above narrow panels
-LINEAR = "linear about the recorded motion"  # as a discovery says of the records of its runs
 
 COLUMNS = 2
 ORDER = ("speed", "position", "time", "input")  # of the panels

@@ -5,8 +5,8 @@ The errors of a window near a fit of a hypothesis, in units of the sensors' nois
 .. math:: e = J\,\delta + X\,\eta + O\,f + \text{noise}
 
 with :math:`\delta, \eta` the moves of the standardised parameters and of the window's start, and f the forces at the
-ports, port after port, held over short segments of the window. O is simulated, pulse by pulse, all windows at once; where the model is
-linear, one pulse tells all, later ones answer alike. All that is ever asked of it are its products
+ports, port after port, held over short segments of the window. O is simulated, pulse by pulse, all windows at once;
+where the model is linear, one pulse tells all, later ones answer alike. All that is ever asked of it are its products
 :math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]`, once per window: any curve of the force, any random force and any noise
 level are then sums over segments, without a further simulation.
 """

@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     from robustlab.identification.unnamed.unnamed_effect import ResidualForce, UnnamedForce
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Discovery", "Verdict", "chance", "compared", "headline", "in_words", "overall", "with_interval"]
+__all__ = ["LINEAR", "Discovery", "Verdict", "chance", "compared", "headline", "in_words", "overall", "with_interval"]
 
 
+LINEAR = "linear about the recorded motion"  # said of the records of such runs
 AS_LARGE = 5e-3  # share by which errors differ that are called as large
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
@@ -126,6 +127,11 @@ class Discovery(Evidence):
     seconds: float = 0.0
 
     @property
+    def whole_run(self) -> str:
+        """What ``free_run`` is: of a nonlinear plant one run that is linear about the recorded motion."""
+        return "one linear run" if LINEAR in self.free_run_on else "free run"
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Ids of the named effects."""
         return tuple(e.name for e in self.effects)
@@ -214,7 +220,7 @@ def headline(d: Discovery) -> str:
     change = f"error on held-out data {_percent(d.gap_before)} -> {_percent(d.gap_after)} of the range"
     if d.free_run:
         run = [_percent(overall(d.free_run, model)) for model in ("nominal", "updated")]
-        change += f", in free run {run[0]} -> {run[1]}"
+        change += f", in {d.whole_run} {run[0]} -> {run[1]}"
     if d.verdict == "no missing effect":
         error = f"refitted its error on held-out data is {_percent(d.gap_after)} of the range"
         hidden = f"; but they do not exclude {_or(r.title for r in d.rivals)}" if d.rivals else ""
@@ -347,19 +353,19 @@ def _set_line(p: SetProbability) -> str:
 
 
 def _gap_lines(d: Discovery) -> list[str]:
-    """A table: of each output the three errors in windows and in free run, and what became of the refitted one."""
+    """A table: of each output the three errors in windows and in one run, and what became of the refitted one."""
     head = f"gap (rms) on data that the fit never saw: {d.held_out}"
     if d.free_run_on and d.free_run_on != d.held_out:
-        head += f"; free run: {d.free_run_on}"
+        head += f"; {d.whole_run}: {d.free_run_on}"
     rows: list[tuple[str, ...]] = [("", "", *MODELS, "")]
     for name, gap in d.gaps.items():
         rows.append((name, f"windows of {d.window:.3g} s", *_sizes(gap)))
         if name in d.free_run:
-            rows.append(("", "free run", *_sizes(d.free_run[name])))
+            rows.append(("", d.whole_run, *_sizes(d.free_run[name])))
     if len(d.gaps) > 1:
         rows.append(("all", "windows", *(_percent(overall(d.gaps, m)) for m in MODELS), ""))
         if d.free_run:
-            rows.append(("", "free run", *(_percent(overall(d.free_run, m)) for m in MODELS), ""))
+            rows.append(("", d.whole_run, *(_percent(overall(d.free_run, m)) for m in MODELS), ""))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [head, *("  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)]
 
