@@ -19,6 +19,7 @@ from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, member, number
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 __all__ = [
@@ -162,7 +163,7 @@ class LostSample:
 
 
 @dataclass(frozen=True)
-class CampaignResult:
+class CampaignResult(Shown):
     """A campaign as its store has it.
 
     Attributes
@@ -232,6 +233,30 @@ class CampaignResult:
     seconds: float
     seed: int
     label: str
+
+    def facts(self) -> Facts:
+        """The worst value, its member, how many samples there are, what they say of the rest."""
+        worst = f"sample {self.worst_index}: {member(self.delta, self.physical)}" if self.delta else ""
+        gone = [f"{count} {word}" for count, word in ((self.lost, "lost"), (self.unbounded, "unbounded")) if count]
+        limit, v = "", self.violation
+        if v is not None:
+            probability = f"probability {number(v.lower)} .. {number(v.upper)} (95 %)"
+            limit = f"{number(v.limit, self.unit)}: {v.count} of {v.of} are worse, {probability}"
+        return [
+            (f"worst {self.metric}", number(self.worst, self.unit)),
+            ("nominal", number(self.nominal, self.unit)),
+            ("worst member", worst),
+            ("samples", ", ".join([f"{self.done} of {self.n}", *gone, f"seed {self.seed}"])),
+            (
+                "probability of a worse member",
+                "" if math.isnan(self.unseen) else f"at most {number(self.unseen)} (95 %)",
+            ),
+            ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
+            ("limit", limit),
+            ("said", self.label),
+            ("store", self.store),
+            ("time of all samples", number(self.seconds, "s")),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""

@@ -46,8 +46,13 @@ def mu_figure(margin: Margin) -> Figure:
         low, high = axes.get_xlim()
         if margin.frequency is not None and low <= margin.frequency <= high and peak > 0:
             axes.plot(margin.frequency, peak, "o", color=COLOURS["worst"], ms=6, label="peak of μ, attained")
+        level = 1 / margin.lower if margin.lower > 0 else float("inf")
+        if np.isfinite(level) and level > 0:
+            text = f"{level:.4g}: proved on the whole axis"
+            axes.axhline(level, color=COLOURS["good"], lw=1.1, label=text)
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
-        axes.set_ylim(0, 1.12 * max(1.0, peak, float(np.nanmax(upper[shown], initial=0.0))))
+        tall = [1.0, peak, level, float(np.nanmax(upper[shown], initial=0.0))]
+        axes.set_ylim(0, 1.12 * max(v for v in tall if np.isfinite(v)))
         axes.set_ylabel("structured singular value μ")
         legend_below(figure, (axes,), 2)
     return figure
@@ -75,7 +80,8 @@ def gain_figure(worst: WorstCaseGain) -> Figure:
 def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
     """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it."""
     shown = np.isfinite(omega) & (omega > 0)
-    low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
+    seen = omega[shown] if shown.any() else _edges(intervals)
+    low, high = float(seen.min()), float(seen.max())
     label: str | None = "proved for every frequency between"
     for start, stop, bound in intervals:
         edges = [max(start, low), min(stop, high)]
@@ -84,6 +90,12 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[n
             label = None
     frequency_axis(axes, (low, high))
     return shown
+
+
+def _edges(intervals: Sequence[Interval]) -> Array:
+    """Where proved intervals begin and end, a decade wider than these: the frame of a picture without curves."""
+    edges = np.array([edge for start, stop, _ in intervals for edge in (start, stop) if 0 < edge < np.inf])
+    return np.concatenate([edges, edges / 10, edges * 10]) if len(edges) else np.array([0.1, 10.0])
 
 
 def shares_figure(shares: Mapping[str, float]) -> Figure:

@@ -73,7 +73,7 @@ def _response_figure(found: Validation, output: str) -> Figure:
         logarithmic(axes.yaxis)
         axes.set_ylabel(f"|{plain_label(output)}| per input")
         axes.set_title(plain_label(f"{found.record}: {found.verdict}"))
-        figure.legend(loc="outside lower center", ncols=3)
+        legend_below(figure, (axes,), 3)
     return figure
 
 
@@ -89,7 +89,7 @@ def _size_figure(found: Validation) -> Figure:
         axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
         axes.set_ylabel("size of the block")
         axes.set_title(plain_label(f"{found.record}: the Delta that explains it"))
-        figure.legend(loc="outside lower center", ncols=5)
+        legend_below(figure, (axes,), 5)
     return figure
 
 

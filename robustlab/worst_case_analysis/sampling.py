@@ -15,6 +15,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -36,7 +37,7 @@ MAX_NUMBERS = 64_000_000
 
 
 @dataclass(frozen=True)
-class Samples:
+class Samples(Shown):
     """Members of an uncertain model: seeded random ones first, then vertices.
 
     Attributes
@@ -130,13 +131,21 @@ class Samples:
         drive, start = _asked(self.uncertain, t, u, x0, hold, "stream")
         return stream(self.uncertain, self.deltas, drive, start, hold, quantiles, workers)
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
+            ("set", repr(self.uncertain)),
+            ("blocks", listed(b.name for b in self.uncertain.blocks)),
+        ]
+
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
 
 
 @dataclass(frozen=True, eq=False)
-class PlantSamples:
+class PlantSamples(Shown):
     """Members of a nonlinear plant whose parameters have tolerances: seeded random ones first, then vertices.
 
     Attributes
@@ -199,13 +208,20 @@ class PlantSamples:
         sides = self.plant.inputs, self.plant.outputs
         return Responses(drive.t, drive.u, y, nominal, lower, upper, worst, self.deltas, *sides, (), Status.CONVERGED)
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
+            ("plant", self.plant.name),
+        ]
+
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
 
 
 @dataclass(frozen=True)
-class Responses:
+class Responses(Shown):
     """Time responses of samples, and the envelope of them and the nominal response.
 
     Attributes
@@ -253,6 +269,17 @@ class Responses:
     def peak_deviation(self) -> Array:
         """For each output the largest ``|y - nominal|`` over samples and time, shape (n_y,)."""
         return np.maximum(self.upper - self.nominal, self.nominal - self.lower).max(axis=0)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        deviations = zip(self.outputs, self.peak_deviation, strict=True)
+        return [
+            ("members", f"{len(self.deltas)}, {len(self.t)} times to {number(float(self.t[-1]), 's')}"),
+            ("outputs", with_units(self.outputs)),
+            ("largest deviation", listed(f"{s.name} {number(float(value), s.unit)}" for s, value in deviations)),
+            ("unstable", f"{len(self.unstable)} members" if self.unstable else ""),
+            ("said", self.label),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """All fields; the single responses ``y`` are left out, they follow from the Deltas."""

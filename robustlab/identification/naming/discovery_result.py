@@ -20,6 +20,7 @@ from robustlab.identification.naming.discovery_parts import (
     wave_amplitude,
 )
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, listed, number
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
@@ -160,6 +161,25 @@ class Discovery(Evidence):
     def summary(self, details: bool = False) -> str:
         """The result as a few lines of text; with ``details`` everything that it rests on."""
         return _text(self, details)
+
+    def facts(self) -> Facts:
+        """The verdict, the effects with their parameters, and the gap before and after."""
+        named = [
+            (
+                in_words(e),
+                f"{chance(e.confidence)}; " + "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters),
+            )
+            for e in self.effects
+        ]
+        return [
+            ("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains"),
+            *named,
+            ("not told apart from", listed(r.title for r in self.rivals)),
+            ("error on held-out data", f"{_percent(self.gap_before)} -> {_percent(self.gap_after)} of the range"),
+            ("plant", self.plant),
+            ("records", listed(self.records)),
+            ("time", number(self.seconds, "s")),
+        ]
 
     def to_json(self, series: bool = False) -> dict[str, object]:
         """All fields but the plant object; the time series only on request."""

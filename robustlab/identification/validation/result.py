@@ -13,6 +13,7 @@ from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, listed, number
 
 __all__ = ["BlockSize", "Validation", "concluded", "each_alone", "in_own_units", "require_replay"]
 
@@ -168,6 +169,18 @@ class Validation(Evidence):
         lines += [f"assumed: {text}" for text in self.assumptions]
         lines += self.notes
         return "\n".join(lines)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        sizes = [f"{b.name} {number(b.size)}" for b in self.blocks.values()]
+        return [
+            ("record", self.record),
+            ("verdict", self.verdict),
+            ("smallest gamma", f"{number(self.lower)} .. {number(self.upper)}"),
+            ("sizes in the explanation", listed(sizes)),
+            ("noise left", f"{number(self.excess)} of its {self.noise_norm} bound"),
+            ("said", self.label),
+        ]
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields but the re-check; without ``series`` also without time series, pulse responses and multipliers."""

@@ -36,6 +36,7 @@ from robustlab.identification.comparison.noise_floor import noise_floor
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.record import Record
 from robustlab.result import Evidence
+from robustlab.shown import Facts, listed, number
 from robustlab.statespace import Signal
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
@@ -105,6 +106,18 @@ class FrequencyData(Evidence):
                                 strict=True):  # fmt: skip
             object.__setattr__(self, field, value)
         self.__post_init__()
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("name", self.name),
+            ("from", self.input),
+            ("to", listed(self.outputs)),
+            (
+                "frequencies",
+                f"{len(self.omega)}, {number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}",
+            ),
+        ]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis
@@ -95,9 +96,9 @@ class DKSynthesis(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (mu is at most this at all frequencies)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         text = f"{self.lower:.6g} at {self.frequency:.4g} rad/s" if self.lower > 0 else "none found"
         orders = ", ".join(f"{b.name} {o}" for b, o in zip(self.blocks, self.scalings.orders, strict=True) if o)
         return [

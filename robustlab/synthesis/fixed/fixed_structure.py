@@ -17,6 +17,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.structure_starts import informed_starts
 from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
@@ -139,9 +140,9 @@ class FixedSynthesis(Synthesis):
             return f"{self.gamma:.6g} (proved for the whole set; a member attains {self.worst.lower:.6g})"
         return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         if len(self.gammas) > 1:
             label = "gamma of every scenario" if self.worst is not None else "gamma of every model"
             rows.insert(2, (label, ", ".join(f"{g:.5g}" for g in self.gammas)))
