@@ -113,22 +113,26 @@ def number(value: Any, unit: str = "", digits: int = 4) -> str:
     """
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
-    text = f"{value:.{digits}g}" if not isinstance(value, int) else str(value)
+    if isinstance(value, complex) and not value.imag:
+        value = value.real
+    text = str(value) if isinstance(value, int) else f"{value:.{digits}g}"
     return f"{text} {unit}" if unit and unit != "1" else text
 
 
 def bracket(lower: float, upper: float, words: tuple[str, str], unit: str = "") -> str:
-    """Two bounds with what each rests on, in as many digits as tell them apart.
+    """Two bounds with what each rests on, in as many digits as tell them apart; six tell enough.
 
     Examples
     --------
     >>> bracket(1.48351, 1.48686, ("proved", "attained"))
     '1.484 (proved) .. 1.487 (attained)'
     >>> bracket(2.0, 2.0000001, ("attained", "proved"), "V")
-    '2 V (attained) .. 2.0000001 V (proved)'
+    '2 V (attained and proved)'
     """
-    digits = next((d for d in (4, 6, 8, 10) if number(lower, "", d) != number(upper, "", d)), 4)
+    digits = next((d for d in (4, 5, 6) if number(lower, "", d) != number(upper, "", d)), 6)
     low, high = (number(value, unit, digits) for value in (lower, upper))
+    if low == high:
+        return f"{low} ({words[0]} and {words[1]})" if low else ""
     return f"{low} ({words[0]}) .. {high} ({words[1]})"
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, member, number
+from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 __all__ = [
@@ -163,7 +165,7 @@ class LostSample:
 
 
 @dataclass(frozen=True)
-class CampaignResult(Shown):
+class CampaignResult(Tabular, Shown):
     """A campaign as its store has it.
 
     Attributes
@@ -257,6 +259,19 @@ class CampaignResult(Shown):
             ("store", self.store),
             ("time of all samples", number(self.seconds, "s")),
         ]
+
+    def table(self) -> Table:
+        """The metric and the normalised Delta of every sample, read from the store."""
+        store = Store.open(Path(self.store))
+        try:
+            rows = [(row.index, row.value, row.numbers) for row in store.samples()]
+        finally:
+            store.close()
+        deltas = np.array([numbers for *_, numbers in rows]).reshape(len(rows), -1)
+        columns = {self.metric: np.array([value for _, value, _ in rows])}
+        if deltas.shape[1] == len(self.delta):
+            columns |= {name: deltas[:, k] for k, name in enumerate(self.delta)}
+        return Table(("sample", [index for index, *_ in rows]), columns, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""

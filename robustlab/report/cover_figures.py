@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
+from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report.figures import (
@@ -30,7 +31,15 @@ from robustlab.uncertainty.unstructured import Form
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
 
-__all__ = ["blocks_figure", "cloud_figure", "cover_figures", "overbound_figure", "weight_figure"]
+__all__ = [
+    "cover_figure",
+    "blocks_of",
+    "blocks_figure",
+    "cloud_figure",
+    "cover_figures",
+    "overbound_figure",
+    "weight_figure",
+]
 
 
 SHOWN = 24  # parameters side by side
@@ -139,6 +148,20 @@ def _least_tied(deltas: Array) -> tuple[int, int]:
     return int(i), int(j)
 
 
+def blocks_of(made: EffectBlocks) -> Figure:
+    """What each block alone does.
+
+    Raises
+    ------
+    InputError
+        There are no blocks.
+    """
+    figure = blocks_figure(made)
+    if figure is None:
+        raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")
+    return figure
+
+
 def blocks_figure(made: EffectBlocks) -> Figure | None:
     """How far each block alone moves the response of the nominal model, of its size, over frequency.
 
@@ -186,3 +209,18 @@ def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
     eye = np.eye(m11.shape[1])
     changes = [m21 @ np.linalg.solve(eye - sign * m11, sign * m12) for sign in (-1.0, 1.0)]
     return np.max([np.linalg.norm(c, 2, axis=(1, 2)) for c in changes], axis=0)
+
+
+def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
+    """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one.
+
+    Raises
+    ------
+    InputError
+        The cover is exact: there is nothing uncertain in it.
+    """
+    if cover.fit is not None:
+        return weight_figure(cover, models)
+    if not cover.model.blocks:
+        raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
+    return cloud_figure(cover)

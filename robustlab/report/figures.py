@@ -26,6 +26,7 @@ __all__ = [
     "COLOURS",
     "Canvas",
     "axis_label",
+    "chosen",
     "drawn_on",
     "frequency_axis",
     "headroom",
@@ -193,6 +194,26 @@ def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = Non
 def stem(name: str, number: int) -> str:
     """A signal's name as part of a file's name; one from outside that is no plain word is told by its number."""
     return name if name.isidentifier() and name.isascii() else f"output{number}"
+
+
+def chosen(names: Sequence[str], asked: str | None, kind: str) -> str:
+    """The name asked for, the first one where none is.
+
+    Raises
+    ------
+    InputError
+        No such name, or nothing there.
+    """
+    from robustlab.errors import InputError, did_you_mean
+
+    if not names:
+        raise InputError(f"plot: {kind}", "nothing to draw", f"a result with one {kind} at least")
+    if asked is None:
+        return names[0]
+    if asked not in names:
+        hint = did_you_mean(asked, list(names))
+        raise InputError(f"plot: {kind} {asked!r}", f"no such {kind}", f"one of {', '.join(names)}", hint)
+    return asked
 
 
 def _power_of_ten(value: float) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.dynamics import simulate
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.frequency import default_grid, frequency_response
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -31,7 +31,6 @@ from robustlab.report.figures import (
 )
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.synthesis.problem.performance_limits import transmission_zeros
-from robustlab.synthesis.specifications.loop_functions import frequencies
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.ensemble import default_clock
@@ -210,7 +209,7 @@ def _real(delta: Any) -> dict[str, Any]:
 
 def _frequencies(model: StateSpaceModel, omega: ArrayLike | None) -> Array:
     if omega is None:
-        return frequencies(model, POINTS)
+        return default_grid(model, POINTS, 1.0)
     given = np.atleast_1d(np.asarray(omega, dtype=float))
     if given.ndim != 1 or len(given) < 2 or not (given > 0).all() or not np.isfinite(given).all():
         raise InputError("plot: omega", f"{len(given)} frequencies", "at least two, positive and finite, in rad/s")
@@ -261,7 +260,7 @@ def _curves(
         axes.fill_between(x, low, high, color=COLOURS["band"], alpha=0.3, lw=0, step=step, label=text)
         for k, row in enumerate(members):
             label = f"{word}members" if k == 0 else None
-            axes.plot(x, row, color=COLOURS["sample"], lw=0.5, alpha=0.6, drawstyle=drawstyle, label=label)
+            axes.plot(x, row, color=COLOURS["sample"], lw=0.6, alpha=0.7, drawstyle=drawstyle, label=label)
     label = f"{word}nominal" if len(members) else name or None
     axes.plot(x, nominal, color=COLOURS[colour], drawstyle=drawstyle, label=label, zorder=3)
 

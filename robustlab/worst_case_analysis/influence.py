@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.shown import Facts, Shown, listed, number
+from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.metrics import MetricBatch
 from robustlab.worst_case_analysis.tuning import TUNING
 
@@ -33,7 +34,7 @@ FEWEST_SAMPLES = 32
 
 
 @dataclass(frozen=True)
-class Influence(Shown):
+class Influence(Tabular, Shown):
     """Influence of each real parameter on a metric, from samples.
 
     Attributes
@@ -112,6 +113,11 @@ class Influence(Shown):
             ("nominal", number(self.nominal_value, self.unit)),
             ("samples", str(self.n)),
         ]
+
+    def table(self) -> Table:
+        """A row for each parameter: its share of the spread, the metric without its change, and with it alone."""
+        columns = {"first_order": self.first_order, "restored": self.restored, "alone": self.alone}
+        return Table(("parameter", self.names), columns, {"restored": self.unit, "alone": self.unit})
 
     def to_json(self) -> dict[str, object]:
         """All fields, and the order."""

@@ -17,6 +17,7 @@ from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
@@ -37,7 +38,7 @@ MAX_NUMBERS = 64_000_000
 
 
 @dataclass(frozen=True)
-class Samples(Shown):
+class Samples(Tabular, Shown):
     """Members of an uncertain model: seeded random ones first, then vertices.
 
     Attributes
@@ -138,6 +139,16 @@ class Samples(Shown):
             ("set", repr(self.uncertain)),
             ("blocks", listed(b.name for b in self.uncertain.blocks)),
         ]
+
+    def table(self) -> Table:
+        """A row for each sample: parameters in their units where they are known, else normalised values."""
+        known = {b.name: b for b in self.uncertain.blocks if b.parameter is not None}
+        scalar = [b.name for b in self.uncertain.blocks if b.is_scalar]
+        rows = list(self.deltas)
+        columns = {name: np.array([np.ravel(row[name])[0] for row in rows]) for name in scalar}
+        values = {name: [b.parameter.value(float(np.real(v))) for v in columns[name]] for name, b in known.items()}
+        units = {name: b.parameter.unit for name, b in known.items()}
+        return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
 
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""

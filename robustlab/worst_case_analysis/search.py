@@ -100,12 +100,12 @@ class WorstCase(Shown):
 
     def facts(self) -> Facts:
         """The worst value with its unit, the member that has it, and what the value is."""
-        place = number(self.at, "rad/s" if "frequency" in self.location else "s")
+        name, _, unit = self.location.partition(" [")
         return [
             (self.metric, number(self.value, self.unit)),
             ("nominal", number(self.nominal_value, self.unit)),
             ("worst member", member(self.delta, self.physical)),
-            ("at", f"{place}: {self.location}" if place else ""),
+            ("at", f"{name} = {number(self.at, unit.rstrip(']'))}" if name and number(self.at) else ""),
             ("said", self.label),
             ("evaluated", f"{self.evaluations} members, seed {self.seed}"),
             ("input, output", ", ".join(name for name in (self.input, self.output) if name)),

@@ -31,6 +31,7 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import is_count
 from robustlab.worst_case_analysis.influence import FEWEST_SAMPLES, Influence, influence_of
@@ -153,7 +154,7 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
 
 
 @dataclass(frozen=True)
-class ViolationProbability(Shown):
+class ViolationProbability(Tabular, Shown):
     """How probable it is that a sampled member violates a limit.
 
     Attributes
@@ -232,6 +233,10 @@ class ViolationProbability(Shown):
             *(("note", note) for note in self.notes),
             ("said", self.label),
         ]
+
+    def table(self) -> Table:
+        """The metric of every sample."""
+        return Table(("sample", np.arange(self.n)), {self.metric: self.values}, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, object]:
         """All fields but the single values, which follow from the seed; quantiles as mappings."""

@@ -18,6 +18,7 @@ from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, number
+from robustlab.tables import Table, Tabular
 
 __all__ = ["Comparison", "FreeRun", "Linearisation", "OutputGap", "ResidualTests", "WindowErrors"]
 
@@ -156,7 +157,7 @@ class Linearisation(Evidence):
 
 
 @dataclass(frozen=True)
-class Comparison(Evidence):
+class Comparison(Tabular, Evidence):
     """Result of `compare`.
 
     Attributes
@@ -263,6 +264,12 @@ class Comparison(Evidence):
             ("free run", end),
             *(("warning", text) for text in self.warnings),
         ]
+
+    def table(self) -> Table:
+        """A row for each output: sizes of its error in its unit."""
+        names = ("range", "rms", "peak", "fit", "windowed_rms", "windowed_peak", "windowed_fit", "unit")
+        columns = {key: [getattr(gap, key) for gap in self.outputs.values()] for key in names}
+        return Table(("output", list(self.outputs)), columns, {"fit": "%", "windowed_fit": "%"})
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` the time series and the densities over frequency are left out."""

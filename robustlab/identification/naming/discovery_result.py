@@ -21,6 +21,7 @@ from robustlab.identification.naming.discovery_parts import (
 )
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number
+from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
@@ -37,7 +38,7 @@ Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
 
 @dataclass(frozen=True)
-class Discovery(Evidence):
+class Discovery(Tabular, Evidence):
     """Result of `robustlab.identification.naming.discovery.discover`.
 
     Attributes
@@ -180,6 +181,14 @@ class Discovery(Evidence):
             ("records", listed(self.records)),
             ("time", number(self.seconds, "s")),
         ]
+
+    def table(self) -> Table:
+        """A row for each parameter of a named effect, with its 95 % interval."""
+        rows = [(e, p) for e in self.effects for p in e.parameters]
+        columns = {"effect": [e.name for e, _ in rows], "site": [e.site for e, _ in rows]}
+        values = {key: [getattr(p, key) for _, p in rows] for key in ("value", "lower", "upper", "unit")}
+        probability = {"probability": [e.confidence for e, _ in rows]}
+        return Table(("parameter", [p.name for _, p in rows]), {**columns, **values, **probability})
 
     def to_json(self, series: bool = False) -> dict[str, object]:
         """All fields but the plant object; the time series only on request."""

@@ -38,6 +38,7 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.shown import Facts, listed, number
 from robustlab.statespace import Signal
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -49,7 +50,7 @@ SILENT = 1e-10
 
 
 @dataclass(frozen=True)
-class FrequencyData(Evidence):
+class FrequencyData(Tabular, Evidence):
     """A measured frequency response of one input.
 
     Attributes
@@ -118,6 +119,11 @@ class FrequencyData(Evidence):
                 f"{len(self.omega)}, {number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}",
             ),
         ]
+
+    def table(self) -> Table:
+        """The response of every output."""
+        columns = {name: self.response[:, k] for k, name in enumerate(self.outputs)}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed, member, number
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -29,7 +30,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False)
-class Margin(Shown):
+class Margin(Tabular, Shown):
     """Robust stability margin: the model is stable for all Delta of norm below ``lower``, and not for ``delta``.
 
     Attributes
@@ -98,6 +99,11 @@ class Margin(Shown):
             ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
             *(("note", note) for note in self.notes),
         ]
+
+    def table(self) -> Table:
+        """Both bounds of mu over the frequencies that were asked for."""
+        columns = {"mu_lower": self.mu_lower, "mu_upper": self.mu_upper}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
         """All attributes but ``proof``; arrays stay arrays."""

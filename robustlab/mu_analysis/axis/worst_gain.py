@@ -36,6 +36,7 @@ from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, member, number
 from robustlab.statespace import StateSpaceModel
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -46,7 +47,7 @@ PERFORMANCE = "performance"
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCaseGain(Shown):
+class WorstCaseGain(Tabular, Shown):
     """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency.
 
     Attributes
@@ -111,6 +112,11 @@ class WorstCaseGain(Shown):
             ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
             *(("note", note) for note in self.notes),
         ]
+
+    def table(self) -> Table:
+        """Nominal gain and both bounds over the frequencies that were asked for."""
+        columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
         """All attributes but ``proof``; arrays stay arrays."""

@@ -20,13 +20,14 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
 
 @dataclass(frozen=True, eq=False)
-class MuBounds(Shown):
+class MuBounds(Tabular, Shown):
     r"""Bounds of mu with what proves them; a stack of k matrices has a leading axis k everywhere.
 
     Attributes
@@ -82,6 +83,11 @@ class MuBounds(Shown):
             ("boxes", str(int(np.sum(self.boxes))) if np.any(self.boxes) else ""),
             *(("note", note) for note in self.notes),
         ]
+
+    def table(self) -> Table:
+        """Both bounds of every matrix."""
+        lower, upper = np.atleast_1d(self.lower), np.atleast_1d(self.upper)
+        return Table(("matrix", np.arange(len(upper))), {"lower": lower, "upper": upper})
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""

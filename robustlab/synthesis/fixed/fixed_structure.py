@@ -31,6 +31,7 @@ from robustlab.synthesis.problem.design import Synthesis, design_budget, limitin
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -82,7 +83,7 @@ class LimitValue:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FixedSynthesis(Synthesis):
+class FixedSynthesis(Tabular, Synthesis):
     """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
 
     Of an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
@@ -154,6 +155,11 @@ class FixedSynthesis(Synthesis):
         if len(shown) < len(self.parameters):
             rows.append(("further parameters", str(len(self.parameters) - len(shown))))
         return rows
+
+    def table(self) -> Table:
+        """A row for each parameter of the controller; a column says its unit."""
+        columns = {key: [getattr(p, key) for p in self.parameters] for key in ("value", "low", "high", "unit")}
+        return Table(("parameter", [p.name for p in self.parameters]), columns)
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plants, with arrays."""

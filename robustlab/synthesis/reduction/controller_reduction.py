@@ -48,6 +48,7 @@ from robustlab.synthesis.reduction.balancing import (
     split_stable,
 )
 from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
 __all__ = ["OrderTried", "ReducedController", "ReductionTuning", "reduce_controller"]
@@ -101,7 +102,7 @@ class OrderTried:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ReducedController(Synthesis):
+class ReducedController(Tabular, Synthesis):
     """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified.
 
     Attributes
@@ -143,6 +144,11 @@ class ReducedController(Synthesis):
             *rows,
             ("loss by order", ", ".join(f"{order}: {text}" for order, text in tried)),
         ]
+
+    def table(self) -> Table:
+        """A row for each order that was tried."""
+        columns = {key: [getattr(tried, key) for tried in self.orders] for key in ("method", "value", "loss")}
+        return Table(("order", [tried.order for tried in self.orders]), columns)
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
