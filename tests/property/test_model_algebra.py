@@ -92,14 +92,14 @@ def test_identities(seed, n, n_y, n_u, dt):
     G, H = model(rng, n, n_y, n_u, dt), model(rng, n, n_y, n_u, dt)
     size = np.abs(at(G)).max()
     assert np.abs(at(G - G)).max() <= 1e-12 * max(1.0, size)
-    assert np.array_equal(at(2 * G), 2 * at(G))
+    assert close(at(2 * G), 2 * at(G))
     assert np.abs(at(G + H) - at(H + G)).max() <= 1e-12 * max(1.0, size)
     assert (+G) is G
     assert (2 * G).states == G.states
     assert (2 * G).n_states == G.n_states
-    assert np.array_equal(at(G[:, :]), at(G))
+    assert close(at(G[:, :]), at(G))
     columns = np.concatenate([at(G[:, k]) for k in range(n_u)], axis=2)
-    assert np.array_equal(columns, at(G))
+    assert close(columns, at(G))
 
 
 @settings(deadline=None, max_examples=25)
