@@ -143,6 +143,7 @@ OBJECTS: dict[str, Any] = {
     "DcMotor": motor,
     "Trim": lambda: rl.trim(rl.plant("stewart-platform"), pose=None),
     "Samples": lambda: rl.sample(spring(), 20, 1, 8),
+    "PlantSamples": lambda: rl.sample(rl.plant("stewart-platform", c=(0.01, 0.1)), 3),
     "Responses": lambda: rl.sample(spring(), 20, 1, 8).respond(np.linspace(0.0, 20.0, 201)),
     "StreamedResponses": lambda: rl.sample(spring(), 50).stream(np.linspace(0.0, 20.0, 51)),
     "Reduction": lambda: rl.reduction(spring() + spring()),

@@ -179,8 +179,11 @@ def headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
 
 
 def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = None) -> None:
-    """One legend for all panels, below them; each label once. In the Axes of somebody's figure it is inside."""
-    if is_guest(panels[0]):
+    """One legend for all panels, below them; each label once.
+
+    In the Axes of somebody's figure, or where no layout makes room for it, it is inside of the first panel.
+    """
+    if is_guest(panels[0]) or figure.get_layout_engine() is None:
         panels[0].legend(loc="best", fontsize="small")
         return
     entries: dict[str, Artist] = {}

@@ -55,7 +55,7 @@ def mu_figure(margin: Margin) -> Figure:
             text = f"{level:.4g}: proved on the whole axis"
             axes.axhline(level, color=COLOURS["good"], lw=1.1, label=text)
             if any("as wide below as above" in note for note in margin.notes):
-                axes.set_title("the curves take ranges as wide below as above, what is proved takes them as they are")
+                axes.set_title("curves: ranges as wide below as above; proved: as they are")
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
         tall = [1.0, peak, level, float(np.nanmax(upper[shown], initial=0.0))]
         axes.set_ylim(0, 1.12 * max(v for v in tall if np.isfinite(v)))
