@@ -14,6 +14,7 @@ from robustlab.frequency import frequency_response
 from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
 from robustlab.matrix_equations import gramians
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = [
@@ -62,7 +63,7 @@ TUNING = NormTuning()
 
 
 @dataclass(frozen=True)
-class HinfNorm:
+class HinfNorm(Shown):
     """H-infinity norm of a model with its evidence.
 
     Attributes
@@ -91,18 +92,30 @@ class HinfNorm:
     status: Status
     reason: str = ""
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("norm", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("at", number(self.frequency, "rad/s")),
+            ("reason", self.reason),
+        ]
+
     def to_json(self) -> dict[str, object]:
         """All fields."""
         return vars(self).copy()
 
 
 @dataclass(frozen=True)
-class H2Norm:
+class H2Norm(Shown):
     """H2 norm of a model: value, status, and why it is infinite or inaccurate."""
 
     value: float
     status: Status
     reason: str = ""
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [("norm", number(self.value, digits=6)), ("reason", self.reason)]
 
     def to_json(self) -> dict[str, object]:
         """All fields."""

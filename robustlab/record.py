@@ -18,6 +18,7 @@ from robustlab.arrays import Array
 from robustlab.clocks import is_uniform
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Traced
+from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.statespace import MAX_NAME, real_array
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ __all__ = ["Record"]
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Record(Traced):
+class Record(Shown, Traced):
     """Time series with one strictly increasing clock; immutable.
 
     Parameters
@@ -318,9 +319,21 @@ class Record(Traced):
         """All samples as plain types."""
         return {"name": self.name, "t": self.t, "inputs": self.inputs, "outputs": self.outputs, "units": self.units}
 
+    def facts(self) -> Facts:
+        """Size, clock, signals with units."""
+        clock = (
+            f"every {number(self.dt, 's')}" if self.is_uniform else f"{number(self.dt, 's')} on average, not uniform"
+        )
+        return [
+            ("name", self.name),
+            ("samples", f"{self.n}, {clock}, {number(self.duration, 's')} in all"),
+            ("inputs", with_units((name, self.units[name]) for name in self.inputs)),
+            ("outputs", with_units((name, self.units[name]) for name in self.outputs)),
+        ]
+
     def __repr__(self) -> str:
-        ins, outs = ", ".join(self.inputs), ", ".join(self.outputs)
-        return f"Record({self.name!r}: {self.n} samples, {self.duration:.6g} s, [{ins}] -> [{outs}])"
+        ins, outs = short(tuple(self.inputs)), short(tuple(self.outputs))
+        return f"Record({self.name[:80]!r}: {self.n} samples, {self.duration:.6g} s, [{ins}] -> [{outs}])"
 
 
 def _channels(given: Mapping[str, ArrayLike], n: int, where: str) -> dict[str, Array]:

@@ -9,6 +9,7 @@ from enum import Enum, StrEnum
 from typing import Any
 
 from robustlab.provenance import Traced
+from robustlab.shown import Facts, Shown, in_words
 
 __all__ = ["Evidence", "Result", "Status", "plain"]
 
@@ -81,7 +82,7 @@ def plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Result(Traced):
+class Result(Shown, Traced):
     """A result as it comes back from a file: what kind of result it was, its status, and its data.
 
     Attributes
@@ -98,13 +99,18 @@ class Result(Traced):
     status: Status
     data: Mapping[str, Any]
 
+    def facts(self) -> Facts:
+        """The type that it was saved from, and its data in a few words each."""
+        told = [(name, in_words(value)) for name, value in self.data.items() if name not in ("status", "type")]
+        return [("type", self.type), *told]
+
     def to_json(self) -> dict[str, Any]:
         """The data with type and status."""
         return {"type": self.type, **self.data, "status": self.status}
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Evidence(Shown):
     """Base of the parts of a result: arrays, also those in tables, become read-only when it is made."""
 
     def __post_init__(self) -> None:

@@ -7,51 +7,52 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array, not_finite
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
+from robustlab.arrays import Array
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
+from robustlab.shown import Facts, Shown, number, short, with_units
+from robustlab.signals import (
+    MAX_NAME,
+    Signal,
+    SignalLike,
+    indices,
+    is_constant,
+    is_number,
+    names_of,
+    picked,
+    real_array,
+    same_units,
+    signals,
+)
 
 if TYPE_CHECKING:
     import control
 
 __all__ = [
+    "MAX_NAME",
     "OperatingPoint",
     "Signal",
+    "SignalLike",
     "StateSpaceModel",
     "append",
     "as_model",
     "feedback",
+    "inverse",
     "lower_lft",
+    "parallel",
+    "product",
     "real_array",
     "series",
     "signals",
 ]
 
 MAX_STATES = 5000
-MAX_NAME = 200
-
-
-class Signal(NamedTuple):
-    """A named signal with its unit, for example ``Signal("omega", "rad/s")``.
-
-    Attributes
-    ----------
-    name
-        1 to 200 characters, unique among the signals of its side.
-    unit
-        Empty where it is not stated.
-    """
-
-    name: str
-    unit: str = ""
-
-
-SignalLike = str | Signal | tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -63,58 +64,8 @@ class OperatingPoint:
     y: Array
 
 
-def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceModel") -> Array:
-    """``value`` as a read-only, finite float64 array with ``ndim`` dimensions, or an `InputError` that names the entry.
-
-    Raises
-    ------
-    InputError
-        Complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad entry).
-    """
-    try:
-        raw = np.asarray(value)
-    except ValueError as error:
-        raise InputError(where, f"{name} is ragged ({error})", "a rectangular array of real numbers") from None
-    if raw.dtype.kind not in "fiu":
-        raise InputError(where, f"{name} has dtype {raw.dtype}", "real numbers")
-    array = np.array(raw, dtype=np.float64, order="C")
-    if ndim == 2 and array.ndim == 0:
-        array = array.reshape(1, 1)
-    if array.ndim != ndim:
-        hint = f"write [[...]] for a row, or {name}.reshape(-1, 1) for a column" if ndim == 2 else None
-        raise InputError(where, f"{name} has shape {array.shape}", f"{ndim} dimensions", hint)
-    bad = not_finite(array)
-    if bad is not None:
-        raise InputError(where, f"{name}[{bad[0]}] {bad[1]}", "finite numbers")
-    array.setflags(write=False)
-    return array
-
-
-def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: str) -> tuple[Signal, ...]:
-    """``count`` uniquely named signals; ``prefix1, prefix2, ...`` where none are given."""
-    if given is None:
-        return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
-    if isinstance(given, str):
-        given = [given]
-    result: list[Signal] = []
-    for item in given:
-        if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):
-            raise InputError(where, f"signal {item!r}", "a name or a (name, unit) pair")
-        name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
-        if not name or len(name) > MAX_NAME:
-            raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
-        result.append(Signal(name, unit))
-    if len(result) != count:
-        raise InputError(where, f"{len(result)} signal names", f"{count}")
-    names = [s.name for s in result]
-    if len(set(names)) < len(names):
-        twice = sorted({n for n in names if names.count(n) > 1})
-        raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
-    return tuple(result)
-
-
 @dataclass(frozen=True, init=False, eq=False)
-class StateSpaceModel(Traced):
+class StateSpaceModel(TransferMatrix, Shown, Traced):
     r"""A linear time-invariant model with named signals; immutable.
 
     .. math:: \dot x = A x + B u, \quad y = C x + D u \quad (dt = 0) \qquad x_{k+1} = A x_k + B u_k \quad (dt > 0)
@@ -260,8 +211,8 @@ class StateSpaceModel(Traced):
 
         See `robustlab.structural.drop_unconnected` for removing states that no longer matter.
         """
-        i = _indices(inputs, self.input_names, "input")
-        o = _indices(outputs, self.output_names, "output")
+        i = indices(inputs, self.input_names, "input")
+        o = indices(outputs, self.output_names, "output")
         point = self.operating_point
         if point is not None:
             point = replace(point, u=point.u[i], y=point.y[o])
@@ -275,6 +226,28 @@ class StateSpaceModel(Traced):
         """The same model with other signal names; names left out stay."""
         given = {"inputs": inputs, "outputs": outputs}
         return replace(self, **{side: names for side, names in given.items() if names is not None})
+
+    def __getitem__(self, key: Any) -> StateSpaceModel:
+        """``G[outputs, inputs]`` by numbers, slices, names or lists of these; all states are kept."""
+        outputs, inputs = picked(key, self.output_names, self.input_names)
+        return self.select(inputs, outputs)
+
+    # --- algebra: the functions below; the operators are those of `TransferMatrix` -----------------------------------
+
+    def _product(self, second: Any, first: Any) -> StateSpaceModel:
+        return product(second, first)
+
+    def _sum(self, first: Any, second: Any, sign: int) -> StateSpaceModel:
+        return parallel(first, second, sign)
+
+    def _identity(self) -> StateSpaceModel:
+        if self.n_inputs != self.n_outputs:
+            raise InputError("power", f"a model of {self.n_outputs} x {self.n_inputs}", "a square model")
+        return StateSpaceModel([], [], [], np.eye(self.n_inputs), self.dt, self.inputs, self.outputs)
+
+    def inverse(self) -> StateSpaceModel:
+        """The model from outputs to inputs; see `robustlab.statespace.inverse`."""
+        return inverse(self)
 
     # --- python-control ----------------------------------------------------------------------------------------------
 
@@ -332,10 +305,24 @@ class StateSpaceModel(Traced):
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
         return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "dt": self.dt, **sides}
 
+    def facts(self) -> Facts:
+        """Size, signals with units, poles."""
+        abscissa = self.spectral_abscissa()
+        kind = "stable" if abscissa < 0 else "on the stability boundary" if abscissa == 0 else "unstable"
+        where = (
+            f"largest modulus {number(1 + abscissa)}" if self.is_discrete else f"rightmost {number(abscissa, '1/s')}"
+        )
+        return [
+            ("time", f"discrete, dt = {self.dt:g} s" if self.is_discrete else "continuous"),
+            ("inputs", with_units(self.inputs)),
+            ("outputs", with_units(self.outputs)),
+            ("states", f"{self.n_states}: {with_units(self.states)}" if self.n_states else "none: a static gain"),
+            ("poles", f"{where}: {kind}" if self.n_states else ""),
+        ]
+
     def __repr__(self) -> str:
         time = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
-        ins = ", ".join(self.input_names)
-        outs = ", ".join(self.output_names)
+        ins, outs = (short(names) for names in (self.input_names, self.output_names))
         return f"StateSpaceModel({self.n_states} states, [{ins}] -> [{outs}], {time})"
 
 
@@ -381,7 +368,105 @@ def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
     a = np.block([[first.A, np.zeros((n1, n2))], [second.B @ first.C, second.A]])
     b = np.vstack([first.B, second.B @ first.D])
     c = np.hstack([second.D @ first.C, second.C])
-    return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, where="series")
+    states = _states(first, second)
+    return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, states, where="series")
+
+
+def product(second: Any, first: Any) -> StateSpaceModel:
+    r"""``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``.
+
+    A number multiplies every channel. The signals of a matrix or a number are not named: the other side's are kept
+    where sizes allow it.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit, or no operand.
+    UnitMismatch
+        An output of ``first`` and the input of ``second`` that it drives carry different units.
+    """
+    if is_number(second):
+        second = float(second) * np.eye(_operand(first, "product").n_outputs)
+    elif is_number(first):
+        first = float(first) * np.eye(_operand(second, "product").n_inputs)
+    g2, g1 = _operand(second, "product"), _operand(first, "product")
+    if g1.n_outputs != g2.n_inputs:
+        raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
+    inputs = names_of(second, first, g1.inputs, g2.inputs)
+    outputs = names_of(first, second, g2.outputs, g1.outputs)
+    return series(g1, g2).renamed(inputs, outputs)
+
+
+def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
+    """``first + sign * second`` for two models of one size, with the signals of the first.
+
+    A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
+    for.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit, or no operand.
+    UnitMismatch
+        Signals that are added carry different units.
+    """
+    a, b = _operand(first, "sum"), _operand(second, "sum")
+    if a.D.shape != b.D.shape:
+        found = f"{a.n_outputs} x {a.n_inputs} and {b.n_outputs} x {b.n_inputs}"
+        raise InputError("sum", found, "equal sizes", "write a number c as c * numpy.eye(n), or as a full matrix")
+    same_units("sum", [*zip(a.inputs, b.inputs, strict=True), *zip(a.outputs, b.outputs, strict=True)])
+    n1, n2 = a.n_states, b.n_states
+    return StateSpaceModel(
+        np.block([[a.A, np.zeros((n1, n2))], [np.zeros((n2, n1)), b.A]]),
+        np.vstack([a.B, b.B]),
+        np.hstack([a.C, sign * b.C]),
+        a.D + sign * b.D,
+        _common_dt((a, b), "sum"),
+        names_of(second, first, a.inputs, b.inputs),
+        names_of(second, first, a.outputs, b.outputs),
+        _states(a, b),
+        where="sum",
+    )
+
+
+def inverse(model: Any) -> StateSpaceModel:
+    r"""The inverse of a square model; inputs and outputs change places.
+
+    .. math:: G^{-1}: \quad (A - B D^{-1} C, \; B D^{-1}, \; -D^{-1} C, \; D^{-1})
+
+    Raises
+    ------
+    InputError
+        Not square.
+    NoTrustworthyNumber
+        D is singular: the inverse is not proper.
+
+    Examples
+    --------
+    >>> lead = StateSpaceModel([[-10.0]], [[1.0]], [[-9.0]], [[1.0]])  # (s + 1) / (s + 10)
+    >>> inverse(lead).poles()
+    array([-1.+0.j])
+    """
+    g = _operand(model, "inverse")
+    if g.n_inputs != g.n_outputs:
+        raise InputError("inverse", f"{g.n_outputs} x {g.n_inputs}", "a square model")
+    if g.n_inputs and is_rank_deficient(g.D):
+        raise NoTrustworthyNumber("inverse", "D is singular: the inverse is not proper")
+    d = np.linalg.inv(g.D)
+    return StateSpaceModel(
+        g.A - g.B @ d @ g.C, g.B @ d, -d @ g.C, d, g.dt, g.outputs, g.inputs, g.states, where="inverse"
+    )
+
+
+def is_rank_deficient(matrix: Array) -> bool:
+    """Whether a square matrix is singular, its rows and columns brought to one size first."""
+    scaled = matrix.copy()
+    for axis in (1, 0, 1):
+        size = np.abs(scaled).max(axis=axis, keepdims=True)
+        if not size.all():
+            return True
+        scaled = scaled / size
+    return not np.linalg.cond(scaled) <= 1e12
 
 
 def feedback(plant: StateSpaceModel, controller: StateSpaceModel, sign: int = -1) -> StateSpaceModel:
@@ -486,17 +571,16 @@ def _checked_operating_point(point: OperatingPoint | None, a: Array, d: Array, w
     return OperatingPoint(**vectors)
 
 
-def _indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> list[int]:
-    if wanted is None:
-        return list(range(len(known)))
-    if isinstance(wanted, str):
-        wanted = [wanted]
-    for name in wanted:
-        if name not in known:
-            raise InputError(
-                f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
-            )
-    return [known.index(name) for name in wanted]
+def _operand(operand: Any, where: str) -> StateSpaceModel:
+    if is_constant(operand):
+        return StateSpaceModel([], [], [], real_array("gain", operand, 2, where))
+    return as_model(operand, where)
+
+
+def _states(first: StateSpaceModel, second: StateSpaceModel) -> tuple[Signal, ...] | None:
+    """States of both under their own names where these are not the same."""
+    states = (*first.states, *second.states)
+    return states if len({s.name for s in states}) == len(states) else None
 
 
 def _common_dt(models: Sequence[StateSpaceModel], where: str) -> float:

@@ -26,6 +26,7 @@ from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.errors import InputError
 from robustlab.matrix_equations import lapack
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = [
@@ -76,7 +77,7 @@ class HiddenMode:
 
 
 @dataclass(frozen=True, eq=False)
-class StructuralTest:
+class StructuralTest(Shown):
     """Result of a controllability or observability test.
 
     Attributes
@@ -124,6 +125,15 @@ class StructuralTest:
     def unstable_modes(self) -> tuple[HiddenMode, ...]:
         """Hidden modes that do not decay; none of them: the model is stabilisable (detectable)."""
         return tuple(mode for mode in self.modes if not mode.stable)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        head, *modes = str(self).splitlines()
+        return [
+            (self.kind, head.rpartition(" (")[0]),
+            ("weakest mode", number(self.weakest)),
+            *(("hidden mode", text) for text in modes),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """All attributes as plain types."""

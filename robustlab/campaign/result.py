@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, member, number
+from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 __all__ = [
@@ -162,7 +165,7 @@ class LostSample:
 
 
 @dataclass(frozen=True)
-class CampaignResult:
+class CampaignResult(Tabular, Shown):
     """A campaign as its store has it.
 
     Attributes
@@ -232,6 +235,43 @@ class CampaignResult:
     seconds: float
     seed: int
     label: str
+
+    def facts(self) -> Facts:
+        """The worst value, its member, how many samples there are, what they say of the rest."""
+        worst = f"sample {self.worst_index}: {member(self.delta, self.physical)}" if self.delta else ""
+        gone = [f"{count} {word}" for count, word in ((self.lost, "lost"), (self.unbounded, "unbounded")) if count]
+        limit, v = "", self.violation
+        if v is not None:
+            probability = f"probability {number(v.lower)} .. {number(v.upper)} (95 %)"
+            limit = f"{number(v.limit, self.unit)}: {v.count} of {v.of} are worse, {probability}"
+        return [
+            (f"worst {self.metric}", number(self.worst, self.unit)),
+            ("nominal", number(self.nominal, self.unit)),
+            ("worst member", worst),
+            ("samples", ", ".join([f"{self.done} of {self.n}", *gone, f"seed {self.seed}"])),
+            (
+                "probability of a worse member",
+                "" if math.isnan(self.unseen) else f"at most {number(self.unseen)} (95 %)",
+            ),
+            ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
+            ("limit", limit),
+            ("said", self.label),
+            ("store", self.store),
+            ("time of all samples", number(self.seconds, "s")),
+        ]
+
+    def table(self) -> Table:
+        """The metric and the normalised Delta of every sample, read from the store."""
+        store = Store.open(Path(self.store))
+        try:
+            rows = [(row.index, row.value, row.numbers) for row in store.samples()]
+        finally:
+            store.close()
+        deltas = np.array([numbers for *_, numbers in rows]).reshape(len(rows), -1)
+        columns = {self.metric: np.array([value for _, value, _ in rows])}
+        if deltas.shape[1] == len(self.delta):
+            columns |= {name: deltas[:, k] for k, name in enumerate(self.delta)}
+        return Table(("sample", [index for index, *_ in rows]), columns, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""

@@ -272,7 +272,7 @@ def reduce(
 
     method_given: Any = method
     found = reduce_model(as_model(load(file), file), order, tolerance=tolerance, method=method_given)
-    rows = [*found.summary(), *output.keep_made("model reduce", found.model, [file])]
+    rows = [*found.facts(), *output.keep_made("model reduce", found.model, [file])]
     emit("model reduce", found.to_json(), table(rows), output.as_json)
     require_trust(found.status)
 

@@ -167,7 +167,7 @@ class DesignOutput:
         from robustlab.synthesis.problem.performance_limits import limits_in_words
 
         limits = limits_in_words(found)
-        rows = found.summary()
+        rows = found.facts()
         rows += [("" if k else "limits of any controller", line) for k, line in enumerate(limits)]
         rows += OutputOptions(self.out).keep_made(command, found.controller, [file])
         if self.figure is not None:
@@ -432,7 +432,7 @@ def reduce(
         channels.plant(plant, K), K, loss=loss, order=order, measure=measure_given,
         **vars(effort), progress=_progress(),
     )  # fmt: skip
-    rows = [*found.summary(), *output.keep_made("synth reduce", found.controller, (plant, controller))]
+    rows = [*found.facts(), *output.keep_made("synth reduce", found.controller, (plant, controller))]
     emit("synth reduce", found.to_json(), table(rows), output.as_json)
     require_trust(found.status)
 
@@ -491,8 +491,8 @@ def discretise(
             given, found.K, delay=sampling.delay, antialiasing=sampling.antialiasing, **vars(effort),
             progress=_progress(),
         )  # fmt: skip
-    proved = [(f"sampled: {label}", text) for label, text in robust.summary()] if robust else []
-    rows = [*found.summary(), *proved, *output.keep_made("synth discretise", found.controller, (plant, controller))]
+    proved = [(f"sampled: {label}", text) for label, text in robust.facts()] if robust else []
+    rows = [*found.facts(), *proved, *output.keep_made("synth discretise", found.controller, (plant, controller))]
     data = found.to_json() | ({"robustness": robust.to_json()} if robust else {})
     emit("synth discretise", data, table(rows), output.as_json)
     require_trust(found.status)

@@ -22,6 +22,7 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -107,7 +108,7 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plant(Traced, ABC):
+class Plant(Shown, Traced, ABC):
     """The contract of a plant; linear plants follow it through `robustlab.dynamics.linear_plant.LinearPlant`,
     others through `NonlinearPlant`.
 
@@ -168,13 +169,23 @@ class Plant(Traced, ABC):
                 raise InputError(self.name, f"{len(vector)} numbers for {names}", f"{len(kind)}")
         return vectors
 
+    def facts(self) -> Facts:
+        """Parameters and signals with units."""
+        return [
+            ("plant", self.name),
+            ("parameters", listed(f"{p.name} = {number(p.value, p.unit)}" for p in self.parameters.values())),
+            ("inputs", with_units(self.inputs)),
+            ("outputs", with_units(self.outputs)),
+            ("states", with_units(self.states)),
+        ]
+
     def __repr__(self) -> str:
-        values = ", ".join(f"{p.name}={p.value:g}" for p in self.parameters.values())
+        values = listed((f"{p.name}={p.value:g}" for p in self.parameters.values()), 12)
         return f"{type(self).__name__}({self.name!r}: {values})"
 
 
 @dataclass(frozen=True, eq=False)
-class Trim:
+class Trim(Shown):
     """An operating point at which a plant stays: ``f(x, u) = 0``.
 
     Attributes
@@ -208,6 +219,11 @@ class Trim:
     def operating_point(self) -> OperatingPoint:
         """The point as models carry it."""
         return OperatingPoint(self.x, self.u, self.y)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        point = [(which, listed(number(float(v)) for v in getattr(self, which))) for which in ("x", "u", "y")]
+        return [("plant", self.plant), *point, ("residual", number(self.residual))]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

@@ -47,6 +47,7 @@ from robustlab.recipe.schema import Recipe
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
 from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
+from robustlab.shown import Facts, Shown, listed
 
 __all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
 
@@ -77,7 +78,7 @@ RESULT_PARTS = {
 
 
 @dataclass(frozen=True)
-class RunResult:
+class RunResult(Shown):
     """A finished run.
 
     Attributes
@@ -90,6 +91,17 @@ class RunResult:
 
     data: Mapping[str, Any]
     folder: Path
+
+    def facts(self) -> Facts:
+        """Recipe, requirements, steps with their status."""
+        asked, steps = self.data["requirements"], self.data["steps"]
+        return [
+            ("recipe", str(self.data["recipe"]["name"])),
+            ("requirements", f"{sum(bool(q['met']) for q in asked)} of {len(asked)} met"),
+            ("steps", listed(f"{s['name']} ({s['status'] or 'no status'})" for s in steps)),
+            ("exit code", str(self.exit_code)),
+            ("folder", str(self.folder)),
+        ]
 
     @property
     def exit_code(self) -> int:

@@ -15,11 +15,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.errors import InputError
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.localisation import Bin, DirectionError
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
+    chosen,
     headroom,
     house_style,
     logarithmic,
@@ -30,6 +32,14 @@ from robustlab.report.figures import (
 )
 
 __all__ = [
+    "where_of",
+    "time_of",
+    "speed_of",
+    "spectrum_of",
+    "response_of",
+    "residual_of",
+    "outputs_of",
+    "harmonics_of",
     "comparison_figures",
     "harmonics_figure",
     "outline",
@@ -473,3 +483,54 @@ def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> No
 def _cycle(count: int) -> list[str]:
     colours = [COLOURS[key] for key in ("nominal", "good", "worst", "sample")]
     return [colours[i % len(colours)] for i in range(count)]
+
+
+# --- single drawings --------------------------------------------------------------------------------------------------
+
+
+def where_of(comparison: Comparison, output: str | None = None) -> Figure:
+    """Where in time, direction, speed, position, input and frequency an output is missed; the first by default."""
+    return where_figure(comparison, chosen(list(comparison.outputs), output, "output"))
+
+
+def time_of(comparison: Comparison, output: str | None = None) -> Figure:
+    """Record and simulations over time."""
+    return time_figure(comparison, chosen(list(comparison.outputs), output, "output"))
+
+
+def speed_of(comparison: Comparison, output: str | None = None) -> Figure:
+    """Error over speed, of the outputs with a known speed."""
+    return speed_figure(comparison, chosen(list(comparison.speed), output, "output"))
+
+
+def spectrum_of(comparison: Comparison, output: str | None = None) -> Figure:
+    """Densities over frequency, of the outputs with a whole free run."""
+    return spectrum_figure(comparison, chosen(list(comparison.frequency), output, "output"))
+
+
+def response_of(comparison: Comparison, output: str | None = None) -> Figure:
+    """Measured frequency response beside the model's, of the outputs that have one."""
+    return response_figure(comparison, chosen([y for y, row in comparison.linear.items() if row], output, "output"))
+
+
+def residual_of(comparison: Comparison, output: str | None = None) -> Figure:
+    """Residual tests."""
+    return residual_figure(comparison, chosen(list(comparison.residual), output, "output"))
+
+
+def outputs_of(comparison: Comparison) -> Figure:
+    """Errors of all outputs."""
+    return outputs_figure(comparison)
+
+
+def harmonics_of(comparison: Comparison) -> Figure:
+    """Lines of the judged signals.
+
+    Raises
+    ------
+    InputError
+        The excitation does not allow the test.
+    """
+    if not comparison.nonlinearity.signals:
+        raise InputError("plot('harmonics')", comparison.nonlinearity.reason or "no test", "a periodic excitation")
+    return harmonics_figure(comparison)

@@ -9,10 +9,21 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
+from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
-from robustlab.report.figures import COLOURS, frequency_axis, house_style, logarithmic, new_figure, plain_label
+from robustlab.report.figures import (
+    COLOURS,
+    frequency_axis,
+    house_style,
+    is_guest,
+    legend_below,
+    logarithmic,
+    new_figure,
+    plain_label,
+)
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
 from robustlab.uncertainty.covering.unstructured_cover import error_sizes
 from robustlab.uncertainty.unstructured import Form
@@ -20,7 +31,15 @@ from robustlab.uncertainty.unstructured import Form
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
 
-__all__ = ["blocks_figure", "cloud_figure", "cover_figures", "weight_figure"]
+__all__ = [
+    "cover_figure",
+    "blocks_of",
+    "blocks_figure",
+    "cloud_figure",
+    "cover_figures",
+    "overbound_figure",
+    "weight_figure",
+]
 
 
 SHOWN = 24  # parameters side by side
@@ -39,11 +58,16 @@ def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, 
     return {"cloud": (cloud_figure(cover), text)}
 
 
-def weight_figure(cover: Cover, models: Sequence[StateSpaceModel]) -> Figure:
+def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """Errors of the models, their bound, and the weight above it; below, by how much it lies above."""
-    fit = cover.fit
-    assert fit is not None
-    errors = error_sizes(tuple(models), cover.model.nominal, cast(Form, cover.form), fit.omega)
+    assert cover.fit is not None
+    given = tuple(models)
+    errors = error_sizes(given, cover.model.nominal, cast(Form, cover.form), cover.fit.omega) if given else ()
+    return overbound_figure(cover.fit, errors, f"{cover.form}: weight over the errors of {len(cover.sizes)} models")
+
+
+def overbound_figure(fit: Overbound, errors: Sequence[Array] | Array = (), title: str = "") -> Figure:
+    """A weight above its bound, and the curves that made the bound; below, by how much it lies above."""
     figure, (above, below) = new_figure(
         2, 1, width=7.6, height=2.3, sharex=True, gridspec_kw={"height_ratios": [2.2, 1.0]}
     )
@@ -60,7 +84,7 @@ def weight_figure(cover: Cover, models: Sequence[StateSpaceModel]) -> Figure:
         logarithmic(above.yaxis)
         above.set_ylim(low, 2.0 * float(fit.magnitude.max()))
         above.set_ylabel("gain")
-        above.set_title(plain_label(f"{cover.form}: weight over the errors of {len(models)} models"))
+        above.set_title(plain_label(title or f"weight of order {fit.order} above a bound"))
         below.plot(fit.omega, 100.0 * (fit.magnitude / fit.bound - 1.0), color=COLOURS["nominal"])
         below.set_ylim(bottom=0.0)
         below.set_ylabel("above the\nbound [%]")
@@ -124,6 +148,20 @@ def _least_tied(deltas: Array) -> tuple[int, int]:
     return int(i), int(j)
 
 
+def blocks_of(made: EffectBlocks) -> Figure:
+    """What each block alone does.
+
+    Raises
+    ------
+    InputError
+        There are no blocks.
+    """
+    figure = blocks_figure(made)
+    if figure is None:
+        raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")
+    return figure
+
+
 def blocks_figure(made: EffectBlocks) -> Figure | None:
     """How far each block alone moves the response of the nominal model, of its size, over frequency.
 
@@ -155,7 +193,10 @@ def blocks_figure(made: EffectBlocks) -> Figure | None:
         axes.set_ylim(max(1e-3, 1e-6 * top), 2.0 * top)
         axes.set_ylabel("change of the response [%]")
         axes.set_title("What each block alone does")
-        figure.legend(loc="outside right upper")
+        if is_guest(axes):
+            legend_below(figure, (axes,))
+        else:
+            figure.legend(loc="outside right upper")
     return figure
 
 
@@ -168,3 +209,18 @@ def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
     eye = np.eye(m11.shape[1])
     changes = [m21 @ np.linalg.solve(eye - sign * m11, sign * m12) for sign in (-1.0, 1.0)]
     return np.max([np.linalg.norm(c, 2, axis=(1, 2)) for c in changes], axis=0)
+
+
+def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
+    """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one.
+
+    Raises
+    ------
+    InputError
+        The cover is exact: there is nothing uncertain in it.
+    """
+    if cover.fit is not None:
+        return weight_figure(cover, models)
+    if not cover.model.blocks:
+        raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
+    return cloud_figure(cover)

@@ -26,6 +26,7 @@ from robustlab.report.figures import (
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
     from robustlab.synthesis.problem.design import Synthesis
+    from robustlab.synthesis.specifications.loop_functions import LoopFunctions
     from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "WeightedResponse",
     "functions_figure",
     "functions_picture",
+    "gangs_picture",
     "history_figure",
     "history_picture",
     "loop_figure",
@@ -362,10 +364,16 @@ def loop_picture(design: Synthesis) -> Figure:
 
 def functions_picture(design: Synthesis) -> Figure:
     """S, T, K S and S G of the loop at what the controller measures, against 1 / |W| and gamma / |W| where known."""
-    from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequencies, loop_functions_of
+    from robustlab.synthesis.specifications.loop_functions import loop_functions_of
 
-    loop = loop_functions_of(design)
-    omega = frequencies(loop.S, around=getattr(design, "peak_frequency", None))
+    return gangs_picture(loop_functions_of(design), around=getattr(design, "peak_frequency", None))
+
+
+def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:
+    """The gang of four of a loop; ``around``: a frequency in rad/s that has to be seen."""
+    from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequencies
+
+    omega = frequencies(loop.S, around=around)
     panels = []
     for name in FUNCTIONS:
         proved = loop.bound(name, omega)

@@ -13,12 +13,14 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.errors import InputError
 from robustlab.identification.naming.discovery_parts import Gap, SetProbability
 from robustlab.identification.naming.discovery_result import LINEAR, Discovery, chance, headline
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
+    chosen,
     headroom,
     house_style,
     legend_below,
@@ -29,6 +31,10 @@ from robustlab.report.figures import (
 )
 
 __all__ = [
+    "stretch_of",
+    "run_of",
+    "posterior_of",
+    "force_of",
     "CAPTIONS",
     "discovery_figures",
     "free_run_figure",
@@ -80,8 +86,7 @@ def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
     if d.posterior:
         figures["posterior"] = posterior_figure(d)
     if d.residual_force is not None and d.residual_force.curves:
-        unnamed = None if d.complete else d.unnamed
-        figures["force"] = residual_force_figure(d.residual_force, unnamed, "missing force", d.missing_force)
+        figures["force"] = force_of(d)
     return figures
 
 
@@ -414,3 +419,44 @@ def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None, 
     panel.set_xlabel("share of the variance, held-out [%]")
     fell = "" if before is None else f" (rms {before.rms:.3g} → {residual.rms:.3g} {residual.unit})"
     panel.set_title(f"what explains it{fell}")
+
+
+# --- single drawings --------------------------------------------------------------------------------------------------
+
+
+def force_of(discovery: Discovery) -> Figure:
+    """The missing force over speed, position, time and input, before and after.
+
+    Raises
+    ------
+    InputError
+        No force is known.
+    """
+    if discovery.residual_force is None or not discovery.residual_force.curves:
+        raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
+    unnamed = None if discovery.complete else discovery.unnamed
+    return residual_force_figure(discovery.residual_force, unnamed, "missing force", discovery.missing_force)
+
+
+def run_of(discovery: Discovery, output: str | None = None) -> Figure:
+    """Free run of one held-out record."""
+    known = [name for name in discovery.series.get("free_run", {}).get("outputs", {}) if name in discovery.free_run]
+    return free_run_figure(discovery, chosen(known, output, "output"))
+
+
+def stretch_of(discovery: Discovery, output: str | None = None) -> Figure:
+    """A held-out stretch."""
+    return stretch_figure(discovery, chosen(list(discovery.series.get("outputs", {})), output, "output"))
+
+
+def posterior_of(discovery: Discovery) -> Figure:
+    """Sets of effects by their probability.
+
+    Raises
+    ------
+    InputError
+        No sets were weighed.
+    """
+    if not discovery.posterior:
+        raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
+    return posterior_figure(discovery)

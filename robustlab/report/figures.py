@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,19 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 __all__ = [
     "COLOURS",
+    "Canvas",
     "axis_label",
+    "chosen",
+    "drawn_on",
     "frequency_axis",
     "headroom",
     "house_style",
+    "is_guest",
     "legend_below",
     "logarithmic",
     "new_figure",
@@ -79,6 +84,10 @@ _STYLE: dict[Any, Any] = {
 
 PNG_DPI = 144
 
+# Where the next figures are drawn: a function that makes them, or Axes of somebody's figure.
+Canvas = Callable[[tuple[float, float]], Figure] | Axes
+_CANVAS: ContextVar[Canvas] = ContextVar("canvas", default=lambda size: Figure(figsize=size, layout="constrained"))
+
 
 @contextmanager
 def house_style() -> Iterator[None]:
@@ -87,14 +96,47 @@ def house_style() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def drawn_on(canvas: Canvas) -> Iterator[None]:
+    """Inside the ``with`` block figures are made by this function, or drawn into these Axes; see `new_figure`."""
+    token = _CANVAS.set(canvas)
+    try:
+        yield
+    finally:
+        _CANVAS.reset(token)
+
+
 def new_figure(
     rows: int = 1, columns: int = 1, width: float = 7.2, height: float = 3.2, **options: Any
 ) -> tuple[Figure, list[Axes]]:
-    """A figure in the house style and its axes, row by row; ``height`` is inches per row."""
+    """A figure in the house style and its axes, row by row; ``height`` is inches per row.
+
+    Inside `drawn_on` with Axes it is these for one panel; several panels take their place in their figure.
+    """
+    canvas = _CANVAS.get()
     with house_style():
-        figure = Figure(figsize=(width, height * rows), layout="constrained")
+        if isinstance(canvas, Axes) and rows * columns == 1:
+            return canvas.figure, [canvas]  # pyright: ignore[reportReturnType]
+        figure = _in_the_place_of(canvas) if isinstance(canvas, Axes) else canvas((width, height * rows))
         axes = figure.subplots(rows, columns, squeeze=False, **options)
-    return figure, list(axes.ravel())
+    return figure, list(axes.ravel())  # pyright: ignore[reportReturnType]
+
+
+def _in_the_place_of(axes: Axes) -> SubFigure:
+    """A part of the axes' figure where they were."""
+    from robustlab.errors import InputError
+
+    place, figure = axes.get_subplotspec(), axes.figure
+    if place is None:
+        found = "axes that are in no grid, for a drawing of several panels"
+        raise InputError("plot: ax", found, "axes of plt.subplots", "leave ax out")
+    axes.remove()
+    return figure.add_subfigure(place)
+
+
+def is_guest(axes: Axes) -> bool:
+    """Whether these are the Axes of somebody's figure that `drawn_on` was given."""
+    return _CANVAS.get() is axes
 
 
 def plain_label(text: str) -> str:
@@ -137,7 +179,13 @@ def headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
 
 
 def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = None) -> None:
-    """One legend for all panels, below them; each label once."""
+    """One legend for all panels, below them; each label once.
+
+    In the Axes of somebody's figure, or where no layout makes room for it, it is inside of the first panel.
+    """
+    if is_guest(panels[0]) or figure.get_layout_engine() is None:
+        panels[0].legend(loc="best", fontsize="small")
+        return
     entries: dict[str, Artist] = {}
     for panel in panels:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
@@ -149,6 +197,26 @@ def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = Non
 def stem(name: str, number: int) -> str:
     """A signal's name as part of a file's name; one from outside that is no plain word is told by its number."""
     return name if name.isidentifier() and name.isascii() else f"output{number}"
+
+
+def chosen(names: Sequence[str], asked: str | None, kind: str) -> str:
+    """The name asked for, the first one where none is.
+
+    Raises
+    ------
+    InputError
+        No such name, or nothing there.
+    """
+    from robustlab.errors import InputError, did_you_mean
+
+    if not names:
+        raise InputError(f"plot: {kind}", "nothing to draw", f"a result with one {kind} at least")
+    if asked is None:
+        return names[0]
+    if asked not in names:
+        hint = did_you_mean(asked, list(names))
+        raise InputError(f"plot: {kind} {asked!r}", f"no such {kind}", f"one of {', '.join(names)}", hint)
+    return asked
 
 
 def _power_of_ten(value: float) -> str:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.errors import InputError
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -24,8 +25,9 @@ from robustlab.report.figures import (
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
     from robustlab.mu_analysis.axis.critical_delta import Replay
+    from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
 
-__all__ = ["gain_figure", "mu_figure", "replay_figure", "shares_figure"]
+__all__ = ["sampled_figure", "margin_shares", "gain_figure", "mu_figure", "replay_figure", "shares_figure"]
 
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
@@ -38,16 +40,25 @@ def mu_figure(margin: Margin) -> Figure:
     omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
     with house_style():
         shown = _frame(axes, omega, margin.intervals)
-        axes.plot(omega[shown], upper[shown], color=COLOURS["nominal"], label="upper bound (proved by D, G)")
+        if shown.any():
+            axes.plot(omega[shown], upper[shown], color=COLOURS["nominal"], label="upper bound (proved by D, G)")
         found = shown & (lower > 0)
-        points = "lower bound (attained by an explicit Δ)"
-        axes.plot(omega[found], lower[found], ".", color=COLOURS["worst"], ms=4, label=points)
+        if found.any():
+            points = "lower bound (attained by an explicit Δ)"
+            axes.plot(omega[found], lower[found], ".", color=COLOURS["worst"], ms=4, label=points)
         peak = 1 / margin.upper if margin.upper > 0 else 0.0
         low, high = axes.get_xlim()
         if margin.frequency is not None and low <= margin.frequency <= high and peak > 0:
             axes.plot(margin.frequency, peak, "o", color=COLOURS["worst"], ms=6, label="peak of μ, attained")
+        level = 1 / margin.lower if margin.lower > 0 else float("inf")
+        if np.isfinite(level) and level > 0:
+            text = f"{level:.4g}: proved on the whole axis"
+            axes.axhline(level, color=COLOURS["good"], lw=1.1, label=text)
+            if any("as wide below as above" in note for note in margin.notes):
+                axes.set_title("curves: ranges as wide below as above; proved: as they are")
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
-        axes.set_ylim(0, 1.12 * max(1.0, peak, float(np.nanmax(upper[shown], initial=0.0))))
+        tall = [1.0, peak, level, float(np.nanmax(upper[shown], initial=0.0))]
+        axes.set_ylim(0, 1.12 * max(v for v in tall if np.isfinite(v)))
         axes.set_ylabel("structured singular value μ")
         legend_below(figure, (axes,), 2)
     return figure
@@ -75,7 +86,8 @@ def gain_figure(worst: WorstCaseGain) -> Figure:
 def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
     """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it."""
     shown = np.isfinite(omega) & (omega > 0)
-    low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
+    seen = omega[shown] if shown.any() else _edges(intervals)
+    low, high = float(seen.min()), float(seen.max())
     label: str | None = "proved for every frequency between"
     for start, stop, bound in intervals:
         edges = [max(start, low), min(stop, high)]
@@ -84,6 +96,15 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[n
             label = None
     frequency_axis(axes, (low, high))
     return shown
+
+
+def _edges(intervals: Sequence[Interval]) -> Array:
+    """The frame of a picture without curves: the ends of the proved intervals, a decade further where they go on."""
+    ends = [edge for start, stop, _ in intervals for edge in (start, stop)]
+    inner = [edge for edge in ends if 0 < edge < np.inf]
+    if not inner:
+        return np.array([0.1, 10.0])
+    return np.array([min(inner) / 10, max(inner) * (10 if np.inf in ends else 1)])
 
 
 def shares_figure(shares: Mapping[str, float]) -> Figure:
@@ -117,3 +138,21 @@ def replay_figure(replay: Replay, shown: int = 4) -> Figure:
         panels[-1].set_xlabel("time [s]")
         legend_below(figure, panels[:1], 3)
     return figure
+
+
+def margin_shares(margin: Margin) -> Figure:
+    """Shares of a margin's blocks.
+
+    Raises
+    ------
+    InputError
+        The margin has none: its critical pole is not simple, or the loop is ill-posed there.
+    """
+    if not margin.shares:
+        raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
+    return shares_figure(margin.shares)
+
+
+def sampled_figure(found: SampledRobustness) -> Figure:
+    """Bounds of mu of a sampled loop: those of robust performance, or of stability where there is none."""
+    return mu_figure(found.performance or found.stability)

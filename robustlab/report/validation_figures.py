@@ -8,11 +8,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from robustlab.errors import InputError
 from robustlab.identification.comparison.envelope import SignalCoverage
 from robustlab.identification.validation import Validation
+from robustlab.identification.validation.data_cover import DataCover
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
+    chosen,
     frequency_axis,
     house_style,
     legend_below,
@@ -21,15 +24,14 @@ from robustlab.report.figures import (
     plain_label,
 )
 
-__all__ = ["envelope_figure", "validation_figure", "validation_figures"]
+__all__ = ["record_of", "delta_of", "cover_record", "envelope_figure", "validation_figure", "validation_figures"]
 
 
 def validation_figures(found: Validation) -> dict[str, Figure]:
     """All figures of a validation: one for each output, and ``delta`` in the frequency domain."""
     figures = {}
     for name, _ in found.outputs:
-        measured_response = found.domain == "frequency" and found.noise_norm == "peak"
-        figures[name] = _response_figure(found, name) if measured_response else validation_figure(found, name)
+        figures[name] = record_of(found, name)
     if found.domain == "frequency" and np.isfinite(found.upper):
         figures["delta"] = _size_figure(found)
     return figures
@@ -73,7 +75,7 @@ def _response_figure(found: Validation, output: str) -> Figure:
         logarithmic(axes.yaxis)
         axes.set_ylabel(f"|{plain_label(output)}| per input")
         axes.set_title(plain_label(f"{found.record}: {found.verdict}"))
-        figure.legend(loc="outside lower center", ncols=3)
+        legend_below(figure, (axes,), 3)
     return figure
 
 
@@ -89,7 +91,7 @@ def _size_figure(found: Validation) -> Figure:
         axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
         axes.set_ylabel("size of the block")
         axes.set_title(plain_label(f"{found.record}: the Delta that explains it"))
-        figure.legend(loc="outside lower center", ncols=5)
+        legend_below(figure, (axes,), 5)
     return figure
 
 
@@ -112,3 +114,33 @@ def envelope_figure(signal: SignalCoverage) -> Figure:
         below.set_xlabel("time [s]")
         legend_below(figure, (below,), 4)
     return figure
+
+
+# --- single drawings --------------------------------------------------------------------------------------------------
+
+
+def record_of(found: Validation, output: str | None = None) -> Figure:
+    """One output of the record beside the nominal model and the explanation."""
+    name = chosen([name for name, _ in found.outputs], output, "output")
+    measured_response = found.domain == "frequency" and found.noise_norm == "peak"
+    return _response_figure(found, name) if measured_response else validation_figure(found, name)
+
+
+def delta_of(found: Validation) -> Figure:
+    """Size of each block over frequency.
+
+    Raises
+    ------
+    InputError
+        A validation in the time domain, or no Delta explains the record.
+    """
+    if found.domain != "frequency" or not np.isfinite(found.upper):
+        raise InputError(
+            "plot('delta')", f"domain {found.domain}, gamma {found.upper:.4g}", "a finite one over frequency"
+        )
+    return _size_figure(found)
+
+
+def cover_record(found: DataCover, record: str | None = None, output: str | None = None) -> Figure:
+    """How a set explains one of its records."""
+    return record_of(found.validations[chosen(list(found.validations), record, "record")], output)

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
+from robustlab.errors import InputError
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -26,6 +27,7 @@ from robustlab.worst_case_analysis.influence import Influence
 from robustlab.worst_case_analysis.statistics import ViolationProbability
 
 __all__ = [
+    "violation_influence",
     "distribution_figure",
     "exceedance_figure",
     "influence_figure",
@@ -226,3 +228,16 @@ def exceedance_figure(
         axes.legend(loc="best")
     logarithmic(axes.yaxis)
     return figure
+
+
+def violation_influence(found: ViolationProbability) -> Figure:
+    """Which parameters matter for a limited metric.
+
+    Raises
+    ------
+    InputError
+        Too few samples to tell, or blocks that are not real scalars.
+    """
+    if found.influence is None:
+        raise InputError("plot('influence')", "no influences", "32 samples at least, and real scalar blocks")
+    return influence_figure(found.influence, found.metric)

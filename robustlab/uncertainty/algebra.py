@@ -19,10 +19,12 @@ import numpy as np
 
 from robustlab.errors import InputError
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number
+from robustlab.signals import same_units
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.interconnection import Wiring
-from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product, same_units
+from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
 from robustlab.uncertainty.reduction import reduced
 
 __all__ = ["Reduction", "reduction", "beside", "centred", "lower", "series", "stacked", "star", "upper"]
@@ -254,7 +256,7 @@ def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Reduction:
+class Reduction(Shown):
     """A reduced set, and the evidence that its input-output behaviour is that of the given one.
 
     Attributes
@@ -284,6 +286,16 @@ class Reduction:
     difference: float
     points: int
     status: Status
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        sizes = [f"{name} {size} -> {self.after.get(name, 0)}" for name, size in self.before.items()]
+        return [
+            ("sizes", listed(sizes)),
+            ("set", repr(self.model)),
+            ("invariance", number(self.invariance)),
+            ("difference", f"{number(self.difference)} at {self.points} points"),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """Sizes and evidence; the model as its own plain types."""

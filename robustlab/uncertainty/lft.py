@@ -9,18 +9,20 @@ Březina 2010, sections 4.4-4.5; Zhou, Doyle, Glover, *Robust and Optimal Contro
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
+from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft, real_array
+from robustlab.shown import Facts, Shown, listed, number, with_units
+from robustlab.signals import Signal, is_constant, is_number, names_of, picked, real_array, same_units
+from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, is_rank_deficient, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
 from robustlab.uncertainty.dynamic_blocks import weighted
 from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, wired
@@ -35,12 +37,11 @@ __all__ = [
     "inverse",
     "parallel",
     "product",
-    "same_units",
 ]
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class UncertainModel(Traced):
+class UncertainModel(TransferMatrix, Shown, Traced):
     r"""A set of models ``F_u(M, Delta)`` over all block-diagonal Delta with normalised blocks; immutable.
 
     Parameters
@@ -208,33 +209,23 @@ class UncertainModel(Traced):
             said.append(text)
         return "Delta: " + (", ".join(said[:12]) + (", ..." if len(said) > 12 else "") or "none")
 
-    # --- algebra: the functions below ---------------------------------------------------------------------------------
+    # --- algebra: the functions below; the operators are those of `TransferMatrix` -----------------------------------
 
-    __array_ufunc__ = None  # numpy arrays on the left leave the operation to us
+    operator_rank = 1  # a set and a model make a set
 
-    def __matmul__(self, other: Any) -> UncertainModel:
-        """``self @ other``: the product of the transfer matrices; ``other`` comes first in the signal's way."""
-        return product(self, other)
+    def _product(self, second: Any, first: Any) -> UncertainModel:
+        return product(second, first)
 
-    def __rmatmul__(self, other: Any) -> UncertainModel:
-        return product(other, self)
+    def _sum(self, first: Any, second: Any, sign: int) -> UncertainModel:
+        return parallel(first, second, sign)
 
-    __mul__, __rmul__ = __matmul__, __rmatmul__
+    def _identity(self) -> UncertainModel:
+        return as_uncertain(self.nominal**0)
 
-    def __add__(self, other: Any) -> UncertainModel:
-        return parallel(self, other)
-
-    def __radd__(self, other: Any) -> UncertainModel:
-        return parallel(other, self)
-
-    def __sub__(self, other: Any) -> UncertainModel:
-        return parallel(self, other, sign=-1)
-
-    def __rsub__(self, other: Any) -> UncertainModel:
-        return parallel(other, self, sign=-1)
-
-    def __neg__(self) -> UncertainModel:
-        return product(-1.0, self)
+    def __getitem__(self, key: Any) -> UncertainModel:
+        """``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks and states are kept."""
+        outputs, inputs = picked(key, self.nominal.output_names, self.nominal.input_names)
+        return self.select(inputs, outputs)
 
     def inverse(self) -> UncertainModel:
         """The set of the inverses; see `robustlab.uncertainty.lft.inverse`."""
@@ -344,6 +335,24 @@ class UncertainModel(Traced):
         data: dict[str, object] = {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
         return {**data, "sampled": list(self.sampled)} if self.sampled else data
 
+    def facts(self) -> Facts:
+        """Signals with units, states, and what is uncertain."""
+        ranges = [
+            f"{b.name} {number(b.parameter.low)} .. {number(b.parameter.high, b.parameter.unit)}"
+            if b.parameter
+            else b.name
+            for b in self.blocks
+        ]
+        return [
+            ("time", f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"),
+            ("inputs", with_units(self.inputs)),
+            ("outputs", with_units(self.outputs)),
+            ("states", str(self.M.n_states)),
+            (f"{len(self.blocks)} blocks", listed(ranges) or "no uncertainty"),
+            ("Delta", " x ".join(map(str, self.delta_shape))),
+            ("held by samples only", listed(self.sampled)),
+        ]
+
     def __repr__(self) -> str:
         kinds = [type(b).__name__ for b in self.blocks]
         count = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds)) or "no uncertainty"
@@ -365,7 +374,7 @@ def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
     """
     if isinstance(system, UncertainModel):
         return system
-    if isinstance(system, (int, float, list, tuple, np.ndarray, np.number)) and not isinstance(system, bool):
+    if is_constant(system):
         gain = real_array("gain", system, 2, where)
         return UncertainModel(StateSpaceModel([], [], [], gain, 0.0, where=where), ())
     model = as_model(system, where)
@@ -399,17 +408,17 @@ def product(second: Any, first: Any) -> UncertainModel:
     >>> twice.evaluate({"k": 1.0}).D
     array([[2.2]])
     """
-    if _is_number(second):
+    if is_number(second):
         second = float(second) * np.eye(len(as_uncertain(first, "product").outputs))
-    elif _is_number(first):
+    elif is_number(first):
         first = float(first) * np.eye(len(as_uncertain(second, "product").inputs))
     g2, g1 = as_uncertain(second, "product"), as_uncertain(first, "product")
     n_v, n_m, n_o = len(g1.inputs), len(g1.outputs), len(g2.outputs)
     if n_m != len(g2.inputs):
         raise InputError("product", f"{n_m} outputs into {len(g2.inputs)} inputs", "equal numbers")
     same_units("product", zip(g1.outputs, g2.inputs, strict=True))
-    inputs = _names_of(second, first, g1.inputs, g2.inputs)
-    outputs = _names_of(first, second, g2.outputs, g1.outputs)
+    inputs = names_of(second, first, g1.inputs, g2.inputs)
+    outputs = names_of(first, second, g2.outputs, g1.outputs)
     wiring = Wiring(
         K=np.block([[np.zeros((n_v, n_m + n_o))], [np.eye(n_m), np.zeros((n_m, n_o))]]),
         E=np.vstack([np.eye(n_v), np.zeros((n_m, n_v))]),
@@ -445,7 +454,7 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
         E=np.vstack([np.eye(n_u), np.eye(n_u)]),
         F=np.hstack([np.eye(n_y), sign * np.eye(n_y)]),
     )
-    inputs, outputs = _names_of(second, first, a.inputs, b.inputs), _names_of(second, first, a.outputs, b.outputs)
+    inputs, outputs = names_of(second, first, a.inputs, b.inputs), names_of(second, first, a.outputs, b.outputs)
     return interconnected([a, b], wiring, inputs, outputs, "parallel")
 
 
@@ -463,7 +472,7 @@ def feedback(forward: Any, back: Any = 1.0, sign: int = -1) -> UncertainModel:
         raise InputError("feedback", f"sign {sign!r}", "1 or -1")
     g = as_uncertain(forward, "feedback")
     n_u, n_y = len(g.inputs), len(g.outputs)
-    if _is_number(back):
+    if is_number(back):
         if n_u != n_y:
             raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
         back = float(back) * np.eye(n_u)
@@ -503,7 +512,7 @@ def inverse(system: Any) -> UncertainModel:
         raise InputError("inverse", f"{n_y} x {n_u}", "a square model")
     m, (q, p) = g.M, g.delta_shape
     d22 = m.D[p:, q:]
-    if n_u and _is_rank_deficient(d22):
+    if n_u and is_rank_deficient(d22):
         found = "D is singular at Delta = 0 (every block at its nominal value): the inverse is not proper"
         raise NoTrustworthyNumber("inverse", found)
     # u = D22^-1 (y - C2 x - D21 w)
@@ -533,41 +542,3 @@ def interconnected(
 def _numbered(index: int, system: StateSpaceModel) -> tuple[list[str], list[str]]:
     """Signal names that no other part of an appended system has."""
     return [f"z{index}.{j}" for j in range(system.n_inputs)], [f"w{index}.{j}" for j in range(system.n_outputs)]
-
-
-def _is_number(operand: Any) -> bool:
-    return isinstance(operand, (int, float, np.number)) and not isinstance(operand, bool)
-
-
-def _is_constant(operand: Any) -> bool:
-    return isinstance(operand, (int, float, list, tuple, np.ndarray, np.number))
-
-
-def _names_of(other: Any, owner: Any, signals: Sequence[Signal], others: Sequence[Signal]) -> Sequence[Signal]:
-    """The signals of ``owner``; those of the other operand where the owner is a constant and the sizes are equal."""
-    return others if _is_constant(owner) and not _is_constant(other) and len(others) == len(signals) else signals
-
-
-def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:
-    """Refuse signals that meet with different units.
-
-    Raises
-    ------
-    UnitMismatch
-        Both have a unit, and the units differ.
-    """
-    for one, other in pairs:
-        if one.unit and other.unit and one.unit != other.unit:
-            found = f"{one.name} [{one.unit}] meets {other.name} [{other.unit}]"
-            raise UnitMismatch(where, found, "equal units")
-
-
-def _is_rank_deficient(matrix: Array) -> bool:
-    """Whether a square matrix is singular, its rows and columns brought to one size first."""
-    scaled = matrix.copy()
-    for axis in (1, 0, 1):
-        size = np.abs(scaled).max(axis=axis, keepdims=True)
-        if not size.all():
-            return True
-        scaled = scaled / size
-    return not np.linalg.cond(scaled) <= 1e12

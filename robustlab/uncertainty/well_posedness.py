@@ -28,6 +28,7 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, member, number
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
@@ -43,7 +44,7 @@ SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class WellPosedness:
+class WellPosedness(Shown):
     """Answer to the question of this module.
 
     Attributes
@@ -78,6 +79,17 @@ class WellPosedness:
     bound: float
     boxes: int
     label: str
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        answer = {True: "yes, every member", False: "no", None: "open"}[self.well_posed]
+        return [
+            ("well posed", answer),
+            ("level", number(self.level)),
+            ("singular at", member(self.delta, self.parameters)),
+            ("bound", number(self.bound)),
+            ("said", self.label),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """All attributes as plain types."""

@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.shown import Facts, Shown, listed, number
+from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.metrics import MetricBatch
 from robustlab.worst_case_analysis.tuning import TUNING
 
@@ -32,7 +34,7 @@ FEWEST_SAMPLES = 32
 
 
 @dataclass(frozen=True)
-class Influence:
+class Influence(Tabular, Shown):
     """Influence of each real parameter on a metric, from samples.
 
     Attributes
@@ -100,6 +102,22 @@ class Influence:
         """1 where the metric grows with a parameter, -1 where it falls, 0 where neither can be told from chance."""
         clear = np.abs(self.rank_coefficients) > 3.0 / np.sqrt(self.n)
         return np.where(clear, np.sign(self.rank_coefficients), 0).astype(int)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        shares = [f"{self.names[k]} {100 * self.first_order[k]:.0f} %" for k in self.order]
+        return [
+            ("share of the spread", listed(shares)),
+            ("may be chance up to", f"{100 * self.noise:.2g} %"),
+            ("worst sample", number(self.worst_value, self.unit)),
+            ("nominal", number(self.nominal_value, self.unit)),
+            ("samples", str(self.n)),
+        ]
+
+    def table(self) -> Table:
+        """A row for each parameter: its share of the spread, the metric without its change, and with it alone."""
+        columns = {"first_order": self.first_order, "restored": self.restored, "alone": self.alone}
+        return Table(("parameter", self.names), columns, {"restored": self.unit, "alone": self.unit})
 
     def to_json(self) -> dict[str, object]:
         """All fields, and the order."""

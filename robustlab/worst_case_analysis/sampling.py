@@ -15,7 +15,9 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
@@ -36,7 +38,7 @@ MAX_NUMBERS = 64_000_000
 
 
 @dataclass(frozen=True)
-class Samples:
+class Samples(Tabular, Shown):
     """Members of an uncertain model: seeded random ones first, then vertices.
 
     Attributes
@@ -130,13 +132,31 @@ class Samples:
         drive, start = _asked(self.uncertain, t, u, x0, hold, "stream")
         return stream(self.uncertain, self.deltas, drive, start, hold, quantiles, workers)
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
+            ("set", repr(self.uncertain)),
+            ("blocks", listed(b.name for b in self.uncertain.blocks)),
+        ]
+
+    def table(self) -> Table:
+        """A row for each sample: parameters in their units where they are known, else normalised values."""
+        known = {b.name: b for b in self.uncertain.blocks if b.parameter is not None}
+        scalar = [b.name for b in self.uncertain.blocks if b.is_scalar]
+        rows = list(self.deltas)
+        columns = {name: np.array([np.ravel(row[name])[0] for row in rows]) for name in scalar}
+        values = {name: [b.parameter.value(float(np.real(v))) for v in columns[name]] for name, b in known.items()}
+        units = {name: b.parameter.unit for name, b in known.items()}
+        return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
+
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
 
 
 @dataclass(frozen=True, eq=False)
-class PlantSamples:
+class PlantSamples(Shown):
     """Members of a nonlinear plant whose parameters have tolerances: seeded random ones first, then vertices.
 
     Attributes
@@ -199,13 +219,20 @@ class PlantSamples:
         sides = self.plant.inputs, self.plant.outputs
         return Responses(drive.t, drive.u, y, nominal, lower, upper, worst, self.deltas, *sides, (), Status.CONVERGED)
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
+            ("plant", self.plant.name),
+        ]
+
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
 
 
 @dataclass(frozen=True)
-class Responses:
+class Responses(Shown):
     """Time responses of samples, and the envelope of them and the nominal response.
 
     Attributes
@@ -253,6 +280,17 @@ class Responses:
     def peak_deviation(self) -> Array:
         """For each output the largest ``|y - nominal|`` over samples and time, shape (n_y,)."""
         return np.maximum(self.upper - self.nominal, self.nominal - self.lower).max(axis=0)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        deviations = zip(self.outputs, self.peak_deviation, strict=True)
+        return [
+            ("members", f"{len(self.deltas)}, {len(self.t)} times to {number(float(self.t[-1]), 's')}"),
+            ("outputs", with_units(self.outputs)),
+            ("largest deviation", listed(f"{s.name} {number(float(value), s.unit)}" for s, value in deviations)),
+            ("unstable", f"{len(self.unstable)} members" if self.unstable else ""),
+            ("said", self.label),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """All fields; the single responses ``y`` are left out, they follow from the Deltas."""

@@ -20,6 +20,7 @@ from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -39,7 +40,7 @@ UNBOUNDED = "attained: this member has no bounded value"
 
 
 @dataclass(frozen=True)
-class WorstCase:
+class WorstCase(Shown):
     """The worst member that a search found.
 
     Attributes
@@ -96,6 +97,19 @@ class WorstCase:
     spectral_abscissa: float
     seed: int
     gradients: int = 0
+
+    def facts(self) -> Facts:
+        """The worst value with its unit, the member that has it, and what the value is."""
+        name, _, unit = self.location.partition(" [")
+        return [
+            (self.metric, number(self.value, self.unit)),
+            ("nominal", number(self.nominal_value, self.unit)),
+            ("worst member", member(self.delta, self.physical)),
+            ("at", f"{name} = {number(self.at, unit.rstrip(']'))}" if name and number(self.at) else ""),
+            ("said", self.label),
+            ("evaluated", f"{self.evaluations} members, seed {self.seed}"),
+            ("input, output", ", ".join(name for name in (self.input, self.output) if name)),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """All fields."""

@@ -29,7 +29,9 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import is_count
 from robustlab.worst_case_analysis.influence import FEWEST_SAMPLES, Influence, influence_of
@@ -152,7 +154,7 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
 
 
 @dataclass(frozen=True)
-class ViolationProbability:
+class ViolationProbability(Tabular, Shown):
     """How probable it is that a sampled member violates a limit.
 
     Attributes
@@ -216,6 +218,25 @@ class ViolationProbability:
     status: Status
     notes: tuple[str, ...] = ()
     label: str = LABEL
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        beyond = "above" if self.sense > 0 else "below"
+        span = f"{number(self.lower)} .. {number(self.upper)} at {100 * self.confidence:g} % confidence"
+        wanted = "" if self.wanted is None else f"at most {self.wanted:g}: {'shown' if self.shown else 'not shown'}"
+        return [
+            ("probability", f"{span}; {self.violations} of {self.n} samples"),
+            ("of", f"{self.metric} {beyond} {number(self.limit, self.unit)}"),
+            ("wanted", wanted),
+            ("worst sample", f"{number(self.worst_value, self.unit)}: {member(self.worst_delta)}"),
+            ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
+            *(("note", note) for note in self.notes),
+            ("said", self.label),
+        ]
+
+    def table(self) -> Table:
+        """The metric of every sample."""
+        return Table(("sample", np.arange(self.n)), {self.metric: self.values}, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, object]:
         """All fields but the single values, which follow from the seed; quantiles as mappings."""

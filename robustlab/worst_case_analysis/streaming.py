@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import Signal
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
@@ -28,7 +29,7 @@ LABEL = "sampled: the true envelope may be wider"
 
 
 @dataclass(frozen=True)
-class StreamedResponses:
+class StreamedResponses(Shown):
     """Statistics of time responses over samples; the responses themselves are not kept.
 
     Attributes
@@ -81,6 +82,18 @@ class StreamedResponses:
     outputs: tuple[Signal, ...]
     status: Status
     label: str = LABEL
+
+    def facts(self) -> Facts:
+        """Size, outputs with units, largest deviations."""
+        deviations = zip(self.outputs, self.peak_deviation, strict=True)
+        return [
+            ("members", f"{self.n} and {self.vertices} vertices, seed {self.seed}"),
+            ("times", f"{len(self.t)} to {number(float(self.t[-1]), 's')}"),
+            ("outputs", with_units(self.outputs)),
+            ("largest deviation", listed(f"{s.name} {number(float(value), s.unit)}" for s, value in deviations)),
+            ("unstable", f"{self.unstable} members" if self.unstable else ""),
+            ("said", self.label),
+        ]
 
     def to_json(self) -> dict[str, object]:
         """All fields."""

@@ -84,7 +84,7 @@ def test_broken_assumptions_are_named_with_their_meaning():
     assert "zero on the axis at 2 rad/s" in text
     assert "swing" in text
     assert design.status is Status.CERTIFIED
-    assert ("regularised, because", design.assumptions[0]) in design.summary()
+    assert ("regularised, because", design.assumptions[0]) in design.facts()
 
 
 def test_regular_plant_breaks_no_assumption():

@@ -46,7 +46,7 @@ def test_states_that_do_not_matter_go_and_the_loop_is_proved_anew(design):
     assert lines[0].startswith("order 4: hinf ")
     assert small.K.input_names == ("y",)
     assert small.K.output_names == ("u",)
-    labels = dict(small.summary())
+    labels = dict(small.facts())
     assert labels["measure"] == "H-infinity norm"
     assert "->" in labels["order"]
     data = plain(small)

@@ -174,7 +174,7 @@ def test_progress_says_the_norm():
 
 def test_the_result_is_readable_and_plain():
     design = rl.fixed_structure(noisy_lag(1, 1), "pi", n_meas=1, n_con=1, starts=0)
-    rows = dict(design.summary())
+    rows = dict(design.facts())
     assert "verified upper bound" in rows["gamma"]
     assert rows["starts"].startswith("1, of which 1 stabilised")
     assert "Kp[1]" in rows

@@ -156,7 +156,7 @@ def test_static_plant():
 
 def test_json_and_summary():
     design = ncf(DISTURBED, PI, factor=1.2)
-    assert dict(design.summary())["smallest gamma possible"].startswith("2.33877")
+    assert dict(design.facts())["smallest gamma possible"].startswith("2.33877")
     assert design.to_json()["factor"] == 1.2
 
 

@@ -78,7 +78,7 @@ def test_random_plants_with_d22_keep_the_bound_in_the_rebuilt_loop(dt):
     assert design.h2_optimum == pytest.approx(alone, rel=1e-9)
     assert alone * (1 - 1e-9) <= design.gamma < 2 * alone
     assert any(line.startswith("level") for line in lines) or design.gamma == pytest.approx(alone)
-    assert dict(design.summary())["H-infinity norm"]
+    assert dict(design.facts())["H-infinity norm"]
     assert design.to_json()["bound"] == gamma
 
 

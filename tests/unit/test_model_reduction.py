@@ -208,7 +208,7 @@ def test_to_json_and_summary_carry_the_evidence():
     assert data["order"] == 2
     assert data["full_order"] == 4
     assert data["error"]["upper"] <= data["bound"] * (1 + 1e-6)
-    labels = dict(found.summary())
+    labels = dict(found.facts())
     assert labels["order"] == "2 of 4 states"
     assert "promised" in labels["error"]
 

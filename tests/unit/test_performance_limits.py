@@ -33,7 +33,7 @@ def test_siso_zero_and_pole_by_hand():
     assert limits.complementary_peak == pytest.approx(2.0)
     assert limits.sensitivity_integral == pytest.approx(np.pi)
     assert (limits.bandwidth_above, limits.bandwidth_below) == pytest.approx((2.0, 1.5))
-    text = " ".join(limits.summary())
+    text = " ".join(limits.sentences())
     assert "1 zero in the right half plane: 3" in text
     assert "no room" in text
 
@@ -133,14 +133,14 @@ def test_delay_and_unstable_pole():
     limits = performance_limits(lag, delay=0.1)
     assert limits.complementary_peak == pytest.approx(np.exp(0.2))
     assert limits.bandwidth_below == pytest.approx(10.0)
-    assert any("Delay of 0.1 s" in line for line in limits.summary())
+    assert any("Delay of 0.1 s" in line for line in limits.sentences())
 
 
 def test_a_well_behaved_plant_has_no_limit():
     limits = performance_limits(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
     assert (limits.sensitivity_peak, limits.complementary_peak, limits.control_peak) == (1.0, 1.0, 0.0)
     assert limits.bandwidth_below == np.inf
-    assert limits.summary()[0].startswith("No zero and no pole")
+    assert limits.sentences()[0].startswith("No zero and no pole")
     assert performance_limits(StateSpaceModel([], [], [], [[2.0]])).sensitivity_peak == 1.0
 
 

@@ -38,7 +38,7 @@ def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
     assert found.norm.held == ("n",)
     again = rl.sampled_data_norm(LOW, found.K, n_meas=1, n_con=1)
     assert again.upper == pytest.approx(found.gamma, rel=1e-9)
-    labels = dict(found.summary())
+    labels = dict(found.facts())
     assert labels["taken as constant between samples"] == "n"
     assert "tustin: " in labels["loss by method"]
     data = plain(found)

@@ -39,7 +39,7 @@ def test_the_margin_of_a_first_order_lag_is_the_closed_form():
     assert again.lower == pytest.approx(robust.margin, rel=2e-3)
     data = plain(robust)
     assert (data["status"], data["margin"]) == ("certified", robust.margin)
-    assert ("status", "certified") in robust.summary()
+    assert ("status", "certified") in robust.facts()
 
 
 @pytest.fixture

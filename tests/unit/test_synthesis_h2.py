@@ -122,7 +122,7 @@ def test_singular_plant_reports_what_was_added():
         "control u has no penalty of its own",
         "measurement q measured has no noise of its own",
     )
-    assert "regularisation" in dict(design.summary())
+    assert "regularisation" in dict(design.facts())
     assert lines[0].startswith("regularisation 1e-01: H2 norm")
     assert design.to_json()["regularisation"] == design.regularisation
 

@@ -124,7 +124,7 @@ def test_a_clock_that_ends_the_search_is_told(name: str, looks: int, monkeypatch
     found = make()
     assert found.status is Status.TIMEOUT
     assert NOT_REPEATABLE in found.reason
-    assert ("how", found.reason) in found.summary()
+    assert ("how", found.reason) in found.facts()
 
 
 def test_without_a_limit_nobody_looks_at_the_clock_to_decide(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,6 +51,7 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
@@ -60,7 +61,7 @@ __all__ = ["EffectBlocks", "NoiseInput", "effect_blocks", "with_forces"]
 
 
 @dataclass(frozen=True, eq=False)
-class EffectBlocks:
+class EffectBlocks(Shown):
     """A plant with effects as an uncertain model.
 
     Attributes
@@ -98,6 +99,16 @@ class EffectBlocks:
     def summary(self) -> str:
         """One line for each block, input and effect that is left out."""
         return "\n".join([*(f"{name}: {origin}" for name, origin in self.origins.items()), *self.rest()])
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("set", repr(self.model)),
+            ("blocks", listed(self.origins)),
+            ("inputs for errors", listed(f"{n.name} {number(n.bound, n.unit)}" for n in self.noise)),
+            ("not in it", listed(self.left_out)),
+            ("harmonic balance only", listed(self.approximate)),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes and the origins."""

@@ -44,6 +44,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.result import Status
+from robustlab.shown import listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
 __all__ = ["ExtendedEquations", "Holding", "HoldingTrim", "LeftOut", "extended_model"]
@@ -161,7 +162,7 @@ class ExtendedEquations(SteppedPlant):
         }
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.plant!r} with {', '.join(map(repr, self.effects))})"
+        return f"{type(self).__name__}({self.plant!r} with {listed(map(repr, self.effects), 3)})"
 
     # --- rates and outputs -------------------------------------------------------------------------------------------
 

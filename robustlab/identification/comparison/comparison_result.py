@@ -17,6 +17,8 @@ from robustlab.identification.comparison.residual_tests import InputCorrelation,
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, number
+from robustlab.tables import Table, Tabular
 
 __all__ = ["Comparison", "FreeRun", "Linearisation", "OutputGap", "ResidualTests", "WindowErrors"]
 
@@ -155,7 +157,7 @@ class Linearisation(Evidence):
 
 
 @dataclass(frozen=True)
-class Comparison(Evidence):
+class Comparison(Tabular, Evidence):
     """Result of `compare`.
 
     Attributes
@@ -246,6 +248,28 @@ class Comparison(Evidence):
     def summary(self) -> str:
         """The result as a few lines of text."""
         return _text(self)
+
+    def facts(self) -> Facts:
+        """What was compared, and the error of each output in windows."""
+        gaps = [
+            (name, f"rms error {number(g.windowed_rms, g.unit)} ({g.windowed_rms_percent:.3g} % of its range)")
+            for name, g in self.outputs.items()
+        ]
+        end = "" if self.free_run.whole else f"ends at {number(self.free_run.end, 's')}: {self.free_run.reason}"
+        return [
+            ("model", self.model),
+            ("record", f"{self.record}: {self.measured.n} samples, {number(self.measured.duration, 's')}"),
+            *gaps,
+            ("windows", f"of {number(self.window, 's')}, each from its best start"),
+            ("free run", end),
+            *(("warning", text) for text in self.warnings),
+        ]
+
+    def table(self) -> Table:
+        """A row for each output: sizes of its error in its unit."""
+        names = ("range", "rms", "peak", "fit", "windowed_rms", "windowed_peak", "windowed_fit", "unit")
+        columns = {key: [getattr(gap, key) for gap in self.outputs.values()] for key in names}
+        return Table(("output", list(self.outputs)), columns, {"fit": "%", "windowed_fit": "%"})
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` the time series and the densities over frequency are left out."""

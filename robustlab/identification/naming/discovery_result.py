@@ -20,6 +20,8 @@ from robustlab.identification.naming.discovery_parts import (
     wave_amplitude,
 )
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, listed, number
+from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
@@ -37,7 +39,7 @@ Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
 
 @dataclass(frozen=True)
-class Discovery(Evidence):
+class Discovery(Tabular, Evidence):
     """Result of `robustlab.identification.naming.discovery.discover`.
 
     Attributes
@@ -166,6 +168,33 @@ class Discovery(Evidence):
     def summary(self, details: bool = False) -> str:
         """The result as a few lines of text; with ``details`` everything that it rests on."""
         return _text(self, details)
+
+    def facts(self) -> Facts:
+        """The verdict, the effects with their parameters, and the gap before and after."""
+        named = [
+            (
+                in_words(e),
+                f"{chance(e.confidence)}; " + "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters),
+            )
+            for e in self.effects
+        ]
+        return [
+            ("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains"),
+            *named,
+            ("not told apart from", listed(r.title for r in self.rivals)),
+            ("error on held-out data", f"{_percent(self.gap_before)} -> {_percent(self.gap_after)} of the range"),
+            ("plant", self.plant),
+            ("records", listed(self.records)),
+            ("time", number(self.seconds, "s")),
+        ]
+
+    def table(self) -> Table:
+        """A row for each parameter of a named effect, with its 95 % interval."""
+        rows = [(e, p) for e in self.effects for p in e.parameters]
+        columns = {"effect": [e.name for e, _ in rows], "site": [e.site for e, _ in rows]}
+        values = {key: [getattr(p, key) for _, p in rows] for key in ("value", "lower", "upper", "unit")}
+        probability = {"probability": [e.confidence for e, _ in rows]}
+        return Table(("parameter", [p.name for _, p in rows]), {**columns, **values, **probability})
 
     def to_json(self, series: bool = False) -> dict[str, object]:
         """All fields but the plant object; the time series only on request."""

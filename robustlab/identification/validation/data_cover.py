@@ -28,6 +28,7 @@ from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.identification.validation.tuning import TUNING, ValidationTuning
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, listed, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, product
@@ -93,6 +94,21 @@ class DataCover(Evidence):
         lines += [f"load {x.name}: at most {x.bound:.4g} {x.unit}, {x.origin}" for x in self.loads]
         lines += [v.summary() for v in self.validations.values()]
         return "\n".join(lines)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        held = (
+            ""
+            if np.isnan(self.held_out)
+            else f"needs {number(self.held_out)}: {'explained' if self.passes else 'NOT explained'}"
+        )
+        return [
+            ("unmodelled dynamics", f"{number(self.radius)} of the input"),
+            ("needed by the records", f"{number(self.needed_lower)} .. {number(self.needed)}"),
+            ("held out", held),
+            ("loads", listed(f"{x.name} {number(x.bound, x.unit)}" for x in self.loads)),
+            ("records", listed(self.validations)),
+        ]
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields but the model; without ``series`` also without the time series of the validations."""

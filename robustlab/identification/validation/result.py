@@ -13,6 +13,8 @@ from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, listed, number
+from robustlab.tables import Table, Tabular
 
 __all__ = ["BlockSize", "Validation", "concluded", "each_alone", "in_own_units", "require_replay"]
 
@@ -54,7 +56,7 @@ class BlockSize(Evidence):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Validation(Evidence):
+class Validation(Tabular, Evidence):
     r"""The smallest scaling gamma of Delta with which an uncertain model could have produced a record.
 
     Attributes
@@ -168,6 +170,23 @@ class Validation(Evidence):
         lines += [f"assumed: {text}" for text in self.assumptions]
         lines += self.notes
         return "\n".join(lines)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        sizes = [f"{b.name} {number(b.size)}" for b in self.blocks.values()]
+        return [
+            ("record", self.record),
+            ("verdict", self.verdict),
+            ("smallest gamma", f"{number(self.lower)} .. {number(self.upper)}"),
+            ("sizes in the explanation", listed(sizes)),
+            ("noise left", f"{number(self.excess)} of its {self.noise_norm} bound"),
+            ("said", self.label),
+        ]
+
+    def table(self) -> Table:
+        """A row for each block: its size in the explanation, and what it needs alone."""
+        columns = {key: [getattr(b, key) for b in self.blocks.values()] for key in ("kind", "size", "lower", "upper")}
+        return Table(("block", list(self.blocks)), columns)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields but the re-check; without ``series`` also without time series, pulse responses and multipliers."""

@@ -36,7 +36,9 @@ from robustlab.identification.comparison.noise_floor import noise_floor
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.record import Record
 from robustlab.result import Evidence
+from robustlab.shown import Facts, listed, number
 from robustlab.statespace import Signal
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -48,7 +50,7 @@ SILENT = 1e-10
 
 
 @dataclass(frozen=True)
-class FrequencyData(Evidence):
+class FrequencyData(Tabular, Evidence):
     """A measured frequency response of one input.
 
     Attributes
@@ -105,6 +107,23 @@ class FrequencyData(Evidence):
                                 strict=True):  # fmt: skip
             object.__setattr__(self, field, value)
         self.__post_init__()
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("name", self.name),
+            ("from", self.input),
+            ("to", listed(self.outputs)),
+            (
+                "frequencies",
+                f"{len(self.omega)}, {number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}",
+            ),
+        ]
+
+    def table(self) -> Table:
+        """The response of every output."""
+        columns = {name: self.response[:, k] for k, name in enumerate(self.outputs)}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from robustlab.mu_analysis.matrix.certificate import certified_in_balls
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, listed, member, number
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -28,7 +30,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False)
-class Margin:
+class Margin(Tabular, Shown):
     """Robust stability margin: the model is stable for all Delta of norm below ``lower``, and not for ``delta``.
 
     Attributes
@@ -84,6 +86,25 @@ class Margin:
         """``upper / lower - 1``: how far the bounds are apart; inf where one of them says nothing."""
         return self.upper / self.lower - 1 if 0 < self.lower < np.inf and self.upper < np.inf else float("inf")
 
+    def facts(self) -> Facts:
+        """Both bounds with what they rest on, the critical member, what to tighten first."""
+        peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
+        ranked = sorted(self.shares.items(), key=lambda pair: -abs(pair[1]))
+        return [
+            ("margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("peak of mu", peak),
+            ("critical member", member(self.delta, self.physical)),
+            ("critical frequency", number(self.frequency, "rad/s")),
+            ("shares of the blocks", listed(f"{name} {100 * share:.0f} %" for name, share in ranked)),
+            ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
+            *(("note", note) for note in self.notes),
+        ]
+
+    def table(self) -> Table:
+        """Both bounds of mu over the frequencies that were asked for."""
+        columns = {"mu_lower": self.mu_lower, "mu_upper": self.mu_upper}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
+
     def to_json(self) -> dict[str, Any]:
         """All attributes but ``proof``; arrays stay arrays."""
         names = [name for name in self.__dataclass_fields__ if name != "proof"]
@@ -91,11 +112,15 @@ class Margin:
 
 
 @dataclass(frozen=True)
-class BallCheck:
+class BallCheck(Shown):
     """How many of the inequalities that were tried hold in ball arithmetic."""
 
     proved: int
     tried: int
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [("proved", f"{self.proved} of {self.tried} inequalities")]
 
     def to_json(self) -> dict[str, int]:
         """Both numbers."""

@@ -34,7 +34,9 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, po
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, member, number
 from robustlab.statespace import StateSpaceModel
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -45,7 +47,7 @@ PERFORMANCE = "performance"
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCaseGain:
+class WorstCaseGain(Tabular, Shown):
     """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency.
 
     Attributes
@@ -99,6 +101,22 @@ class WorstCaseGain:
         if self.lower == self.upper:
             return 0.0
         return self.upper / self.lower - 1 if self.lower > 0 else float("inf")
+
+    def facts(self) -> Facts:
+        """Both bounds with what they rest on, and the worst member."""
+        return [
+            ("worst gain", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("nominal gain", number(self.nominal)),
+            ("worst member", member(self.delta, self.physical)),
+            ("at", number(self.frequency, "rad/s")),
+            ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
+            *(("note", note) for note in self.notes),
+        ]
+
+    def table(self) -> Table:
+        """Nominal gain and both bounds over the frequencies that were asked for."""
+        columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
         """All attributes but ``proof``; arrays stay arrays."""

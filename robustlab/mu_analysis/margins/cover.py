@@ -12,6 +12,7 @@ Březina 2010, sections 4.2, 10.2; Zhou, Doyle, Glover, *Robust and Optimal Cont
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, cast, get_args
@@ -24,6 +25,7 @@ from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
@@ -40,7 +42,7 @@ Loop = Callable[[UncertainModel], UncertainModel]
 
 
 @dataclass(frozen=True)
-class Conservatism:
+class Conservatism(Shown):
     """Worst gain of a cover over that of the models it was made of.
 
     Attributes
@@ -68,13 +70,22 @@ class Conservatism:
     status: Status
     reason: str = ""
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("ratio", bracket(self.least, self.ratio, ("attained", "proved"))),
+            ("worst gain of the cover", bracket(self.cover_lower, self.cover_upper, ("attained", "proved"))),
+            ("largest gain of the models", f"{number(self.set_gain)} (model {self.set_model})"),
+            ("reason", self.reason),
+        ]
+
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
         return {"type": "Conservatism", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
-class Cover:
+class Cover(Shown):
     """An uncertain model that holds every model of a set.
 
     Attributes
@@ -145,6 +156,21 @@ class Cover:
                 + (f"; {c.reason}" if c.reason else "")
             )
         return "\n".join([*lines, *([self.reason] if self.reason else [])])
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        fit = (
+            "" if self.fit is None else f"order {self.fit.order}, {100 * self.fit.excess:.3g} % above the bound at most"
+        )
+        return [
+            ("form", f"{self.form}, {len(self.sizes)} models"),
+            ("set", repr(self.model)),
+            ("weight", fit),
+            ("largest delta", number(max(self.sizes, default=math.nan))),
+            ("largest miss", number(max(self.misses, default=math.nan)) if self.fit is None else ""),
+            ("conservatism", "" if self.conservatism is None else f"at most {number(self.conservatism.ratio)}"),
+            ("reason", self.reason),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

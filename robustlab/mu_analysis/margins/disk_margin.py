@@ -16,6 +16,7 @@ Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control System
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -32,6 +33,7 @@ from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
@@ -56,7 +58,7 @@ PLACES: tuple[Place, ...] = ("input", "output", "both")
 
 
 @dataclass(frozen=True, eq=False)
-class DiskBounds:
+class DiskBounds(Shown):
     """Bounds of a disk margin, and what the lower one guarantees.
 
     Attributes
@@ -82,6 +84,19 @@ class DiskBounds:
     def value(self) -> float:
         """The disk margin that is proved: ``lower``."""
         return self.lower
+
+    def facts(self) -> Facts:
+        """The margin, and the changes of gain and phase that it allows."""
+        low, high = self.gain_margin
+        with np.errstate(divide="ignore"):
+            decibels = [f"{20 * np.log10(factor):.3g}" if factor > 0 else "-inf" for factor in (low, high)]
+        phase = f"+-{number(self.phase_margin, 'rad')} ({number(math.degrees(self.phase_margin))} degrees)"
+        return [
+            ("disk margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("gain", f"factors {number(low)} .. {number(high)} ({decibels[0]} .. {decibels[1]} dB)"),
+            ("phase", phase),
+            ("skew", number(self.skew)),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; models stay models."""
@@ -125,9 +140,14 @@ class DiskMargin(DiskBounds):
     status: Status
     notes: tuple[str, ...] = ()
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        notes = [("note", note) for note in self.notes]
+        return [*super().facts(), ("critical frequency", number(self.frequency, "rad/s")), *notes]
+
 
 @dataclass(frozen=True, eq=False)
-class DiskMargins:
+class DiskMargins(Shown):
     """Disk margins of a loop: one channel at a time, and all at once.
 
     Attributes
@@ -149,6 +169,12 @@ class DiskMargins:
         """CERTIFIED where all are, else the first that is not."""
         every = [*self.channels.values(), self.simultaneous]
         return next((m.status for m in every if m.status is not Status.CERTIFIED), Status.CERTIFIED)
+
+    def facts(self) -> Facts:
+        """The margins of all loops at once and of each, gain and phase of the first."""
+        every = {"all at once": self.simultaneous, **self.channels}
+        bounds = [(name, bracket(m.lower, m.upper, ("proved", "attained"))) for name, m in every.items()]
+        return [("at", f"the plant's {self.at}"), *bounds, *self.simultaneous.facts()[1:]]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

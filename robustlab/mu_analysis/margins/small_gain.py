@@ -37,6 +37,7 @@ from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
@@ -45,7 +46,7 @@ __all__ = ["SmallGain", "fitting_controller", "peak_response", "replayed_pole", 
 
 
 @dataclass(frozen=True, eq=False)
-class SmallGain:
+class SmallGain(Shown):
     """Whether a loop is stable for every stable Delta of norm one, and by which factor.
 
     Attributes
@@ -80,6 +81,16 @@ class SmallGain:
     norm: HinfNorm
     M: StateSpaceModel
     status: Status
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        answer = {True: "yes, for every stable Delta of norm one", False: "no", None: "undecided"}[self.robustly_stable]
+        return [
+            ("robustly stable", answer),
+            ("margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("norm of the loop", bracket(self.norm.lower, self.norm.upper, ("attained", "proved"))),
+            ("at", number(self.frequency, "rad/s")),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""

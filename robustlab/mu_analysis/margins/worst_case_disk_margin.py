@@ -40,6 +40,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
+from robustlab.shown import Facts, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -77,6 +78,16 @@ class WorstCaseDiskMargin(DiskBounds):
     nominal: DiskMargin
     status: Status
     notes: tuple[str, ...] = ()
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            *super().facts()[:3],
+            ("worst member", member(self.delta, self.physical)),
+            ("nominal margin", number(self.nominal.lower)),
+            *super().facts()[3:],
+            *(("note", note) for note in self.notes),
+        ]
 
 
 @told_as("worst_case_disk_margin")

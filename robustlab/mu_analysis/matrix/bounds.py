@@ -19,13 +19,15 @@ from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, listed
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
 
 @dataclass(frozen=True, eq=False)
-class MuBounds:
+class MuBounds(Tabular, Shown):
     r"""Bounds of mu with what proves them; a stack of k matrices has a leading axis k everywhere.
 
     Attributes
@@ -68,6 +70,24 @@ class MuBounds:
     def __post_init__(self) -> None:
         if self.scaled is None:
             object.__setattr__(self, "scaled", self.upper)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        lower, upper = np.atleast_1d(self.lower), np.atleast_1d(self.upper)
+        k = int(np.argmax(upper)) if len(upper) else 0
+        told = bracket(float(lower[k]), float(upper[k]), ("attained", "proved")) if len(upper) else ""
+        return [
+            ("mu" if np.ndim(self.upper) == 0 else f"largest mu of {len(upper)} matrices", told),
+            ("of matrix", f"{k}, counted from 0" if np.ndim(self.upper) else ""),
+            ("blocks", listed(f"{b.name} {b.rows} x {b.cols}" for b in self.blocks)),
+            ("boxes", str(int(np.sum(self.boxes))) if np.any(self.boxes) else ""),
+            *(("note", note) for note in self.notes),
+        ]
+
+    def table(self) -> Table:
+        """Both bounds of every matrix."""
+        lower, upper = np.atleast_1d(self.lower), np.atleast_1d(self.upper)
+        return Table(("matrix", np.arange(len(upper))), {"lower": lower, "upper": upper})
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""

@@ -295,7 +295,7 @@ def designed(found: Any, summary: str, work: Workspace) -> Outcome:
     work.keep(found)
     numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
     numbers["stable"] = found.closed_loop_abscissa < 0
-    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.summary() if text)
+    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
     reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
     text = "\n".join(["What limits any controller of this plant:", *limits_in_words(found)])
     return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status, (), text)

@@ -132,7 +132,7 @@ def _with_robustness(
     }
     facts = (
         Fact("μ of robust performance, continuous", f"{mu['lower']:.4g} .. {mu['upper']:.4g} (attained .. proved)"),
-        *(Fact(f"Sampled: {label}", text) for label, text in after.summary()),
+        *(Fact(f"Sampled: {label}", text) for label, text in after.facts()),
     )
     statuses = [status for status in (outcome.status, before.status, after.status) if status is not None]
     sentence = f"{outcome.summary} mu of robust performance: {mu['upper']:.4g} before, {after.mu_upper:.4g} sampled."

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
 __all__ = ["DKStep", "DKSynthesis"]
@@ -47,7 +49,7 @@ class DKStep:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DKSynthesis(Synthesis):
+class DKSynthesis(Tabular, Synthesis):
     r"""A robust-performance design; ``gamma`` bounds the peak of mu of ``closed_loop`` over all frequencies.
 
     ``gamma < 1`` proves stability and a gain below one for every Delta of the structure with ``|Delta| <= 1``.
@@ -95,9 +97,9 @@ class DKSynthesis(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (mu is at most this at all frequencies)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         text = f"{self.lower:.6g} at {self.frequency:.4g} rad/s" if self.lower > 0 else "none found"
         orders = ", ".join(f"{b.name} {o}" for b, o in zip(self.blocks, self.scalings.orders, strict=True) if o)
         return [
@@ -108,6 +110,11 @@ class DKSynthesis(Synthesis):
             ("iterates", f"{len(self.history)}, from {self.history[0].gamma:.6g}"),
             *rows[5:],
         ]
+
+    def table(self) -> Table:
+        """A row for each iterate."""
+        columns = {key: [getattr(step, key) for step in self.history] for key in ("stage", "gamma", "mu", "order")}
+        return Table(("iterate", range(1, len(self.history) + 1)), columns)
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant and the pieces, with arrays."""

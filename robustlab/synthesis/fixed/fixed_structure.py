@@ -17,6 +17,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.structure_starts import informed_starts
 from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
@@ -30,6 +31,7 @@ from robustlab.synthesis.problem.design import Synthesis, design_budget, limitin
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -81,7 +83,7 @@ class LimitValue:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FixedSynthesis(Synthesis):
+class FixedSynthesis(Tabular, Synthesis):
     """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
 
     Of an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
@@ -139,9 +141,9 @@ class FixedSynthesis(Synthesis):
             return f"{self.gamma:.6g} (proved for the whole set; a member attains {self.worst.lower:.6g})"
         return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         if len(self.gammas) > 1:
             label = "gamma of every scenario" if self.worst is not None else "gamma of every model"
             rows.insert(2, (label, ", ".join(f"{g:.5g}" for g in self.gammas)))
@@ -153,6 +155,11 @@ class FixedSynthesis(Synthesis):
         if len(shown) < len(self.parameters):
             rows.append(("further parameters", str(len(self.parameters) - len(shown))))
         return rows
+
+    def table(self) -> Table:
+        """A row for each parameter of the controller; a column says its unit."""
+        columns = {key: [getattr(p, key) for p in self.parameters] for key in ("value", "low", "high", "unit")}
+        return Table(("parameter", [p.name for p in self.parameters]), columns)
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plants, with arrays."""

@@ -15,6 +15,7 @@ from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.problem.assumptions import require_stabilisable
@@ -66,9 +67,9 @@ class H2Synthesis(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         if not self.regularisation:
             return rows
         text = f"{self.regularisation:.0e} in scaled units; optimal norm with it {self.regularised_norm:.6g}"

@@ -13,6 +13,7 @@ from robustlab.budget import Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.synthesis.h2.common_lyapunov import CommonLyapunov, solver_work
 from robustlab.synthesis.h2.h2_synthesis import cancelled_direct_term, cancelling_gain, synthesize_h2
@@ -54,9 +55,9 @@ class MixedSynthesis(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         norm = f"{self.hinf_norm.upper:.6g} <= {self.bound:.6g} (smallest found {self.hinf_smallest:.6g})"
         return [
             *rows[:2],

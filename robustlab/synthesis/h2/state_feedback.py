@@ -15,6 +15,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import balancing_exponents, is_moderate, refuse_overflow
 from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
 from robustlab.synthesis.h2.h2_synthesis import H2Synthesis, synthesize_h2
@@ -33,7 +34,7 @@ PLACED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class StateFeedback:
+class StateFeedback(Shown):
     r"""A gain ``u = -K x`` with the loop that it closes.
 
     Attributes
@@ -55,6 +56,14 @@ class StateFeedback:
     status: Status
     reason: str
     X: AnyArray | None = None
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("gain", f"{self.K.shape[0]} controls, {self.K.shape[1]} states"),
+            ("poles", listed(number(complex(p) if p.imag else float(p.real)) for p in self.poles)),
+            ("how well", self.reason),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

@@ -19,6 +19,7 @@ from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.hinf.tuning import TUNING
@@ -93,9 +94,9 @@ class NcfSynthesis(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (verified upper bound; margin {self.margin.lower:.4g})"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         verdict = "the loop's shape is kept" if self.margin.lower >= 0.25 else "shape the loop differently"
         best = f"{self.gamma_min:.6g} (margin {1 / self.gamma_min:.4g}): {verdict}"
         return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]

@@ -14,6 +14,7 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.provenance import Traced
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -29,7 +30,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False)
-class Controller(Traced):
+class Controller(Shown, Traced):
     """A controller ``u = K y`` with positive feedback (as in the literature on lower LFTs).
 
     Attributes
@@ -53,13 +54,21 @@ class Controller(Traced):
         """K, so that a controller can be given where a model is asked for."""
         return self.K
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("gamma", number(self.gamma, digits=6)),
+            ("method", self.method),
+            *self.K.facts(),
+        ]
+
     def to_json(self) -> dict[str, object]:
         """K and what was verified, as plain types."""
         return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Synthesis:
+class Synthesis(Shown):
     """A controller that was verified in the loop rebuilt from it; there is no Synthesis without one.
 
     Attributes
@@ -108,7 +117,7 @@ class Synthesis:
         """Spectral abscissa of the closed loop; negative means stable (see `StateSpaceModel.spectral_abscissa`)."""
         return self.closed_loop.spectral_abscissa()
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         unit = "(modulus)" if self.K.is_discrete else "rad/s"
         margin = "(modulus minus one)" if self.K.is_discrete else "1/s"
@@ -178,9 +187,9 @@ class HinfSynthesis(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         found = f"{self.smallest_gamma:.6g}"
         if np.isfinite(self.regularisation_cost):
             found += f" ({self.regularisation_cost:.2%} above the estimated optimum)"

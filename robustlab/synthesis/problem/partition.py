@@ -15,6 +15,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.norms import bilinear_to_continuous
+from robustlab.shown import Facts, Shown, listed, with_units
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
@@ -95,7 +96,7 @@ class PlantMatrices:
 
 
 @dataclass(frozen=True, eq=False)
-class GeneralizedPlant:
+class GeneralizedPlant(Shown):
     """A model whose last ``n_con`` inputs are the controls u and whose last ``n_meas`` outputs are the measurements y.
 
     ``blocks`` are the perturbation blocks of the first inputs and outputs, where the plant was made from an uncertain
@@ -159,6 +160,16 @@ class GeneralizedPlant:
     def to_model(self) -> StateSpaceModel:
         """The model."""
         return self.model
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("measurements", with_units(self.measurements)),
+            ("controls", with_units(self.controls)),
+            ("performance", f"{self.n_w} disturbances, {self.n_z} outputs"),
+            ("states", str(self.model.n_states)),
+            ("blocks", listed(b.name for b in self.blocks)),
+        ]
 
 
 def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: str) -> GeneralizedPlant:

@@ -14,6 +14,7 @@ from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, RobustlabError, told_as
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
+from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
@@ -72,7 +73,7 @@ class WeightedBound:
 
 
 @dataclass(frozen=True, eq=False)
-class PerformanceLimits:
+class PerformanceLimits(Shown):
     r"""Limits of every stabilising controller of one plant.
 
     Attributes
@@ -169,7 +170,7 @@ class PerformanceLimits:
             found.append(WeightedBound(size, mode.value, name, text))
         return sorted(found, key=lambda b: -b.gamma)
 
-    def summary(self) -> list[str]:
+    def sentences(self) -> list[str]:
         """The limits in sentences."""
         place = "outside the unit circle" if self.dt else "in the right half plane"
         if not self.zeros and not self.poles and not self.delay:
@@ -196,6 +197,23 @@ class PerformanceLimits:
                else ": what is gained at one frequency is paid at another.")
         )  # fmt: skip
         return lines
+
+    def facts(self) -> Facts:
+        """Zeros, poles and least peaks."""
+        peaks = (
+            f"S {number(self.sensitivity_peak)}, T {number(self.complementary_peak)}, K S {number(self.control_peak)}"
+        )
+        return [
+            ("zeros beyond the boundary", listed(f"{number(m.value)} rad/s" for m in self.zeros) or "none"),
+            ("poles beyond the boundary", listed(f"{number(m.value)} rad/s" for m in self.poles) or "none"),
+            ("least peaks", peaks),
+            ("bandwidth", f"above {number(self.bandwidth_above)}, below {number(self.bandwidth_below, 'rad/s')}"),
+            ("Bode integral of ln|det S|", number(self.sensitivity_integral, "rad/s")),
+        ]
+
+    def summary(self) -> str:
+        """The limits in sentences."""
+        return "\n".join(self.sentences())
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -509,4 +527,4 @@ def limits_in_words(design: Synthesis) -> list[str]:
         floors = limits.gamma_bounds(weights.get("W1"), weights.get("W3"))
     except RobustlabError as error:
         return [f"not known: {error.line}"]
-    return [*limits.summary(), *(floor.text for floor in floors)]
+    return [*limits.sentences(), *(floor.text for floor in floors)]

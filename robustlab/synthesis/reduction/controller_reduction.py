@@ -26,6 +26,7 @@ import numpy as np
 from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
@@ -47,6 +48,7 @@ from robustlab.synthesis.reduction.balancing import (
     split_stable,
 )
 from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
+from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
 __all__ = ["OrderTried", "ReducedController", "ReductionTuning", "reduce_controller"]
@@ -100,7 +102,7 @@ class OrderTried:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ReducedController(Synthesis):
+class ReducedController(Tabular, Synthesis):
     """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified.
 
     Attributes
@@ -131,9 +133,9 @@ class ReducedController(Synthesis):
         """``gamma / original_gamma - 1``."""
         return _loss(self.gamma, self.original_gamma)
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = super().summary()
+        rows = super().facts()
         tried = [(o.order, "not stable" if np.isinf(o.value) else f"{100 * o.loss:+.2g} %") for o in self.orders]
         return [
             ("measure", self.measure),
@@ -142,6 +144,11 @@ class ReducedController(Synthesis):
             *rows,
             ("loss by order", ", ".join(f"{order}: {text}" for order, text in tried)),
         ]
+
+    def table(self) -> Table:
+        """A row for each order that was tried."""
+        columns = {key: [getattr(tried, key) for tried in self.orders] for key in ("method", "value", "loss")}
+        return Table(("order", [tried.order for tried in self.orders]), columns)
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""

@@ -14,6 +14,7 @@ from robustlab.frequency import default_grid, frequency_response
 from robustlab.magnitude import Moderated, moderated
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
@@ -37,7 +38,7 @@ BOUND_ROUNDING = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedModel:
+class ReducedModel(Shown):
     r"""A model of lower order with its certified error.
 
     Attributes
@@ -84,7 +85,7 @@ class ReducedModel:
         """The reduced model."""
         return self.model
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         what = "error of the coprime factors" if self.method == "coprime" else "error"
         what = f"weighted {what}" if self.method.startswith("weighted") else what

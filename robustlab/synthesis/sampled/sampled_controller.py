@@ -14,6 +14,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told
 from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
@@ -117,9 +118,9 @@ class SampledController(Synthesis):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (sampled loop, between samples too; at least {self.norm.lower:.6g})"
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        rows = [("sampled-data norm" if label == "gamma" else label, text) for label, text in super().summary()]
+        rows = [("sampled-data norm" if label == "gamma" else label, text) for label, text in super().facts()]
         text = f"{100 * self.loss:.3g} % of the continuous loop's {self.continuous_norm.upper:.6g}"
         head = [
             ("method", f"{self.chosen}, dt = {self.K.dt:g} s" + (f", delay {self.delay:g} s" if self.delay else "")),

@@ -26,6 +26,7 @@ from robustlab.budget import dense, one_thread
 from robustlab.errors import InputError, told_as
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, listed, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
@@ -45,7 +46,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False)
-class SampledDataNorm:
+class SampledDataNorm(Shown):
     """Norm of a sampled-data loop as a bracket.
 
     Attributes
@@ -87,6 +88,17 @@ class SampledDataNorm:
     def value(self) -> float:
         """``upper``."""
         return self.upper
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("norm", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("at", number(self.frequency, "rad/s")),
+            ("sample time", number(self.loop.dt, "s")),
+            ("intervals of a period", str(self.n_intervals)),
+            ("taken as constant between samples", listed(self.held)),
+            ("reason", self.reason),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All but the loop."""

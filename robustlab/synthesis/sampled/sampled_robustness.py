@@ -15,6 +15,7 @@ from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, with_performance
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -39,7 +40,7 @@ AGREE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class SampledRobustness:
+class SampledRobustness(Shown):
     r"""Robustness of a sampled loop; the bounds hold for the continuous signals, between the samples too.
 
     Attributes
@@ -106,7 +107,7 @@ class SampledRobustness:
         """``1 / margin``: proved upper bound of mu; inf where nothing is proved."""
         return _inverse(self.margin)
 
-    def summary(self) -> list[tuple[str, str]]:
+    def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         what = "robust performance" if self.performance else "robust stability"
         delay = f", delay {self.delay:g} s" if self.delay else ""

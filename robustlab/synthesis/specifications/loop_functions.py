@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import frequency_response
+from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
@@ -35,7 +36,7 @@ FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
 
 
 @dataclass(frozen=True, eq=False)
-class LoopFunctions:
+class LoopFunctions(Shown):
     r"""The closed-loop functions of one loop, each with all states of the loop.
 
     .. math:: S: r \to r - y, \quad T: r \to y, \quad K S: r \to u, \quad S G: d \to y, \qquad S + T = I
@@ -92,6 +93,16 @@ class LoopFunctions:
     def is_stable(self) -> bool:
         """True where the loop is internally stable."""
         return self.S.is_stable()
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("loop", f"{'stable' if self.is_stable() else 'unstable'}, {self.S.n_states} states"),
+            ("outputs", with_units(self.T.outputs)),
+            ("controls", with_units(self.KS.outputs)),
+            ("gamma", number(self.gamma, digits=6)),
+            ("weights", listed(self.weights)),
+        ]
 
 
 @told_as("loop_functions")

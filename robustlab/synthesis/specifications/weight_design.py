@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
+from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, append, as_model, real_array, series
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
@@ -266,7 +267,7 @@ def _order(where: str, order: int) -> None:
 
 
 @dataclass(frozen=True)
-class Conflict:
+class Conflict(Shown):
     """Weights that no controller can satisfy together with gamma = 1.
 
     Attributes
@@ -283,13 +284,21 @@ class Conflict:
     frequency: float
     text: str
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("gamma", f"at least {number(self.gamma)}"),
+            ("at", number(self.frequency, "rad/s")),
+            ("said", self.text),
+        ]
+
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
         return vars(self).copy()
 
 
 @dataclass(frozen=True, eq=False)
-class DesignWeights:
+class DesignWeights(Shown):
     """Weights for `robustlab.mixsyn` with what contradicts among them.
 
     Attributes
@@ -305,9 +314,11 @@ class DesignWeights:
     W3: StateSpaceModel | None
     conflicts: tuple[Conflict, ...]
 
-    def summary(self) -> list[str]:
-        """What the weights ask for that cannot be had, in sentences."""
-        return [c.text for c in self.conflicts] or ["No contradiction among the weights was found."]
+    def facts(self) -> Facts:
+        """The weights, and what they ask for that cannot be had."""
+        given = [(name, W) for name, W in (("W1, on S", self.W1), ("W2, on K S", self.W2), ("W3, on T", self.W3)) if W]
+        sizes = [(name, f"{W.n_states} states, {W.n_outputs} x {W.n_inputs}") for name, W in given]
+        return [*sizes, ("contradiction", "; ".join(c.text for c in self.conflicts) or "none was found")]
 
 
 def design_weights(
@@ -356,10 +367,10 @@ def design_weights(
     Examples
     --------
     >>> good = design_weights(bandwidth=1.0, noise_from=20.0)
-    >>> good.summary()
-    ['No contradiction among the weights was found.']
+    >>> good.conflicts
+    ()
     >>> bad = design_weights(bandwidth=10.0, noise_from=2.0)
-    >>> print(bad.summary()[0])
+    >>> print(bad.conflicts[0].text)
     gamma >= 1.62 at 4.47 rad/s: W1 asks for |S| <= 0.436, W3 for |T| <= 0.437, but S + T = 1; let T fall later
     """
     if bandwidth is None and control_limit is None and noise_from is None:

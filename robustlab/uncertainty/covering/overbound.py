@@ -41,6 +41,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
 from robustlab.uncertainty.tuning import TUNING
 
@@ -53,7 +54,7 @@ ABOVE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Overbound:
+class Overbound(Shown):
     """A weight above a bound, with the grid on which that was checked.
 
     Attributes
@@ -84,6 +85,15 @@ class Overbound:
     magnitude: Array
     status: Status
     least: float = 0.0
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("order", str(self.order)),
+            ("above the bound", f"{100 * self.lowest:.3g} % .. {100 * self.excess:.3g} %"),
+            ("least possible", f"{100 * self.least:.3g} %"),
+            ("frequencies", f"{number(self.omega[0])} .. {number(self.omega[-1], 'rad/s')}, {len(self.omega)} points"),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

@@ -23,6 +23,7 @@ from robustlab.magnitude import balancing_exponents, balancing_factors, is_moder
 from robustlab.matrix_equations import RiccatiSolution, care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import controllability, observability
 
@@ -144,7 +145,7 @@ def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
 
 
 @dataclass(frozen=True)
-class CoprimeMargin:
+class CoprimeMargin(Shown):
     """Stability margin b(P, C) of a loop.
 
     Attributes
@@ -172,6 +173,15 @@ class CoprimeMargin:
     def value(self) -> float:
         """The proved margin, ``lower``."""
         return self.lower
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("coprime margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("smallest at", number(self.frequency, "rad/s")),
+            ("best of any controller", number(self.best)),
+            ("reason", self.reason),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

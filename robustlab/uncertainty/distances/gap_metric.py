@@ -27,6 +27,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.matrix_equations import care, lyapunov
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, listed, number
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.uncertainty.distances.coprime import (
     CoprimeFactors,
@@ -52,7 +53,7 @@ SIDE = 1e-11
 
 
 @dataclass(frozen=True)
-class NuGap:
+class NuGap(Shown):
     """The nu-gap between two models, with its evidence.
 
     Attributes
@@ -84,13 +85,22 @@ class NuGap:
         """The nu-gap; equal to ``lower``."""
         return self.lower
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("nu-gap", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("largest at", number(self.frequency, "rad/s")),
+            ("winding number", str(self.winding)),
+            ("reason", self.reason),
+        ]
+
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
         return {"type": "NuGap", "value": self.value, **vars(self)}
 
 
 @dataclass(frozen=True)
-class GapMetric:
+class GapMetric(Shown):
     """The gap between two models, with its evidence.
 
     Attributes
@@ -118,6 +128,16 @@ class GapMetric:
     def value(self) -> float:
         """The gap: the upper end of its bracket."""
         return self.upper
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("gap", f"{number(self.lower)} .. {number(self.upper)}"),
+            ("directed gaps", listed(map(number, self.directed))),
+            ("nu-gap", bracket(self.nu.lower, self.nu.upper, ("attained", "proved"))),
+            ("largest at", number(self.nu.frequency, "rad/s")),
+            ("reason", self.reason),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

@@ -1,0 +1,225 @@
+"""Objects that show themselves: short in a console, as a table in a notebook, in words, and as a picture.
+
+One class, `Shown`, is the base of models, results and their parts. What an object says of itself is its `Shown.facts`:
+labels with texts, numbers with their units. The console, the notebook and `Shown.summary` are three ways to write them;
+pictures are those of `robustlab.report.drawings`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from html import escape
+from importlib import import_module
+from typing import Any
+
+from robustlab.errors import plain_text
+
+__all__ = ["Facts", "Shown", "bracket", "heading", "in_words", "listed", "member", "number", "short", "with_units"]
+
+Facts = list[tuple[str, str]]  # label, text
+
+LINES = 6  # of a repr, the heading included
+WIDTH = 95  # characters of one of its lines
+SHOWN = 6  # names or values that a text lists
+
+
+class Shown:
+    """Base of what shows itself; a class says what there is to say in `facts`."""
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        # A dataclass writes a repr with every number of every array into each class that has none of its own.
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = cls.__repr__
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text), the most important first."""
+        given = fields(self) if is_dataclass(self) else ()
+        told = [(f.name.replace("_", " "), in_words(getattr(self, f.name))) for f in given if f.name != "status"]
+        return [fact for fact in told if fact[1]]
+
+    def summary(self) -> str:
+        """What a person wants to read, as plain text: a heading, then a line for each fact."""
+        told = _told(self)
+        width = max((len(label) for label, _ in told), default=0)
+        return "\n".join([heading(self), *(f"  {label:<{width}}  {text}".rstrip() for label, text in told)])
+
+    def __repr__(self) -> str:
+        told = [f"  {label}: {text}" if label else f"  {text}" for label, text in _told(self)[: LINES - 1]]
+        return "\n".join(_clipped(line) for line in [heading(self), *told])
+
+    def _repr_html_(self) -> str:
+        """The facts as a table, for notebooks; texts are escaped, they may come from files."""
+        left = ' style="text-align: left"'
+        rows = [f"<tr><th{left}>{escape(label)}</th><td{left}>{escape(text)}</td></tr>" for label, text in _told(self)]
+        caption = f"<caption{left}>{escape(heading(self))}</caption>"
+        return f"<table>{caption}<tbody>{''.join(rows)}</tbody></table>"
+
+    def plot(self, kind: str | None = None, *, ax: Any = None, **options: Any) -> Any:
+        """Draw it; nothing is shown or saved.
+
+        Parameters
+        ----------
+        kind
+            Which drawing, for example ``"bode"``; the first of its class where left out. A wrong name lists them all.
+        ax
+            Axes to draw into. A drawing of several panels takes its place. A new figure of pyplot where left out.
+        **options
+            What the drawing takes, for example ``omega=`` or ``output=``; see docs/objects.md.
+
+        Returns
+        -------
+        matplotlib.axes.Axes or numpy.ndarray
+            The Axes, or an array of them where the drawing has several panels.
+
+        Raises
+        ------
+        InputError
+            No such drawing or option, or nothing to draw.
+        """
+        # By its name: the room that draws stands above all rooms whose objects it draws.
+        return import_module("robustlab.report.drawings").draw(self, kind, ax, options)
+
+
+def heading(shown: Any) -> str:
+    """Name of the class, with the status where there is one."""
+    status = getattr(shown, "status", None)
+    return type(shown).__name__ + (f" ({status})" if isinstance(status, Enum) else "")
+
+
+def _told(shown: Shown) -> Facts:
+    """Its facts on one line each, without those that say nothing; the status is in the heading."""
+    told = [(plain_text(label), plain_text(" ".join(text.split()))) for label, text in shown.facts()]
+    return [(label, text) for label, text in told if text and label != "status"]
+
+
+def _clipped(text: str, width: int = WIDTH) -> str:
+    return text if len(text) <= width else f"{text[: width - 3].rstrip()}..."
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def number(value: Any, unit: str = "", digits: int = 4) -> str:
+    """A number with as many digits as a person reads, and its unit; empty for None and NaN.
+
+    Examples
+    --------
+    >>> number(1.48353217, "rad/s"), number(float("inf")), number(None), number(1 + 2.00001j)
+    ('1.484 rad/s', 'inf', '', '1+2j')
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, complex) and not value.imag:
+        value = value.real
+    text = str(value) if isinstance(value, int) else f"{value:.{digits}g}"
+    return f"{text} {unit}" if unit and unit != "1" else text
+
+
+def bracket(lower: float, upper: float, words: tuple[str, str], unit: str = "") -> str:
+    """Two bounds with what each rests on, in as many digits as tell them apart; six tell enough.
+
+    Examples
+    --------
+    >>> bracket(1.48351, 1.48686, ("proved", "attained"))
+    '1.484 (proved) .. 1.487 (attained)'
+    >>> bracket(2.0, 2.0000001, ("attained", "proved"), "V")
+    '2 V (attained and proved)'
+    """
+    digits = next((d for d in (4, 5, 6) if number(lower, "", d) != number(upper, "", d)), 6)
+    low, high = (number(value, unit, digits) for value in (lower, upper))
+    if low == high:
+        return f"{low} ({words[0]} and {words[1]})" if low else ""
+    return f"{low} ({words[0]}) .. {high} ({words[1]})"
+
+
+def listed(items: Iterable[Any], most: int = SHOWN) -> str:
+    """The first few, and how many more there are.
+
+    Examples
+    --------
+    >>> listed("abcdefgh", 3)
+    'a, b, c and 5 more'
+    """
+    texts = [str(item) for item in items]
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more
+
+
+def short(names: Sequence[str], most: int = SHOWN) -> str:
+    """Names in one line of a repr, each cut where it is long.
+
+    Examples
+    --------
+    >>> short(["u", "v" * 40])
+    'u, vvvvvvvvvvvvvvvvvvvvv...'
+    """
+    return plain_text(listed((_clipped(name, 24) for name in names), most))
+
+
+def with_units(signals: Iterable[tuple[str, str]], most: int = SHOWN) -> str:
+    """Names of signals with their units.
+
+    Examples
+    --------
+    >>> with_units([("u", "V"), ("load", "")])
+    'u [V], load'
+    """
+    return listed((f"{name} [{unit}]" if unit else name for name, unit in signals), most)
+
+
+def member(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]] | None = None) -> str:
+    """A member of a set in words: its parameters in their units where they are known, else normalised values.
+
+    Examples
+    --------
+    >>> member({"k": -1.0, "gain": 0.5}, {"k": (1.4, "N/m")})
+    'k = 1.4 N/m, gain: delta = 0.5'
+    """
+    said = []
+    for name, value in delta.items():
+        known = (physical or {}).get(name)
+        if known is not None:
+            said.append(f"{name} = {number(*known)}")
+        else:
+            said.append(f"{name}: delta = {in_words(value)}")
+    return listed(said)
+
+
+def in_words(value: Any) -> str:
+    """A value of a field in a few words: what is long is counted, not listed.
+
+    Examples
+    --------
+    >>> in_words(True), in_words([1, 2, 3]), in_words({"a": 1.0, "b": 2.0}), in_words(range(100))
+    ('yes', '1, 2, 3', 'a = 1, b = 2', '100 entries')
+    """
+    if value is None or callable(value):
+        return ""
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (int, float, complex)):
+        return number(value) or "nan"
+    if isinstance(value, Shown):
+        return heading(value)
+    if hasattr(value, "shape") and hasattr(value, "tolist"):  # an array, without importing numpy
+        size = math.prod(value.shape)
+        return in_words(value.tolist()) if size <= SHOWN and len(value.shape) < 2 else _shape(value.shape)
+    if isinstance(value, Mapping):
+        short = len(value) <= SHOWN and all(isinstance(v, (str, int, float)) for v in value.values())
+        return ", ".join(f"{k} = {in_words(v)}" for k, v in value.items()) if short else listed(value)
+    if isinstance(value, Sequence):
+        short = len(value) <= SHOWN and all(isinstance(v, (str, int, float, complex)) for v in value)
+        return ", ".join(map(in_words, value)) if short else f"{len(value)} entries"
+    return type(value).__name__
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return f"array of {' x '.join(map(str, shape))}"

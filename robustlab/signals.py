@@ -1,0 +1,178 @@
+"""Signals: names with units, the arrays that belong to them, and which of them are meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array, not_finite
+from robustlab.errors import InputError, UnitMismatch, did_you_mean
+
+__all__ = [
+    "MAX_NAME",
+    "Signal",
+    "SignalLike",
+    "indices",
+    "is_constant",
+    "is_number",
+    "names_of",
+    "picked",
+    "real_array",
+    "same_units",
+    "signals",
+]
+
+MAX_NAME = 200
+
+
+class Signal(NamedTuple):
+    """A named signal with its unit, for example ``Signal("omega", "rad/s")``.
+
+    Attributes
+    ----------
+    name
+        1 to 200 characters, unique among the signals of its side.
+    unit
+        Empty where it is not stated.
+    """
+
+    name: str
+    unit: str = ""
+
+
+SignalLike = str | Signal | tuple[str, str]
+
+
+def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceModel") -> Array:
+    """``value`` as a read-only, finite float64 array with ``ndim`` dimensions, or an `InputError` that names the entry.
+
+    Raises
+    ------
+    InputError
+        Complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad entry).
+    """
+    try:
+        raw = np.asarray(value)
+    except ValueError as error:
+        raise InputError(where, f"{name} is ragged ({error})", "a rectangular array of real numbers") from None
+    if raw.dtype.kind not in "fiu":
+        raise InputError(where, f"{name} has dtype {raw.dtype}", "real numbers")
+    array = np.array(raw, dtype=np.float64, order="C")
+    if ndim == 2 and array.ndim == 0:
+        array = array.reshape(1, 1)
+    if array.ndim != ndim:
+        hint = f"write [[...]] for a row, or {name}.reshape(-1, 1) for a column" if ndim == 2 else None
+        raise InputError(where, f"{name} has shape {array.shape}", f"{ndim} dimensions", hint)
+    bad = not_finite(array)
+    if bad is not None:
+        raise InputError(where, f"{name}[{bad[0]}] {bad[1]}", "finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: str) -> tuple[Signal, ...]:
+    """``count`` uniquely named signals; ``prefix1, prefix2, ...`` where none are given."""
+    if given is None:
+        return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
+    if isinstance(given, str):
+        given = [given]
+    result: list[Signal] = []
+    for item in given:
+        if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):
+            raise InputError(where, f"signal {item!r}", "a name or a (name, unit) pair")
+        name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
+        if not name or len(name) > MAX_NAME:
+            raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
+        result.append(Signal(name, unit))
+    if len(result) != count:
+        raise InputError(where, f"{len(result)} signal names", f"{count}")
+    names = [s.name for s in result]
+    if len(set(names)) < len(names):
+        twice = sorted({n for n in names if names.count(n) > 1})
+        raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
+    return tuple(result)
+
+
+def indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> list[int]:
+    """Places of the named signals among the known ones; all of them for None."""
+    if wanted is None:
+        return list(range(len(known)))
+    if isinstance(wanted, str):
+        wanted = [wanted]
+    for name in wanted:
+        if name not in known:
+            raise InputError(
+                f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
+            )
+    return [known.index(name) for name in wanted]
+
+
+def picked(key: Any, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[list[str], list[str]]:
+    """Names of the outputs and inputs that ``G[outputs, inputs]`` asks for: numbers, slices, names, lists of these.
+
+    Raises
+    ------
+    InputError
+        No pair, a number or a name that is not there.
+
+    Examples
+    --------
+    >>> picked((slice(None), 0), ("y", "z"), ("u", "d"))
+    (['y', 'z'], ['u'])
+    """
+    if not isinstance(key, tuple) or len(key) != 2:
+        raise InputError(
+            "indexing", f"[{key!r}]", "two indices: G[outputs, inputs]", "write G[0, :] for the first output"
+        )
+    return _chosen(key[0], outputs, "output"), _chosen(key[1], inputs, "input")
+
+
+def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
+    if isinstance(key, slice):
+        return list(known[key])
+    chosen = []
+    for item in [key] if isinstance(key, (str, int, np.integer)) else list(key):
+        if isinstance(item, str):
+            chosen.append(known[indices([item], known, kind)[0]])
+            continue
+        if isinstance(item, bool) or not isinstance(item, (int, np.integer)) or not -len(known) <= item < len(known):
+            raise InputError(
+                f"indexing: {kind} {item!r}", "no such signal", f"a name, or a number from 0 to {len(known) - 1}"
+            )
+        chosen.append(known[item])
+    return chosen
+
+
+# --- operands ---------------------------------------------------------------------------------------------------------
+
+
+def is_number(operand: Any) -> bool:
+    """Whether an operand is one real number."""
+    return isinstance(operand, (int, float, np.number)) and not isinstance(operand, bool)
+
+
+def is_constant(operand: Any) -> bool:
+    """Whether an operand is a number or a matrix: its signals have no names."""
+    return isinstance(operand, (int, float, list, tuple, np.ndarray, np.number)) and not isinstance(operand, bool)
+
+
+def names_of(other: Any, owner: Any, own: Sequence[Signal], others: Sequence[Signal]) -> Sequence[Signal]:
+    """The signals of ``owner``; those of the other operand where the owner is a constant and the sizes are equal."""
+    return others if is_constant(owner) and not is_constant(other) and len(others) == len(own) else own
+
+
+def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:
+    """Refuse signals that meet with different units.
+
+    Raises
+    ------
+    UnitMismatch
+        Both have a unit, and the units differ.
+    """
+    for one, other in pairs:
+        if one.unit and other.unit and one.unit != other.unit:
+            found = f"{one.name} [{one.unit}] meets {other.name} [{other.unit}]"
+            raise UnitMismatch(where, found, "equal units")

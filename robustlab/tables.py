@@ -1,0 +1,83 @@
+"""Results that are tables: columns with units over one index, as pandas and xarray take them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+__all__ = ["Table", "Tabular"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns over one index.
+
+    Attributes
+    ----------
+    index
+        Its name, and its values or names, (n,).
+    columns
+        Name -> values, (n,).
+    units
+        Name of the index or of a column -> unit; what has none is left out.
+    """
+
+    index: tuple[str, Sequence[Any] | np.ndarray]
+    columns: Mapping[str, Sequence[Any] | np.ndarray]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+class Tabular:
+    """Base of results that are tables; a class says which in `table`."""
+
+    def table(self) -> Table:
+        """The result as columns with units over one index."""
+        raise NotImplementedError
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The result as a data frame of pandas (extra ``frames``); units are in ``attrs["units"]``.
+
+        Raises
+        ------
+        DependencyMissing
+            pandas is not installed.
+        """
+        from robustlab.files.record_source import need
+
+        need(f"{type(self).__name__}.to_pandas", "pandas", "frames")
+        import pandas
+
+        table = self.table()
+        name, values = table.index
+        frame = pandas.DataFrame(dict(table.columns), index=pandas.Index(values, name=name))
+        frame.attrs = {"units": dict(table.units)}
+        return frame
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The result as a data set of xarray (extra ``frames``); units are an attribute of each variable.
+
+        Raises
+        ------
+        DependencyMissing
+            xarray is not installed.
+        """
+        from robustlab.files.record_source import need
+
+        need(f"{type(self).__name__}.to_xarray", "xarray", "frames")
+        import xarray
+
+        table = self.table()
+        name, values = table.index
+
+        def variable(key: str, data: Any) -> tuple[str, np.ndarray, dict[str, str]]:
+            return name, np.asarray(data), {"units": table.units[key]} if key in table.units else {}
+
+        columns = {key: variable(key, data) for key, data in table.columns.items()}
+        return xarray.Dataset(columns, {name: variable(name, values)})

@@ -1,0 +1,233 @@
+"""Arithmetic of models and of sets of them: identities, python-control as the judge, and what is refused."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+OMEGA = np.geomspace(0.05, 50.0, 12)
+SEEDS = st.integers(0, 10**6)
+SIZES = st.integers(1, 3)
+TIMES = st.sampled_from([0.0, 0.1])
+
+
+def model(rng, n, n_y, n_u, dt=0.0, invertible=False):
+    """A stable random model; with ``invertible`` its D is far from singular."""
+    a = rng.normal(size=(n, n))
+    size = max(np.abs(np.linalg.eigvals(a)).max(initial=0.0), 1.0)
+    a = 0.7 * a / size if dt else a - (size + 0.5) * np.eye(n)
+    d = rng.normal(size=(n_y, n_u))
+    if invertible:
+        d = np.linalg.qr(d)[0] * rng.uniform(0.5, 2.0, n_u)
+    return StateSpaceModel(a, rng.normal(size=(n, n_u)), rng.normal(size=(n_y, n)), d, dt)
+
+
+def at(g):
+    return frequency_response(g, OMEGA)
+
+
+def judged(system):
+    """Response by python-control, frequency first."""
+    return np.moveaxis(
+        np.asarray(system(1j * OMEGA if not system.dt else np.exp(1j * OMEGA * system.dt), squeeze=False)), -1, 0
+    )
+
+
+def close(found, wanted):
+    return np.abs(found - wanted).max(initial=0.0) <= 1e-12 * max(1.0, np.abs(wanted).max(initial=0.0))
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.integers(0, 4), st.integers(0, 4), SIZES, SIZES, SIZES, TIMES)
+def test_every_expression_is_that_of_python_control(seed, n1, n2, n_y, n_m, n_u, dt):
+    rng = np.random.default_rng(seed)
+    G, H, F = model(rng, n1, n_y, n_m, dt), model(rng, n2, n_m, n_u, dt), model(rng, n2, n_y, n_m, dt)
+    g, h, f = (m.to_control() for m in (G, H, F))
+    matrix = rng.normal(size=(n_y, n_y))
+    for ours, theirs in (
+        (G * H, g * h),
+        (G @ H, g * h),
+        (G + F, g + f),
+        (G - F, g - f),
+        (-G, -g),
+        (2 * G, 2 * g),
+        (G * 2.5, g * 2.5),
+        (G / 4, g / 4),
+        (matrix @ G, control.ss([], [], [], matrix, dt) * g),
+        (G[:, 0], g[:, 0]),
+        (G[0, :], g[0, :]),
+        (G[-1, [n_m - 1]], g[n_y - 1, n_m - 1]),
+        (G["y1", "u1"], g["y1", "u1"]),
+        (G * h, g * h),
+        (G + f, g + f),
+    ):
+        assert isinstance(ours, StateSpaceModel)
+        assert close(at(ours), judged(theirs))
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.integers(0, 4), SIZES, TIMES, st.integers(-2, 3))
+def test_powers_are_those_of_python_control(seed, n, size, dt, exponent):
+    G = model(np.random.default_rng(seed), n, size, size, dt, invertible=True)
+    wanted = np.linalg.matrix_power(at(G), exponent)
+    found = at(G**exponent)
+    assert np.abs(found - wanted).max() <= 1e-9 * max(1.0, np.abs(wanted).max())
+    if exponent > 0:
+        assert close(found, judged(G.to_control() ** exponent))
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.integers(0, 4), SIZES, SIZES, TIMES)
+def test_identities(seed, n, n_y, n_u, dt):
+    rng = np.random.default_rng(seed)
+    G, H = model(rng, n, n_y, n_u, dt), model(rng, n, n_y, n_u, dt)
+    size = np.abs(at(G)).max()
+    assert np.abs(at(G - G)).max() <= 1e-12 * max(1.0, size)
+    assert close(at(2 * G), 2 * at(G))
+    assert np.abs(at(G + H) - at(H + G)).max() <= 1e-12 * max(1.0, size)
+    assert (+G) is G
+    assert (2 * G).states == G.states
+    assert (2 * G).n_states == G.n_states
+    assert close(at(G[:, :]), at(G))
+    columns = np.concatenate([at(G[:, k]) for k in range(n_u)], axis=2)
+    assert close(columns, at(G))
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.integers(0, 4), SIZES, TIMES)
+def test_a_model_times_its_inverse_is_the_identity(seed, n, size, dt):
+    G = model(np.random.default_rng(seed), n, size, size, dt, invertible=True)
+    eye = np.broadcast_to(np.eye(size), (len(OMEGA), size, size))
+    inverse = G**-1
+    scale = max(1.0, np.abs(at(inverse)).max() * np.abs(at(G)).max())
+    assert np.abs(at(inverse @ G) - eye).max() <= 1e-9 * scale
+    assert np.abs(at(G @ inverse) - eye).max() <= 1e-9 * scale
+    assert np.array_equal(at(G**0), eye)
+    assert inverse.inputs == G.outputs
+    assert inverse.outputs == G.inputs
+
+
+def uncertain(rng, n, n_y, n_u, names, dt=0.0, invertible=False):
+    """A set with a channel for each name, well posed for every Delta of size one."""
+    k = len(names)
+    m = model(rng, n, n_y + k, n_u + k, dt)
+    d = m.D.copy()
+    d[:k, :k] *= 0.4 / max(np.linalg.norm(d[:k, :k], 2), 1e-9)
+    if invertible:
+        d[k:, k:] = 3.0 * np.linalg.qr(rng.normal(size=(n_y, n_u)))[0]
+        d[k:, :k], d[:k, k:] = 0.1 * d[k:, :k], 0.1 * d[:k, k:]
+    return UncertainModel(StateSpaceModel(m.A, m.B, m.C, d, dt), [RealScalar(name) for name in names])
+
+
+@settings(deadline=None, max_examples=20)
+@given(SEEDS, st.integers(0, 3), SIZES, TIMES)
+def test_a_member_of_an_expression_is_the_expression_of_the_members(seed, n, size, dt):
+    rng = np.random.default_rng(seed)
+    # "b" is in both: one and the same uncertainty
+    G = uncertain(rng, n, size, size, ["a", "b"], dt, invertible=True)
+    H = uncertain(rng, n, size, size, ["b", "c"], dt)
+    K = model(rng, n, size, size, dt)
+    delta = {name: float(rng.uniform(-1, 1)) for name in "abc"}
+
+    def member(s):
+        return s.evaluate({b.name: delta[b.name] for b in s.blocks})
+
+    g, h = member(G), member(H)
+    for of_sets, of_members in (
+        (G @ H, g @ h),
+        (G * H, g * h),
+        (G + H, g + h),
+        (G - H, g - h),
+        (K @ G, K @ g),
+        (G @ K, g @ K),
+        (K + G, K + g),
+        (K - G, K - g),
+        (G - K, g - K),
+        (-G, -g),
+        (2 * G, 2 * g),
+        (G / 2, g / 2),
+        (G**2, g**2),
+        (G**-1, g**-1),
+        (G**0, g**0),
+        (G[:, 0], g[:, 0]),
+        (G[[0], :], g[[0], :]),
+    ):
+        assert isinstance(of_sets, UncertainModel)
+        found, wanted = at(member(of_sets)), at(of_members)
+        assert np.abs(found - wanted).max() <= 1e-8 * max(1.0, np.abs(wanted).max())
+    assert sorted(b.name for b in (G @ H).blocks) == ["a", "b", "c"]
+    assert np.abs(at((G - G).evaluate({}))).max() <= 1e-9
+
+
+def lag(dt=0.0, **names):
+    return StateSpaceModel([[0.5 if dt else -1.0]], [[1.0]], [[1.0]], [[0.0]], dt, **names)
+
+
+VOLTS, METRES = {"inputs": [("u", "V")], "outputs": [("y", "m")]}, {"inputs": [("w", "N")], "outputs": [("z", "rad")]}
+TWO = StateSpaceModel([], [], [], np.eye(2), inputs=["u", "v"], outputs=["y", "z"])
+SET = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.5], [1.0, 1.0]]), [RealScalar("k")])
+
+
+@pytest.mark.parametrize(
+    ("ask", "error", "text"),
+    [
+        (lambda: lag() ** -1, NoTrustworthyNumber, "inverse: D is singular"),
+        (lambda: lag().inverse(), NoTrustworthyNumber, "D is singular"),
+        (lambda: TWO[:, 0] ** -1, InputError, "inverse: 2 x 1, expected a square model"),
+        (lambda: TWO[:, 0] ** 0, InputError, "2 x 1, expected a square model"),
+        (lambda: TWO**0.5, InputError, "exponent 0.5, expected a whole number"),
+        (lambda: TWO + lag(), InputError, "2 x 2 and 1 x 1, expected equal sizes"),
+        (lambda: TWO + 1.0, InputError, "equal sizes"),
+        (lambda: TWO @ lag(), InputError, "1 outputs into 2 inputs, expected equal numbers"),
+        (lambda: lag(**VOLTS) @ lag(**METRES), UnitMismatch, r"z \[rad\] drives u \[V\]|z \[rad\] meets u \[V\]"),
+        (lambda: lag(**VOLTS) + lag(**METRES), UnitMismatch, r"u \[V\] meets w \[N\]"),
+        (lambda: lag() + lag(0.1), InputError, "sample times"),
+        (lambda: lag() @ lag(0.1), InputError, "sample times"),
+        (lambda: TWO[0], InputError, r"two indices: G\[outputs, inputs\]"),
+        (lambda: TWO[2, 0], InputError, "output 2: no such signal, expected a name, or a number from 0 to 1"),
+        (lambda: TWO["x", "u"], InputError, "output 'x': no such signal, expected one of y, z"),
+        (lambda: TWO[:, True], InputError, "input True"),
+        (lambda: TWO / 0, InputError, "division: by 0"),
+        (lambda: TWO / TWO, InputError, "by StateSpaceModel, expected a number"),
+        (lambda: TWO * "two", InputError, "str, expected a StateSpaceModel"),
+        (lambda: TWO * [[1j, 0], [0, 1]], InputError, "complex"),
+        (lambda: SET[0, 1], InputError, "input 1: no such signal"),
+        (lambda: SET + UncertainModel(SET.M, [ComplexScalar("k")]), InputError, "'k'"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(ask, error, text):
+    with pytest.raises(error, match=text) as raised:
+        ask()
+    assert "\n" not in raised.value.line
+
+
+def test_signals_keep_their_names_and_units():
+    g, h = lag(**VOLTS), lag(**METRES)
+    assert (2 * g).outputs == (np.eye(1) @ g).outputs == g.outputs
+    assert (g * 2).inputs == g.inputs
+    assert (g + 1.0).outputs == (1.0 + g).outputs == g.outputs
+    assert (h.renamed([("y", "m")]) @ g).inputs == g.inputs
+    assert g["y", "u"].outputs == g.outputs
+
+
+def test_a_set_and_a_model_make_a_set_on_either_side():
+    g = StateSpaceModel([], [], [], [[2.0]])
+    for found, wanted in (
+        (g @ SET, 3.0),
+        (SET @ g, 3.0),
+        (g + SET, 3.5),
+        (SET + g, 3.5),
+        (g - SET, 0.5),
+        (SET - g, -0.5),
+    ):
+        assert isinstance(found, UncertainModel)
+        assert found.evaluate({"k": 1.0}).D[0, 0] == pytest.approx(wanted)

@@ -1,0 +1,201 @@
+"""One small object of every class that shows itself; each is made when it is asked for."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import robustlab as rl
+from robustlab import result
+
+OMEGA = np.geomspace(0.01, 100.0, 60)
+
+
+@cache
+def motor() -> Any:
+    return rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1))
+
+
+@cache
+def uncertain_motor() -> rl.UncertainModel:
+    return motor().uncertain(outputs=["omega"])
+
+
+@cache
+def spring() -> rl.UncertainModel:
+    ranges = {"m": (3.0, 2.8, 3.6), "c": (1.0, 0.8, 1.5), "k": (2.0, 1.4, 3.0)}
+    found = rl.parametric([[0, 1], ["-k/m", "-c/m"]], [[0], ["1/m"]], [[1, 0]], [[0]], ranges)
+    M = found.M
+    named = M.renamed([*M.inputs[:-1], ("F", "N")], [*M.outputs[:-1], ("x", "m")])
+    return rl.UncertainModel(named, found.blocks)
+
+
+INTEGRAL = rl.StateSpaceModel([[0.0]], [[1.0]], [[0.2]], [[0.0]], inputs=[("x", "m")], outputs=[("F", "N")])
+
+
+@cache
+def loop() -> rl.UncertainModel:
+    return spring().feedback(INTEGRAL)
+
+
+@cache
+def problem() -> rl.StateSpaceModel:
+    return rl.StateSpaceModel(
+        [[-1.0, 1.0], [0.0, -3.0]], [[1.0, 0.0, 0.0], [1.0, 0.0, 1.0]], [[1, 0], [0, 0], [1, 0]],
+        [[0, 0, 0], [0, 0, 1], [0, 1, 0]], inputs=["d", "n", "u"], outputs=["x", "effort", "y"],
+    )  # fmt: skip
+
+
+def lag() -> rl.StateSpaceModel:
+    return rl.StateSpaceModel([[-0.1]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
+
+
+@cache
+def record() -> rl.Record:
+    from naming_cases import T, U
+
+    rough = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
+    run = rl.simulate(rough, T, U)
+    noise = 1e-5 * np.random.default_rng(3).normal(size=len(T))
+    return rl.Record(T, {"u": U}, {"q": run["q"] + noise}, {"u": "V", "q": "m"}, "friction run")
+
+
+@cache
+def comparison() -> Any:
+    return rl.compare(rl.plant("servo-axis"), record())
+
+
+@cache
+def validation() -> Any:
+    t = np.arange(40) * 0.1
+    run = rl.simulate(lag(), t, np.sin(t))
+    off = rl.Record(t, {"u": np.sin(t)}, {"y": 1.05 * run["y"]}, {"u": "V", "y": "m"}, "run")
+    return rl.validate(rl.unstructured(lag(), 0.2), off, {"y": 0.01})
+
+
+@cache
+def data_cover() -> Any:
+    t = np.arange(200) * 5e-3
+    push = np.where(t < 0.5, 2.0, -1.5)
+    plain = rl.plant("servo-axis", M=(95.0, 0.05), Fv=(200.0, 0.1), gain=35.0)
+    rough = rl.with_effects(plain, {"coulomb-friction": {"Fc": 20.0}})
+    run = rl.simulate(rough, t, push)
+    return rl.data_cover(rough, [rl.Record(t, {"u": push}, {"q": run["q"]}, {"u": "V", "q": "m"}, "run")], {"q": 1e-4})
+
+
+@cache
+def measured_response() -> rl.FrequencyData:
+    response = rl.frequency_response(lag(), OMEGA)[:, 0, 0]
+    return rl.FrequencyData(OMEGA, response, "u", ["y"])
+
+
+@cache
+def discovery() -> Any:
+    from unit.test_discovery_report import unknown
+
+    return unknown()
+
+
+@cache
+def campaign(folder: str) -> Any:
+    from robustlab.campaign import CampaignSettings, Crew, run_campaign
+
+    settings = CampaignSettings("peak-deviation", 200, u={"u": 42.0}, t_end=0.1, points=51)
+    path = Path(folder) / "campaign.sqlite"
+    return run_campaign(uncertain_motor(), settings, path, crew=Crew(workers=1), limit=10.0)
+
+
+def four_models() -> list[rl.StateSpaceModel]:
+    return [spring().evaluate(delta) for delta in ({}, {"m": 1.0}, {"k": -0.5, "c": 0.3}, {"c": -1.0, "m": 0.4})]
+
+
+def first_order() -> rl.UncertainModel:
+    M = rl.StateSpaceModel([[-1.0]], [[-0.3, 1.0, 1.0]], [[1.0]] * 3, [[0.0] * 3] * 3)
+    return rl.UncertainModel(M, [rl.RealScalar("pole")])
+
+
+def digital() -> rl.StateSpaceModel:
+    return rl.StateSpaceModel([], [], [], [[-3.0]], 0.05)
+
+
+def made_effects() -> Any:
+    from robustlab.dynamics.extended.effect_blocks import effect_blocks
+
+    return effect_blocks(rl.plant("servo-axis", M=(95.0, 0.05), Fv=(200.0, 0.1)))
+
+
+@cache
+def mixsyn() -> Any:
+    W1 = rl.performance_weight(1.0, 0.01, 2.0)
+    return rl.mixsyn(lag(), W1, 0.1)
+
+
+# Class name -> how one is made; a campaign needs a folder and is made by `campaign`.
+OBJECTS: dict[str, Any] = {
+    "StateSpaceModel": lambda: spring().nominal,
+    "UncertainModel": spring,
+    "Controller": lambda: mixsyn().controller,
+    "GeneralizedPlant": lambda: rl.generalized_plant(problem(), ["y"], ["u"]),
+    "Record": record,
+    "DcMotor": motor,
+    "Trim": lambda: rl.trim(rl.plant("stewart-platform"), pose=None),
+    "Samples": lambda: rl.sample(spring(), 20, 1, 8),
+    "PlantSamples": lambda: rl.sample(rl.plant("stewart-platform", c=(0.01, 0.1)), 3),
+    "Responses": lambda: rl.sample(spring(), 20, 1, 8).respond(np.linspace(0.0, 20.0, 201)),
+    "StreamedResponses": lambda: rl.sample(spring(), 50).stream(np.linspace(0.0, 20.0, 51)),
+    "Reduction": lambda: rl.reduction(spring() + spring()),
+    "WellPosedness": lambda: rl.well_posedness(spring()),
+    "Cover": lambda: rl.cover(four_models(), "output-multiplicative"),
+    "Conservatism": lambda: rl.conservatism(rl.cover(four_models(), "elements").model, four_models()),
+    "Overbound": lambda: rl.overbound(OMEGA, 0.1 + OMEGA / (1.0 + OMEGA)),
+    "EffectBlocks": made_effects,
+    "WorstCase": lambda: rl.worst_case(spring(), "peak-deviation", n=32),
+    "ViolationProbability": lambda: rl.violation_probability(spring(), "peak-deviation", 0.3, n=200),
+    "Influence": lambda: made("ViolationProbability").influence,
+    "MuBounds": lambda: rl.mu(np.array([[[0.5, 1.0], [1.0, 0.0]], [[1.0, 0.2], [0.1, 1.0j]]]), [[1, 0], [1, 0]]),
+    "Margin": lambda: rl.robust_stability(loop(), omega=np.geomspace(0.05, 20.0, 200)),
+    "WorstCaseGain": lambda: rl.worst_case_gain(loop(), omega=np.geomspace(0.05, 20.0, 200)),
+    "SmallGain": lambda: rl.small_gain(rl.unstructured(lag(), 0.2).feedback(2.0)),
+    "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
+    "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
+    "WorstCaseDiskMargin": lambda: rl.worst_case_disk_margin(first_order()[0, 0]),
+    "GapMetric": lambda: rl.gap(spring().nominal, four_models()[1]),
+    "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),
+    "CoprimeMargin": lambda: rl.coprime_margin(spring().nominal, INTEGRAL),
+    "HinfNorm": lambda: rl.hinf_norm(spring().nominal),
+    "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
+    "StructuralTest": lambda: rl.controllability(problem()),
+    "HinfSynthesis": mixsyn,
+    "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
+    "MixedSynthesis": lambda: rl.h2_hinf(
+        problem(), 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]
+    ),
+    "NcfSynthesis": lambda: rl.ncf(lag()),
+    "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),
+    "FixedSynthesis": lambda: rl.fixed_structure(problem(), "static", n_meas=1, n_con=1, starts=1),
+    "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
+    "StateFeedback": lambda: rl.lqr(spring().nominal, np.eye(2), [[1.0]]),
+    "PerformanceLimits": lambda: rl.performance_limits(spring().nominal),
+    "DesignWeights": lambda: rl.design_weights(bandwidth=10.0, control_limit=5.0, noise_from=2.0),
+    "Conflict": lambda: rl.design_weights(bandwidth=10.0, noise_from=2.0).conflicts[0],
+    "ReducedModel": lambda: rl.balanced_truncation((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
+    "ReducedController": lambda: rl.reduce_controller(mixsyn().plant, mixsyn().K),
+    "SampledController": lambda: rl.discretise_controller(mixsyn(), dt=0.01),
+    "SampledDataNorm": lambda: rl.sampled_data_norm(problem(), digital()),
+    "SampledRobustness": lambda: rl.sampled_robustness(first_order(), digital()),
+    "Comparison": comparison,
+    "Discovery": discovery,
+    "Validation": validation,
+    "DataCover": data_cover,
+    "FrequencyData": measured_response,
+    "Result": lambda: result.Result("Margin", rl.Status.CERTIFIED, {"lower": 1.5}),
+}
+
+
+@cache
+def made(name: str) -> Any:
+    """The object of a class; made once."""
+    return OBJECTS[name]()
