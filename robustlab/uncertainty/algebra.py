@@ -127,7 +127,7 @@ def beside(*systems: Any) -> UncertainModel:
 
     Parameters
     ----------
-    systems
+    *systems
         Sets, models, matrices or numbers with equally many outputs; one at least.
 
     Returns
@@ -158,7 +158,7 @@ def stacked(*systems: Any) -> UncertainModel:
 
     Parameters
     ----------
-    systems
+    *systems
         Sets, models, matrices or numbers with equally many inputs; one at least.
 
     Returns
