@@ -1,8 +1,9 @@
 """Look at the built site in a real browser: ``python docs/check_site.py [out/docs] [--pictures FOLDER]``.
 
-Every page at 390 px and at 1280 px, light and dark: no error on the console, nothing loaded from elsewhere, nothing that scrolls sideways, text that
-stands out from its ground; then the search. Links are followed without the browser, anchors too. Ends in 1 with a line for each fault, and in 5
-where there is no browser or no Playwright: then only the links were looked at, and that is said.
+Every page at 390 px and at 1280 px, light and dark: no error on the console, nothing loaded from elsewhere, nothing
+that scrolls sideways, text that stands out from its ground; then the search. Links are followed without the browser,
+anchors too. Ends in 1 with a line for each fault, and in 5 where there is no browser or no Playwright: then only the
+links were looked at, and that is said.
 """
 
 from __future__ import annotations
@@ -20,7 +21,15 @@ from urllib.parse import unquote, urlsplit
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 VIEWS = [(width, scheme) for width in (390, 1280) for scheme in ("light", "dark")]
-PICTURED = ("index", "tutorials/own-plant", "reference/api/robust_stability", "reference/api/index", "reference/cli/mu", "theory/mu", "gallery")
+PICTURED = (
+    "index",
+    "tutorials/own-plant",
+    "reference/api/robust_stability",
+    "reference/api/index",
+    "reference/cli/mu",
+    "theory/mu",
+    "gallery",
+)
 LEAST_CONTRAST = 4.5  # of text, WCAG 2 level AA
 
 
@@ -54,7 +63,9 @@ def dead_links(site: Path) -> list[str]:
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if target.is_dir():
                 target /= "index.html"
-            there = target.exists() and (not parts.fragment or target not in pages or unquote(parts.fragment) in pages[target].anchors)
+            there = target.exists() and (
+                not parts.fragment or target not in pages or unquote(parts.fragment) in pages[target].anchors
+            )
             if not there:
                 dead.append(f"{path.relative_to(site)} -> {link}")
     return dead
@@ -67,7 +78,7 @@ class Quiet(SimpleHTTPRequestHandler):
         """Say nothing."""
 
 
-# How text stands out from its ground (WCAG 2), the least of all paragraphs, headings, links, code and table cells in sight.
+# How text stands out from its ground (WCAG 2): the least of all texts in sight.
 CONTRAST = """() => {
   const light = c => { const v = c.map(x => (x /= 255) <= 0.03928 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
                        return 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]; };
@@ -75,7 +86,8 @@ CONTRAST = """() => {
   const ground = e => { for (; e; e = e.parentElement) { const c = parse(getComputedStyle(e).backgroundColor);
                           if (c.length < 4 || c[3] === 1) return c; } return [255, 255, 255]; };
   let least = [99, ''];
-  for (const e of document.querySelectorAll('article p, article h1, article h2, article a, article code, article pre span, article td, article dt')) {
+  const texts = ['p', 'h1', 'h2', 'a', 'code', 'pre span', 'td', 'dt'].map(tag => 'article ' + tag).join();
+  for (const e of document.querySelectorAll(texts)) {
     if (!e.textContent.trim() || !e.getClientRects().length) continue;
     const a = light(parse(getComputedStyle(e).color).slice(0, 3)), b = light(ground(e).slice(0, 3));
     const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
@@ -99,17 +111,24 @@ def faults_in_browser(site: Path, program: str, pictures: Path | None) -> list[s
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     root = f"http://127.0.0.1:{server.server_port}"
-    names = [path.relative_to(site).as_posix() for path in sorted(site.rglob("*.html")) if "_modules" not in path.parts]
+    names = [path.relative_to(site).as_posix() for path in sorted(site.rglob("*.html"))]
     found: list[str] = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"] if os.geteuid() == 0 else [])
+        browser = playwright.chromium.launch(
+            executable_path=program, args=["--no-sandbox"] if os.geteuid() == 0 else []
+        )
         for width, scheme in VIEWS:
             context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
             page = context.new_page()
             said: list[str] = []
             page.on("console", lambda m, said=said: said.append(m.text) if m.type in ("error", "warning") else None)
             page.on("pageerror", lambda error, said=said: said.append(str(error)))
-            page.on("request", lambda r, said=said: said.append(f"asks for {r.url}") if not r.url.startswith((root, "data:")) else None)
+            page.on(
+                "request",
+                lambda r, said=said: (
+                    said.append(f"asks for {r.url}") if not r.url.startswith((root, "data:")) else None
+                ),
+            )
             for name in names:
                 said.clear()
                 page.goto(f"{root}/{name}")
@@ -121,7 +140,10 @@ def faults_in_browser(site: Path, program: str, pictures: Path | None) -> list[s
                 if ratio < LEAST_CONTRAST:
                     found.append(f"{where}: contrast {ratio:.1f} of {text}")
                 if pictures and name.removesuffix(".html") in PICTURED:
-                    page.screenshot(path=pictures / f"{name.removesuffix('.html').replace('/', '-')}-{width}-{scheme}.png", full_page=False)
+                    page.screenshot(
+                        path=pictures / f"{name.removesuffix('.html').replace('/', '-')}-{width}-{scheme}.png",
+                        full_page=False,
+                    )
             context.close()
         page = browser.new_page()
         page.goto(f"{root}/search.html?q=robust_stability")

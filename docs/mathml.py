@@ -1,4 +1,4 @@
-"""Equations as MathML, made when the site is built: no script, nothing from elsewhere, and a screen reader can say them."""
+"""Equations as MathML, made when the site is built: no script, nothing from elsewhere, readable for screen readers."""
 
 from __future__ import annotations
 

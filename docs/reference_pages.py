@@ -1,7 +1,7 @@
 """The reference pages, written from the code when the site is built, and never committed.
 
-``api`` from the table of public names, ``cli`` from the parsers behind ``--help``, ``recipe`` from the JSON Schema. Needs robustlab
-alone, so that the tests can read what is written without building the site.
+``api`` from the table of public names, ``cli`` from the parsers behind ``--help``, ``recipe`` from the JSON Schema.
+Needs robustlab alone, so that the tests can read what is written without building the site.
 """
 
 from __future__ import annotations
@@ -108,7 +108,9 @@ def api_pages() -> dict[str, str]:
     index = heading("Python", "=")
     index += "``import robustlab as rl``; every name is loaded on first use. Results are objects, never tuples.\n\n"
     for group, names in groups().items():
-        index += heading(group[0].upper() + group[1:], "-") + _listed((n, f"robustlab.{n}", getattr(rl, n)) for n in names)
+        index += heading(group[0].upper() + group[1:], "-") + _listed(
+            (n, f"robustlab.{n}", getattr(rl, n)) for n in names
+        )
         made |= {f"api/{name}.rst": _api_page(f"robustlab.{name}", getattr(rl, name)) for name in names}
     index += heading("What comes back", "-")
     index += "Classes of results. They are made by the functions above and have no short name of their own.\n\n"
@@ -161,7 +163,11 @@ def cli_pages() -> dict[str, str]:
     """A page for each word after ``robustlab``, and one with what all have in common."""
     from robustlab.cli.main import GROUPS, help_text
 
-    top = heading("Commands", "=") + "What ``robustlab --help`` prints:\n\n.. code-block:: text\n\n" + indented(help_text())
+    top = (
+        heading("Commands", "=")
+        + "What ``robustlab --help`` prints:\n\n.. code-block:: text\n\n"
+        + indented(help_text())
+    )
     top += "\n.. toctree::\n\n" + "".join(f"   {name}\n" for name in GROUPS)
     made = {"cli/index.rst": top}
     for name, (_, line) in GROUPS.items():
@@ -205,14 +211,24 @@ def recipe_page() -> str:
     steps = {p["properties"]["do"]["const"]: p for p in parts.values() if "const" in p["properties"].get("do", {})}
     text = heading("Recipes", "=") + plain(schema["description"]) + "\n\n"
     text += (
-        "A recipe is a TOML file. An editor that knows JSON Schema completes and checks it by ``recipes/recipe.schema.json``;\n"
-        "``robustlab recipe schema`` prints that, ``robustlab recipe check FILE`` checks a file, ``robustlab recipe new NAME`` starts one.\n\n"
+        "A recipe is a TOML file. An editor that knows JSON Schema completes and checks it by\n"
+        "``recipes/recipe.schema.json``; ``robustlab recipe schema`` prints that, ``robustlab recipe check FILE``\n"
+        "checks a file, ``robustlab recipe new NAME`` starts one.\n\n"
     )
     text += heading("The file", "-") + _keys(schema, parts)
-    text += heading("[[require]]", "-") + plain(parts["Requirement"]["description"]) + "\n\n" + _keys(parts["Requirement"], parts)
+    text += (
+        heading("[[require]]", "-")
+        + plain(parts["Requirement"]["description"])
+        + "\n\n"
+        + _keys(parts["Requirement"], parts)
+    )
     for name in sorted(steps):
         text += f".. _step-{name}:\n\n" + heading(f'do = "{name}"', "-")
-        text += "\n\n".join(plain(p) for p in steps[name].get("description", "").split("\n\n")) + "\n\n" + _keys(steps[name], parts)
+        text += (
+            "\n\n".join(plain(p) for p in steps[name].get("description", "").split("\n\n"))
+            + "\n\n"
+            + _keys(steps[name], parts)
+        )
     return text
 
 
@@ -228,8 +244,14 @@ def _keys(part: dict[str, Any], parts: dict[str, Any]) -> str:
             words.append("**needed**")
         elif default not in (None, "", [], {}):
             words.append(f"default ``{json.dumps(default, ensure_ascii=False)}``")
-        text += f"``{name}`` : {', '.join(words)}\n   {plain(key.get('description', '')) or '..'}\n\n"
+        text += f"``{name}`` : {', '.join(words)}\n   {plain(_meaning(key)) or '..'}\n\n"
     return text
+
+
+def _meaning(key: dict[str, Any]) -> str:
+    """What a key means; said of it, or of what it holds."""
+    inner = [*key.get("anyOf", []), *([key["items"]] if "items" in key else [])]
+    return key.get("description") or next((found for part in inner if (found := _meaning(part))), "")
 
 
 def _kind(key: dict[str, Any], parts: dict[str, Any]) -> str:
