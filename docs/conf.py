@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
@@ -75,8 +77,14 @@ numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
 
-def setup(app: object) -> None:
+def plain_aliases(_app: object, _what: str, _name: str, _obj: object, _options: object, *texts: str | None) -> Any:
+    """Signatures with aliases by their names: what autodoc leaves of them in a union is its own way to hold them."""
+    return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in texts)
+
+
+def setup(app: Any) -> None:
     """Write the reference pages from the code before the sources are read."""
     app.connect("builder-inited", lambda _: reference_pages.write(DOCS / "reference"))
+    app.connect("autodoc-process-signature", plain_aliases)
     linked_names.setup(app)
     mathml.setup(app)

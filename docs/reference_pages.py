@@ -223,7 +223,7 @@ def recipe_page() -> str:
         + _keys(parts["Requirement"], parts)
     )
     for name in sorted(steps):
-        text += f".. _step-{name}:\n\n" + heading(f'do = "{name}"', "-")
+        text += f".. _step-{name}:\n\n" + heading(name, "-") + f'.. code-block:: toml\n\n   do = "{name}"\n\n'
         text += (
             "\n\n".join(plain(p) for p in steps[name].get("description", "").split("\n\n"))
             + "\n\n"
