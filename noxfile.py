@@ -29,6 +29,14 @@ def tests(session: nox.Session) -> None:
 
 
 @nox.session
+def docs(session: nox.Session) -> None:
+    """The site, with its tutorials executed, and a look at it in the browser, if there is one."""
+    session.install("-e", ".[docs]")
+    session.run("sphinx-build", "--jobs", "2", "--fail-on-warning", "--keep-going", "docs", "out/docs")
+    session.run("python", "docs/check_site.py", "out/docs", success_codes=[0, 5])
+
+
+@nox.session
 def oldest(session: nox.Session) -> None:
     """All tests with the oldest versions that pyproject.toml allows."""
     session.install("uv")

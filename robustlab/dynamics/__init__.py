@@ -52,7 +52,7 @@ def plant(name: str, **parameters: Any) -> Any:
     name
         One of `plant_names`; or ``"path/to/file.py:name"``, a plant of your own or a function that returns one; or
         ``"path/to/machine.fmu"``, a functional mock-up unit (`robustlab.dynamics.fmu`): that file is run.
-    parameters
+    **parameters
         Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform
         also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``; a unit what
         `robustlab.dynamics.fmu.FmuPlant` takes.

@@ -27,7 +27,7 @@ def trim(plant: Plant, **where: Any) -> Trim:
     ----------
     plant
         A nonlinear plant, as from `robustlab.dynamics.plant`. (A linear one rests at zero.)
-    where
+    **where
         What the plant offers: the Stewart platform takes ``pose=(tx, ty, tz, ax, ay, az)`` in m and rad, or
         ``phi=`` six nut angles in rad; home where nothing is given. A plant with effects takes inputs, outputs and
         states by name: ``trim(axis, u=0.1)``; its trim has ``.holding``, the forces that hold it and their limits. A

@@ -129,7 +129,7 @@ def beside(*systems: Any) -> UncertainModel:
 
     Parameters
     ----------
-    systems
+    *systems
         Sets, models, matrices or numbers with equally many outputs; one at least.
 
     Returns
@@ -160,7 +160,7 @@ def stacked(*systems: Any) -> UncertainModel:
 
     Parameters
     ----------
-    systems
+    *systems
         Sets, models, matrices or numbers with equally many inputs; one at least.
 
     Returns

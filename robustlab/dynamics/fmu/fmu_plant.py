@@ -72,7 +72,7 @@ class FmuPlant(NonlinearPlant):
         "differences": Richardson's central differences, so labelled. Left out: its own where it has them.
     time_limit
         Seconds that the unit may take for one request (a simulation, a set of points).
-    parameters
+    **parameters
         Name -> value or (value, relative tolerance), of the fixed and tunable real parameters of the description.
 
     Attributes

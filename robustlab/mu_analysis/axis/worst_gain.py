@@ -250,7 +250,7 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     ----------
     uncertain
         Uncertain model whose inputs and outputs are weighted.
-    options
+    **options
         Those of `robust_stability`.
 
     Returns

@@ -205,8 +205,7 @@ def cover(
             interval hull of the entries of A, B, C, D
         ``pca``, ``ellipsoid``
             few real parameters along the axes of the cloud of the matrices
-        ``additive``, ``input-multiplicative``, ``output-multiplicative``, ``inverse-additive``,
-        ``inverse-input-multiplicative``, ``inverse-output-multiplicative``
+        ``additive``, ``input-multiplicative``, ``output-multiplicative``, and ``inverse-`` with one of these
             one full block with a stable minimum-phase weight, see `robustlab.uncertainty.unstructured`; the models
             may have different states
 
@@ -236,6 +235,7 @@ def cover(
     Returns
     -------
     Cover
+        The uncertain model, each model's delta in it, how far a weight is above the bound, and the conservatism.
 
     Raises
     ------

@@ -108,8 +108,9 @@ def mu(
 ) -> MuBounds:
     r"""Bounds of the structured singular value.
 
-    .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta
-    \text{ does}
+    .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}
+
+    and 0 where no Delta makes the determinant vanish.
 
     The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
     explicit Delta. What lies between them is not known; with ``tolerance`` branch and bound over the real parameters

@@ -59,6 +59,12 @@ class RefersTo:
 
     gives: tuple[str, ...]
 
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        """The schema of a text, with what it is; a field's own description comes before this one."""
+        *first, last = [kind for kind in self.gives if kind != "any"]
+        kinds = f"{', '.join(first)} or {last}" if first else last
+        return {"description": f"Name of an earlier step that gives: {kinds}.", **handler(core_schema)}
+
 
 # "any": a loaded file shows only at run time what it holds.
 ToPlant = Annotated[str, RefersTo(("plant",))]

@@ -52,7 +52,7 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
     Parameters
     ----------
     bandwidth
-        omega_B in rad/s: where the asymptote of 1/|W1| crosses one.
+        omega_B in rad/s: where the asymptote of ``1/|W1|`` crosses one.
     error
         A: largest steady-state error (0 < A < 1). An exact integrator (A = 0) has no stabilising controller in this
         problem.
@@ -162,7 +162,7 @@ def complementary_weight(
     Parameters
     ----------
     bandwidth
-        omega_T in rad/s: where the asymptote of 1/|W3| crosses one.
+        omega_T in rad/s: where the asymptote of ``1/|W3|`` crosses one.
     peak
         M: largest T at low frequency (> 1).
     roll_off

@@ -192,7 +192,7 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     With :math:`[G_2^*; \tilde G_2]` unitary the directed gap is a two-block problem,
 
     .. math:: \vec\delta = \inf_Q \left\| \begin{bmatrix} G_2^* G_1 - Q \\ \tilde G_2 G_1 \end{bmatrix} \right\|_\infty
-       \le \gamma \iff \| (G_2^* G_1 \Phi_\gamma^{-1})_{antistable} \|_{Hankel} \le 1, \qquad
+       \le \gamma \Leftrightarrow \| (G_2^* G_1 \Phi_\gamma^{-1})_{antistable} \|_{Hankel} \le 1, \qquad
        \Phi_\gamma^* \Phi_\gamma = \gamma^2 I - G_1^* \tilde G_2^* \tilde G_2 G_1
 
     solved by bisection over gamma.
