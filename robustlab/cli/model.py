@@ -22,6 +22,7 @@ from robustlab.cli.options import (
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
+from robustlab.cli.plots import plot_model
 from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
@@ -255,6 +256,7 @@ def convert(
 
 app.command()(margins)
 app.command()(gap)
+app.command("plot")(plot_model)
 
 
 @app.command()
