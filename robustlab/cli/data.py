@@ -21,6 +21,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import plant_or_model, uncertain_or_plant
 from robustlab.cli.plots import plot_record
+from robustlab.cli.progress import ProgressOptions
 from robustlab.cli.record_options import ModelRecordOptions, RecordOptions, UncertainRecordOptions
 from robustlab.errors import (
     EXIT_INTERRUPTED,
@@ -270,6 +271,7 @@ def compare(
     options: ModelRecordOptions,
     windows: WindowOptions,
     figures: FiguresOption = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
@@ -290,7 +292,8 @@ def compare(
             raise UsageError(model, found, "none: a co-simulation unit runs from its own initial state only")
         found = system.compare(first)
     else:
-        found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
+        with progress.shown("data compare"):
+            found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
     if figures:
         from robustlab.report.comparison_figures import comparison_figures
@@ -316,6 +319,7 @@ def discover(
     windows: ExcitationOptions,
     output: DiscoveryFiles,
     details: Annotated[bool, typer.Option("--details", help="Print all that the answer rests on, too.")] = False,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Name the effect that a model lacks, from measured records, and update the model with it.
@@ -336,17 +340,18 @@ def discover(
     def records(files: list[str] | None) -> list[Record]:
         return [options.read(file, inputs, group) for file, group in map(_file_and_group, files or [])]
 
-    found = discover_in(
-        system,
-        records(data),
-        records(naming.held_out) or None,
-        tolerances=shares("--tolerance", naming.tolerance),
-        window=windows.window,
-        period=windows.period,
-        repeats=records(windows.repeat),
-        exclude=tuple(effect(name).id for name in naming.exclude or []),
-        progress=note,
-    )
+    with progress.shown("data discover", lines=True, budgets=False) as report:
+        found = discover_in(
+            system,
+            records(data),
+            records(naming.held_out) or None,
+            tolerances=shares("--tolerance", naming.tolerance),
+            window=windows.window,
+            period=windows.period,
+            repeats=records(windows.repeat),
+            exclude=tuple(effect(name).id for name in naming.exclude or []),
+            progress=report,
+        )
     read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
     files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)], code_of(system))
@@ -371,6 +376,7 @@ def validate(
     effort: EffortOptions,
     options: UncertainRecordOptions,
     figures: FiguresOption = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
@@ -386,16 +392,17 @@ def validate(
     record = options.read(data, ",".join(s.name for s in model.inputs))
     units = {s.name: s.unit for s in model.outputs}
     words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
-    found = validate_with(
-        model,
-        record,
-        assignments("--noise", asked.noise, units) if asked.noise else None,
-        noise_norm=asked.noise_norm or None,  # pyright: ignore[reportArgumentType]  other words are refused by name
-        precision=asked.precision,
-        progress=note,
-        **words,
-        **vars(effort),
-    )
+    with progress.shown("data validate", lines=True) as report:
+        found = validate_with(
+            model,
+            record,
+            assignments("--noise", asked.noise, units) if asked.noise else None,
+            noise_norm=asked.noise_norm or None,  # pyright: ignore[reportArgumentType]  other words are refused by name
+            precision=asked.precision,
+            progress=report,
+            **words,
+            **vars(effort),
+        )
     members = asked.cover
     if members is None:
         members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0

@@ -129,7 +129,7 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
     stated = {name: found.unit(signal) for name, signal in both.items()}
     units = {name: unit for name, unit in stated.items() if unit and wanted.get(name) and unit != wanted[name]}
     units = {name: unit for name, unit in units.items() if not same_unit(unit, wanted[name])}
-    record = Record.read(path, None, *texts, dt, clock=clock, units=units or None)
+    record = Record.read(path, None, texts[0], texts[1], dt, clock=clock, units=units or None)
     kept = clock if clock_given is None else clock_given
     unstated = tuple(name for name, unit in stated.items() if not unit)
     return Channels(record, tuple(texts[0]), tuple(texts[1]), kept, units, unstated, tuple(guessed))

@@ -92,7 +92,8 @@ def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array 
 
     if not A.size:
         return None
-    T, Z, n_fast = schur(A.T, output="complex", sort=lambda pole: abs(pole) <= slowest * (1 + 1e-12))
+    ordered: Any = schur(A.T, output="complex", sort=lambda pole: abs(pole) <= slowest * (1 + 1e-12))
+    T, Z, n_fast = ordered
     if n_fast == len(A):
         return None
     F, modes = T[n_fast:, n_fast:] / mirror, Z[:, n_fast:]
