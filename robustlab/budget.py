@@ -3,14 +3,18 @@
 A clock must not decide what an answer is. Searches count what they do (gamma tests, evaluations, frequencies, boxes,
 each with the size of its matrices) and end when a budget of that is used up. A time limit is a guard on top that the
 user may set; where it strikes, the result says so, because it cannot be repeated then.
+
+Whoever shows how far a computation is listens to the budgets that are made while it runs (`listening`): they tell the
+work done of the work there is. A search may end long before, so the rest is what it may still take at most.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from math import inf
 from pathlib import Path
 
@@ -23,6 +27,7 @@ __all__ = [
     "Budget",
     "child_environment",
     "dense",
+    "listening",
     "one_thread",
     "search_budget",
 ]
@@ -33,6 +38,20 @@ MILLION = 1_000_000
 NOT_REPEATABLE = "the time limit ended the search, so the answer depends on the machine and is not repeatable"
 # And where its work was done before the proof was.
 USED_UP = "work budget used up; a larger effort may prove more"
+
+# Takes the work done and the work there is; asked for once, when a budget is made.
+Listener = Callable[[float, float], None]
+_LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
+
+
+@contextmanager
+def listening(listener: Listener | None) -> Iterator[None]:
+    """Budgets made inside the ``with`` block tell ``listener`` their work done and in all, whenever some is spent."""
+    before = _LISTENER.set(listener)
+    try:
+        yield
+    finally:
+        _LISTENER.reset(before)
 
 
 def dense(n: int, times: int = 1) -> int:
@@ -71,6 +90,7 @@ class Budget:
         self._work = float(work)
         self._end = inf if time_limit is None else time.monotonic() + time_limit
         self._parent: Budget | None = None
+        self._whole, self._listener = self._work, _LISTENER.get() if self._work < inf else None
         self._struck = self._used_up = False
 
     def spend(self, work: float) -> None:
@@ -78,6 +98,8 @@ class Budget:
         self._work -= work
         if self._parent is not None:
             self._parent.spend(work)
+        elif self._listener is not None:
+            self._listener(self._whole - self._work, self._whole)
 
     def share(self, part: float) -> Budget:
         """A budget of this part of what is left, of work and of time; what it spends is spent here, too."""
@@ -90,7 +112,8 @@ class Budget:
     def apart(self, work: float) -> Budget:
         """A budget of so much work, taken off this one now, for a search beside others that must not see each other."""
         self.spend(work)
-        return Budget(work, None if self.seconds_left == inf else self.seconds_left)
+        with listening(None):  # counted already
+            return Budget(work, None if self.seconds_left == inf else self.seconds_left)
 
     @property
     def left(self) -> float:

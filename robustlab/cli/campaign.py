@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, note, progress, require_trust, table
+from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
 from robustlab.cli.options import JsonOption, SeedOption, grouped
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def run(
     workers: WorkerOptions,
     existing: ExistingOptions,
     bound: BoundOption = None,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
@@ -109,7 +111,7 @@ def run(
         band=of.band,
     )
     store_mode = "restart" if existing.restart else "fork" if existing.fork else "resume"
-    with _guarded(store, plan.n) as advance:
+    with _guarded("campaign run", store, plan.n, progress) as advance:
         result = run_campaign(
             model, settings, store, existing=store_mode, crew=workers.crew(), retry_lost=workers.retry_lost,
             limit=bound, progress=advance,
@@ -120,15 +122,20 @@ def run(
 @app.command()
 @grouped
 def resume(
-    *, store: StoreArgument, workers: WorkerOptions, bound: BoundOption = None, as_json: JsonOption = False
+    *,
+    store: StoreArgument,
+    workers: WorkerOptions,
+    bound: BoundOption = None,
+    progress: ProgressOptions,
+    as_json: JsonOption = False,
 ) -> None:
     """Go on with a campaign where it was interrupted; model and settings are in the store.
 
     Example: robustlab campaign resume motor.sqlite --workers 2
     """
-    from robustlab.campaign import resume_campaign
+    from robustlab.campaign import resume_campaign, saved_samples
 
-    with _guarded(store, None) as advance:
+    with _guarded("campaign resume", store, saved_samples(store)[1], progress) as advance:
         result = resume_campaign(
             store, crew=workers.crew(), retry_lost=workers.retry_lost, limit=bound, progress=advance
         )
@@ -180,10 +187,16 @@ def replay(
 
 
 @contextmanager
-def _guarded(store: str, n: int | None) -> Iterator[Callable[[int], None]]:
-    """A progress bar, and for Ctrl-C the word of what is saved and how to go on."""
+def _guarded(command: str, store: str, n: int, progress: ProgressOptions) -> Iterator[Callable[[int], None]]:
+    """Takes how many samples were just stored, first those of earlier runs; for Ctrl-C the word of how to go on."""
+    saved: list[int] = []
     try:
-        with progress("campaign", n) as advance:
+        with progress.shown(command, n, budgets=False) as display:
+
+            def advance(stored: int) -> None:
+                saved.append(stored)
+                (display.step if len(saved) > 1 else display.resumed)(sum(saved))
+
             yield advance
     except KeyboardInterrupt:
         _say_interrupted(store)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,12 +24,10 @@ __all__ = [
     "emit",
     "main_guard",
     "note",
-    "progress",
     "require_trust",
     "result_alone",
     "save_drawing",
     "save_figures",
-    "status_line",
     "table",
 ]
 
@@ -120,37 +117,3 @@ def table(rows: list[tuple[str, ...]], header: tuple[str, ...] | None = None) ->
     if header:
         out.insert(1, "  ".join("-" * w for w in widths))
     return "\n".join(out)
-
-
-@contextmanager
-def progress(description: str, total: int | None = None) -> Iterator[Callable[..., None]]:
-    """A progress bar on stderr, on a terminal only; yields ``advance(steps, text)``; a text is shown before it."""
-    if not sys.stderr.isatty():
-        yield lambda _steps, _text="": None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = [TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda steps, text="": bar.update(task, advance=steps, description=text or None)
-
-
-@contextmanager
-def status_line(description: str, verbose: bool = False) -> Iterator[Callable[[str], None]]:
-    """Where a search stands; yields ``report(text)``.
-
-    On a terminal one line on stderr that the next text replaces, elsewhere nothing; with ``verbose`` a line each.
-    """
-    if verbose:
-        yield note
-        return
-    if not sys.stderr.isatty():
-        yield lambda _text: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-
-    with Console(stderr=True).status(escape(description)) as line:
-        yield lambda text: line.update(escape(plain_text(f"{description}: {text}")))

@@ -17,10 +17,12 @@ from robustlab.cli.options import (
     OutputOptions,
     assignments,
     grouped,
-    names,
     shares,
 )
 from robustlab.cli.plant import plant_or_model, uncertain_or_plant
+from robustlab.cli.plots import plot_record
+from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.record_options import ModelRecordOptions, RecordOptions, UncertainRecordOptions
 from robustlab.errors import (
     EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
@@ -28,7 +30,6 @@ from robustlab.errors import (
     NoTrustworthyNumber,
     UsageError,
 )
-from robustlab.units import same_unit
 
 if TYPE_CHECKING:
     from robustlab.identification.naming.discovery_result import Discovery
@@ -41,6 +42,7 @@ __all__ = ["PLANT_FILE", "DiscoveryFiles", "app"]
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
 app = typer.Typer(help="Check, convert and compare measured records; name what a model lacks.", no_args_is_help=True)
+app.command("plot")(plot_record)
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="FILE")]
 ModelArgument = Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")]
@@ -56,80 +58,6 @@ FiguresOption = Annotated[
 
 
 # --- option groups ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RecordOptions:
-    """How the file of a record is to be read."""
-
-    group: Annotated[
-        str | None, typer.Option("--group", help="HDF5 group, MATLAB struct or topic of a bag.", show_default=False)
-    ] = None
-    inputs: Annotated[
-        str | None,
-        typer.Option("--inputs", help="Inputs: u or u,w; u=SIGNAL renames.", show_default=False),
-    ] = None
-    outputs: Annotated[
-        str | None, typer.Option("--outputs", help="Names of the outputs: q or q,v.", show_default=False)
-    ] = None
-    dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None
-    clock: Annotated[
-        str | None,
-        typer.Option("--clock", help="Signal with the times; of a bag: stamp or log.", show_default=False),
-    ] = None
-    unit: Annotated[
-        list[str] | None,
-        typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
-    ] = None
-    delimiter: Annotated[
-        str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
-    ] = None
-    decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
-    allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
-
-    def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> Record:
-        """The record in a file, with these inputs; of this group, where one is given. What was done to it is told."""
-        from robustlab.record import Record
-
-        units = _units(self.unit or [])
-        wanted, told = (None if text is None else names(text) for text in (inputs, self.outputs))
-        record = Record.read(
-            file, group or self.group, wanted, told, self.dt, units=units, clock=self.clock,
-            delimiter=self.delimiter, decimal=self.decimal, allow_gaps=self.allow_gaps,
-        )  # fmt: skip
-        for name in record.units:
-            if name in units and not same_unit(units[name], record.unit(name)):
-                note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
-        if tell:
-            for line in record.meaning.get("t", "").splitlines():
-                note(f"{file}: {line}")
-        return record
-
-
-@dataclass(frozen=True)
-class ModelRecordOptions(RecordOptions):
-    """The same beside a model, which knows its inputs."""
-
-    inputs: Annotated[
-        str | None,
-        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
-    ] = None
-    outputs: Annotated[
-        str | None,
-        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
-    ] = None
-
-
-@dataclass(frozen=True)
-class UncertainRecordOptions(RecordOptions):
-    """The same beside an uncertain model, whose inputs the record must have; gaps are refused."""
-
-    inputs: None = None
-    outputs: Annotated[
-        str | None, typer.Option("--outputs", "--output", help="Names of the outputs.", show_default=False)
-    ] = None
-    clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None
-    allow_gaps: bool = False
 
 
 @dataclass(frozen=True)
@@ -343,6 +271,7 @@ def compare(
     options: ModelRecordOptions,
     windows: WindowOptions,
     figures: FiguresOption = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
@@ -358,7 +287,8 @@ def compare(
     repeat = windows.repeat or []
     inputs = options.inputs or ",".join(_input_names(system))
     first, *others = (options.read(file, inputs) for file in (data, *repeat))
-    found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
+    with progress.shown("data compare"):
+        found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
     if figures:
         from robustlab.report.comparison_figures import comparison_figures
@@ -386,6 +316,7 @@ def discover(
     windows: ExcitationOptions,
     output: DiscoveryFiles,
     details: Annotated[bool, typer.Option("--details", help="Print all that the answer rests on, too.")] = False,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Name the effect that a model lacks, from measured records, and update the model with it.
@@ -406,17 +337,18 @@ def discover(
     def records(files: list[str] | None) -> list[Record]:
         return [options.read(file, inputs, group) for file, group in map(_file_and_group, files or [])]
 
-    found = discover_in(
-        system,
-        records(data),
-        records(naming.held_out) or None,
-        tolerances=shares("--tolerance", naming.tolerance),
-        window=windows.window,
-        period=windows.period,
-        repeats=records(windows.repeat),
-        exclude=tuple(effect(name).id for name in naming.exclude or []),
-        progress=note,
-    )
+    with progress.shown("data discover", lines=True, budgets=False) as report:
+        found = discover_in(
+            system,
+            records(data),
+            records(naming.held_out) or None,
+            tolerances=shares("--tolerance", naming.tolerance),
+            window=windows.window,
+            period=windows.period,
+            repeats=records(windows.repeat),
+            exclude=tuple(effect(name).id for name in naming.exclude or []),
+            progress=report,
+        )
     read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
     files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)], code_of(system))
@@ -441,6 +373,7 @@ def validate(
     effort: EffortOptions,
     options: UncertainRecordOptions,
     figures: FiguresOption = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
@@ -456,16 +389,17 @@ def validate(
     record = options.read(data, ",".join(s.name for s in model.inputs))
     units = {s.name: s.unit for s in model.outputs}
     words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
-    found = validate_with(
-        model,
-        record,
-        assignments("--noise", asked.noise, units) if asked.noise else None,
-        noise_norm=asked.noise_norm or None,  # pyright: ignore[reportArgumentType]  other words are refused by name
-        precision=asked.precision,
-        progress=note,
-        **words,
-        **vars(effort),
-    )
+    with progress.shown("data validate", lines=True) as report:
+        found = validate_with(
+            model,
+            record,
+            assignments("--noise", asked.noise, units) if asked.noise else None,
+            noise_norm=asked.noise_norm or None,  # pyright: ignore[reportArgumentType]  other words are refused by name
+            precision=asked.precision,
+            progress=report,
+            **words,
+            **vars(effort),
+        )
     members = asked.cover
     if members is None:
         members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0
@@ -503,16 +437,6 @@ def _input_names(system: Any) -> list[str]:
     from robustlab.statespace import as_model
 
     return [s.name for s in (system if isinstance(system, Plant) else as_model(system)).inputs]
-
-
-def _units(settings: list[str]) -> dict[str, str]:
-    units = {}
-    for text in settings:
-        name, equals, unit = text.partition("=")
-        if not (name and equals):
-            raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
-        units[name] = unit
-    return units
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from robustlab.cli.options import (
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
+from robustlab.cli.plots import plot_model
 from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
@@ -221,6 +222,14 @@ def convert(
         list[str] | None,
         typer.Option("--saturation", help="Limits of a control signal in .c or .json, NAME=LOW:HIGH; repeatable."),
     ] = None,
+    anti_windup: Annotated[
+        float | None,
+        typer.Option(
+            "--anti-windup",
+            help="With --saturation in .c: time in s in which the states recover; inf: none.  [default: 10 samples]",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a model in another format: HDF5, MATLAB version 5, JSON; a discrete controller as C99.
@@ -236,8 +245,10 @@ def convert(
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
     limits = ends("--saturation", saturation) or None
-    if limits is not None or target.lower().endswith((".c", ".json")):
-        export_controller(target, loaded.object, prefix=prefix, saturation=limits, provenance=origin)
+    if limits is not None or anti_windup is not None or target.lower().endswith((".c", ".json")):
+        export_controller(
+            target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin
+        )
     else:
         save(target, loaded.object, origin)
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
@@ -245,6 +256,7 @@ def convert(
 
 app.command()(margins)
 app.command()(gap)
+app.command("plot")(plot_model)
 
 
 @app.command()

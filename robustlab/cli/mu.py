@@ -10,6 +10,7 @@ import typer
 from robustlab.cli.console import emit, note, require_trust, save_drawing, table
 from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -91,6 +92,7 @@ def mu(
     shown: ShownOptions,
     voices: VoiceOptions,
     seed: SeedOption = 0,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
@@ -103,11 +105,12 @@ def mu(
         raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
     options: dict[str, Any] = {**vars(proof), "seed": seed}
     uncertain = _uncertain(file, question.inputs, question.outputs)
-    if question.gain:
-        del options["accuracy"]
-        result, text = _worst_gain(uncertain, options, shown)
-    else:
-        result, text = _margin(uncertain, question.performance, options, shown)
+    with progress.shown("mu"):
+        if question.gain:
+            del options["accuracy"]
+            result, text = _worst_gain(uncertain, options, shown)
+        else:
+            result, text = _margin(uncertain, question.performance, options, shown)
     more: dict[str, Any] = {}
     trusted = True
     if voices.certify:

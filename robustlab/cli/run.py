@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robustlab.cli.console import emit, note, progress, result_alone, table
-from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
+from robustlab.cli.console import emit, result_alone, table
+from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument, grouped
+from robustlab.cli.progress import ProgressOptions
 
 if TYPE_CHECKING:
     from robustlab.recipe.run import RunResult
@@ -17,12 +17,15 @@ app = typer.Typer(help="Run a recipe: steps, requirements, report.")
 
 
 @app.command()
+@grouped
 def run(
+    *,
     recipe: RecipeArgument,
     changes: ChangesOption = None,
     out: Annotated[
         str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)
     ] = None,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
@@ -39,16 +42,15 @@ def run(
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     folder = Path(out) if out else Path("out") / loaded.recipe.name
-    steps = iter(range(len(loaded.recipe.step)))
-    with progress(loaded.recipe.name, len(loaded.recipe.step)) as advance:
+    count = len(loaded.recipe.step)
+    begun: list[str] = []
+    result_alone()  # a plant of the recipe may be code of the user's
+    with progress.shown("run", count, lines=True, budgets=False) as display:
 
         def begin(name: str, kind: str) -> None:
-            done = next(steps)
-            advance(1 if done else 0, f"{name} ({kind})")
-            if not sys.stderr.isatty():
-                note(f"[{done + 1}/{len(loaded.recipe.step)}] {name} ({kind})")
+            begun.append(name)
+            display.step(len(begun) - 1, f"[{len(begun)}/{count}] {name} ({kind})")
 
-        result_alone()  # a plant of the recipe may be code of the user's
         result = run_recipe(loaded, folder, begin)
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, note, require_trust, save_drawing, status_line, table
+from robustlab.cli.console import emit, note, require_trust, save_drawing, table
 from robustlab.cli.options import (
     DtOption,
     EffortOptions,
@@ -22,6 +21,7 @@ from robustlab.cli.options import (
     grouped,
     names,
 )
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import (
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
@@ -146,7 +146,7 @@ class SignalOptions:
 
 
 @dataclass(frozen=True)
-class DesignOutput:
+class DesignOutput(ProgressOptions):
     """What becomes of a design, and whether its search is told step by step."""
 
     out: OutOption = None
@@ -181,6 +181,7 @@ class QuietDesignOutput(DesignOutput):
     """The same of a design that needs no search."""
 
     verbose: bool = False
+    progress: str = "auto"
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -209,7 +210,7 @@ def hinf(
     from robustlab.synthesis.hinf.hinf_synthesis import hinf as design
 
     plant = channels.plant("synth hinf", file, nominal)
-    with status_line("H-infinity", output.verbose) as report:
+    with output.shown("synth hinf", verbose=output.verbose) as report:
         found = design(plant, gamma_rel=gamma_rel, **vars(effort), progress=report)
     output.finish("synth hinf", found, file)
 
@@ -235,7 +236,7 @@ def h2(
     from robustlab.synthesis.h2.h2_synthesis import h2 as design
 
     plant = channels.plant("synth h2", file, nominal)
-    with status_line("H2", output.verbose) as report:
+    with output.shown("synth h2", verbose=output.verbose) as report:
         found = design(plant, **vars(effort), progress=report)
     output.finish("synth h2", found, file)
 
@@ -300,7 +301,7 @@ def dk(
     from robustlab.synthesis.dk.dk_iteration import dk as design
 
     plant = channels.plant("synth dk", file)
-    with status_line("D-K", output.verbose) as report:
+    with output.shown("synth dk", verbose=output.verbose) as report:
         found = design(
             plant, rows, direct=direct, mixed=mixed, max_order=max_order, **vars(effort),
             progress=report,
@@ -344,7 +345,7 @@ def fixed(
     plant = channels.plant("synth fixed", file, nominal)
     words = structure_in_words(structure, plant)
     options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, **vars(effort)}
-    with status_line("fixed structure", output.verbose) as report:
+    with output.shown("synth fixed", verbose=output.verbose) as report:
         found = design(plant, words, progress=report, **options)
     output.finish("synth fixed", found, file)
 
@@ -396,7 +397,7 @@ def mixsyn(
     left_out = [name for name in model.state_names if name not in kept.state_names]
     if left_out:
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
-    with status_line("mixed sensitivity", output.verbose) as report:
+    with output.shown("synth mixsyn", verbose=output.verbose) as report:
         found = design(kept, *weights, gamma_rel=gamma_rel, **vars(effort), progress=report)
     output.finish("synth mixsyn", found, file)
 
@@ -414,6 +415,7 @@ def reduce(
     ] = "hinf",
     channels: LoopChannelOptions,
     effort: EffortOptions,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than --loss.
@@ -428,10 +430,10 @@ def reduce(
 
     K = as_model(load(controller), controller)
     measure_given: Any = measure
-    found = reduce_controller(
-        channels.plant(plant, K), K, loss=loss, order=order, measure=measure_given,
-        **vars(effort), progress=_progress(),
-    )  # fmt: skip
+    with progress.shown("synth reduce") as report:
+        found = reduce_controller(
+            channels.plant(plant, K), K, loss=loss, order=order, measure=measure_given, **vars(effort), progress=report
+        )
     rows = [*found.facts(), *output.keep_made("synth reduce", found.controller, (plant, controller))]
     emit("synth reduce", found.to_json(), table(rows), output.as_json)
     require_trust(found.status)
@@ -463,6 +465,7 @@ def discretise(
     sampling: SamplingOptions,
     channels: LoopChannelOptions,
     effort: EffortOptions,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Digital controller, with the proved norm of the sampled loop, between samples too, and what it loses.
@@ -480,17 +483,16 @@ def discretise(
 
     K = as_model(load(controller), controller)
     given = channels.plant(plant, K)
-    found = discretise_controller(
-        _nominal(given), K=K, **vars(sampling), **vars(effort), progress=_progress(),
-    )  # fmt: skip
     robust = None
-    if given.blocks:
-        from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness
+    with progress.shown("synth discretise") as report:
+        found = discretise_controller(_nominal(given), K=K, **vars(sampling), **vars(effort), progress=report)
+        if given.blocks:
+            from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness
 
-        robust = sampled_robustness(
-            given, found.K, delay=sampling.delay, antialiasing=sampling.antialiasing, **vars(effort),
-            progress=_progress(),
-        )  # fmt: skip
+            robust = sampled_robustness(
+                given, found.K, delay=sampling.delay, antialiasing=sampling.antialiasing, **vars(effort),
+                progress=report,
+            )  # fmt: skip
     proved = [(f"sampled: {label}", text) for label, text in robust.facts()] if robust else []
     rows = [*found.facts(), *proved, *output.keep_made("synth discretise", found.controller, (plant, controller))]
     data = found.to_json() | ({"robustness": robust.to_json()} if robust else {})
@@ -567,11 +569,6 @@ def _nominal(plant: GeneralizedPlant) -> GeneralizedPlant:
     from robustlab.uncertainty.lft import UncertainModel
 
     return GeneralizedPlant(UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)
-
-
-def _progress() -> Any:
-    """Lines on stderr, on a terminal only."""
-    return note if sys.stderr.isatty() else None
 
 
 def _draw(found: Synthesis, figure: str) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from robustlab.cli.console import emit, note, progress, require_trust, save_figures, table
+from robustlab.cli.console import emit, note, require_trust, save_figures, table
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.options import (
     EffortOptions,
@@ -23,6 +24,7 @@ from robustlab.cli.options import (
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
@@ -193,7 +195,9 @@ class CoverOptions:
         typer.Option("--controller", help="File of a controller u = K y: the cover's worst gain is that of its loop."),
     ] = None
 
-    def build(self, tolerance: float | None, effort: EffortOptions) -> tuple[Cover, Provenance]:
+    def build(
+        self, tolerance: float | None, effort: EffortOptions, report: Callable[[str], None]
+    ) -> tuple[Cover, Provenance]:
         """The cover, with its worst gain in the loop of a controller where one is given."""
         from robustlab.mu_analysis.margins.cover import cover
         from robustlab.provenance import Provenance, file_sha256
@@ -205,11 +209,10 @@ class CoverOptions:
         k = None if self.controller is None else as_model(load(self.controller), self.controller)
         loop = None if k is None else lambda g: g.feedback(k, 1)  # u = K y, positive feedback
         options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
-        with progress("cover") as advance:
-            found = cover(
-                models, self.form, directions=self.directions, order=self.order, loop=loop,
-                progress=lambda text: advance(0, text), **options, **vars(effort),
-            )  # fmt: skip
+        found = cover(
+            models, self.form, directions=self.directions, order=self.order, loop=loop, progress=report,
+            **options, **vars(effort),
+        )  # fmt: skip
         used = {path: file_sha256(path) for path in [*files, *([self.controller] if self.controller else [])]}
         return found, Provenance.now("uncertain build", used, note=f"{self.form} cover of {len(models)} models")
 
@@ -276,6 +279,7 @@ def build(
     covered: CoverOptions,
     effort: EffortOptions,
     found: DiscoveryOptions,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Uncertain model from two models, a set of models, a plant's ranges, a discovery, or matrices of expressions.
@@ -291,7 +295,9 @@ def build(
         )
     plant, outputs = ranges.plant, ranges.outputs.split(",") if ranges.outputs else None
     if covered.cover is not None:
-        _tell_cover(*covered.build(models.noise, effort), output)
+        with progress.shown("uncertain build") as report:
+            made = covered.build(models.noise, effort, report)
+        _tell_cover(*made, output)
         return
     if found.discovery is not None:
         _tell_discovery(*found.build(outputs), output)
@@ -304,12 +310,14 @@ def build(
             raise UsageError("uncertain build", "options of a plant with --expressions", "them with --plant only")
         model, origin = _from_expressions(expressions)
     elif plant is not None:
-        model, origin = ranges.build(plant, outputs)
+        with progress.shown("uncertain build"):
+            model, origin = ranges.build(plant, outputs)
     else:
         if outputs or ranges.ranges:
             option = "--outputs" if outputs else "--range"
             raise UsageError("uncertain build", f"{option} without --plant", f"{option} with --plant NAME only")
-        model, residual, origin = models.build()
+        with progress.shown("uncertain build"):
+            model, residual, origin = models.build()
     if not model.blocks:
         note("no uncertainty: mu = 0")
     more = []

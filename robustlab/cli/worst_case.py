@@ -10,6 +10,7 @@ import typer
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
 
 app = typer.Typer(help="Search the worst member of an uncertain model.")
@@ -66,6 +67,7 @@ def worst_case(
         str | None,
         typer.Option("--figure", help="With --limit: folder for figures.", show_default=False),
     ] = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
@@ -90,12 +92,14 @@ def worst_case(
     }
     if judged.limit is not None:
         options |= {"n": search.n, "probability": judged.probability, "confidence": judged.confidence}
-        found = worst_case_analysis.violation_probability(model, metric, judged.limit, **options)
+        with progress.shown("worst-case"):
+            found = worst_case_analysis.violation_probability(model, metric, judged.limit, **options)
         _keep(output.out, found, file, search.seed)
         _report_violation(file, found, figure, output.as_json)
         return
     options |= {"n": 256 if search.n is None else search.n, "effort": search.effort, "time_limit": search.time_limit}
-    found = worst_case_analysis.worst_case(model, metric, **options)
+    with progress.shown("worst-case"):
+        found = worst_case_analysis.worst_case(model, metric, **options)
     _keep(output.out, found, file, search.seed)
     emit("worst-case", {"file": file, **found.to_json()}, _text(found), output.as_json)
     require_trust(found.status)

@@ -1,19 +1,17 @@
-"""The files around a recipe: those it names and may read, the recipes that ship with robustlab, one to start from."""
+"""The files around a recipe: those it names and may read, the recipes that ship with robustlab."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import robustlab
-from robustlab.errors import EnvironmentFault, InputError, UsageError, did_you_mean
-from robustlab.files.atomic import atomic_write
+from robustlab.errors import InputError, did_you_mean
 from robustlab.recipe.load import LoadedRecipe
 from robustlab.recipe.steps.contract import Step
 from robustlab.recipe.steps.models import LoadStep, PlantStep
 from robustlab.recipe.steps.records import RecordStep
 
-__all__ = ["STARTER", "find_files", "recipe_path", "shipped_recipes", "write_starter"]
+__all__ = ["find_files", "recipe_path", "shipped_recipes"]
 
 
 def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
@@ -123,64 +121,3 @@ def recipe_path(given: str) -> Path:
     raise InputError(
         given, "neither a file nor a recipe that comes with robustlab", f"a path, or one of {', '.join(names)}", hint
     )
-
-
-STARTER = """\
-# A robustlab recipe: steps, run in the order written, and requirements that decide the exit code.
-#   check it:  robustlab recipe check {name}.toml
-#   run it:    robustlab run {name}.toml
-#   change a value without editing:  robustlab run {name}.toml --set uncertain.tolerances.Kf=0.2
-schema = "robustlab.recipe/1"
-name = "{name}"
-title = "A DC motor with uncertain friction"
-description = "Does the no-load speed stay within what the data sheet says?"
-seed = 0 # of all random numbers: same seed, same answer
-
-# Each step has a name of your choice and does one thing (`robustlab recipe schema` lists all kinds and their keys).
-[step.motor]
-do = "plant"
-plant = "dc-motor"
-# parameters = {{ R = 2.1, J = [7.2e-6, 0.1] }}   # SI units; [value, relative tolerance]
-
-# Steps refer to earlier ones by name.
-[step.uncertain]
-do = "uncertain"
-of = "motor"
-tolerances = {{ Kf = 0.35 }} # viscous friction +-35 %
-outputs = ["omega"]
-
-[step.speed]
-do = "sample"
-of = "uncertain"
-n = 20
-vertices = 2
-input = {{ u = 42.0 }} # V, applied at t = 0
-t_end = 0.05 # s
-reference = [{{ output = "omega", value = 788.5, text = "data sheet" }}]
-
-# A requirement names a number of a step and a condition: at_least, at_most, within = [low, high], equals (tolerance).
-[[require]]
-text = "The set of models covers the data sheet's no-load speed of 788.5 rad/s"
-that = "speed.outputs.omega.final.upper"
-at_least = 788.5
-"""
-
-
-def write_starter(name: str) -> Path:
-    """Write ``NAME.toml`` in the working directory.
-
-    Raises
-    ------
-    UsageError
-        A name that a recipe cannot have.
-    EnvironmentFault
-        The file exists already.
-    """
-    stem = name.removesuffix(".toml")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,59}", stem):
-        raise UsageError(f"recipe new {name}", "not a name", "letters, digits, - and _, with a letter first")
-    path = Path(f"{stem}.toml")
-    if path.exists():
-        raise EnvironmentFault(str(path), "exists already", "a new name")
-    atomic_write(path, lambda temporary: temporary.write_text(STARTER.format(name=stem), encoding="utf-8"))
-    return path

@@ -2,9 +2,11 @@ r"""A discrete controller as plain C99: one struct of state, an init and a step 
 
 .. math:: y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k
 
-Every number is written as a hexadecimal floating constant, which is the number itself, with its decimal form beside it
-in a comment. Sums are written out from left to right, zeros left out; with a compiler that keeps to C99's order
-of additions (no ``-ffast-math``) the step reproduces the model's recursion to rounding.
+Where its outputs are limited, back-calculation tells the states what the limits took away
+(`robustlab.synthesis.sampled.anti_windup`). Every number is written as a hexadecimal floating constant, which is the
+number itself, with its decimal form beside it in a comment. Sums are written out from left to right, zeros left out;
+with a compiler that keeps to C99's order of additions (no ``-ffast-math``) the step reproduces the model's recursion to
+rounding.
 
 Names of signals are shown in comments, never used as code: what a file may hold as a name must not become code. The
 text itself is the template ``controller.c.j2``.
@@ -21,6 +23,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.synthesis.sampled.anti_windup import back_calculation
 
 __all__ = ["c_source", "saturation_limits"]
 
@@ -32,6 +35,10 @@ RESERVED = (
 )
 # Rows of one statement are broken after so many terms.
 TERMS = 4
+# During saturation slow modes decay within this many samples, unless a time is given.
+ANTI_WINDUP_SAMPLES = 10.0
+# Samples of the sign check in the comment.
+CHECKED = 3
 
 
 def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tuple[tuple[float, float], ...] | None:
@@ -71,6 +78,7 @@ def c_source(
     prefix: str = "controller",
     limits: Sequence[tuple[float, float]] | None = None,
     notes: Sequence[str] = (),
+    anti_windup: float | None = None,
 ) -> str:
     """The C99 source of a discrete model.
 
@@ -81,9 +89,13 @@ def c_source(
     prefix
         Of every name in the file: a lower-case letter, then letters, digits, underscores (31 at most).
     limits
-        ``(low, high)`` of each output; the outputs are held between them, the states go on as if they were not.
+        ``(low, high)`` of each output; the outputs are held between them, and back-calculation keeps the states from
+        winding up.
     notes
         Lines for the comment at the top.
+    anti_windup
+        Time T in s: during saturation modes that are slower are made to decay within it. Ten samples where left out;
+        inf leaves a stable controller's states alone. Of no effect without limits.
 
     Raises
     ------
@@ -110,6 +122,8 @@ def c_source(
         raise InputError(
             "C export: prefix", f"{prefix!r}", "a lower-case letter, then lower-case letters, digits or underscores"
         )
+    time = ANTI_WINDUP_SAMPLES * model.dt if anti_windup is None else anti_windup
+    back = back_calculation(model, limits, time) if limits else np.zeros((model.n_states, model.n_outputs))
     unused = [name for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any())) if not used]
     return _template().render(
         model=model,
@@ -117,7 +131,11 @@ def c_source(
         limits=limits,
         notes=notes,
         outputs=[_terms(*rows) for rows in zip(model.C, model.D, strict=True)],
-        states=[_terms(*rows) for rows in zip(model.A, model.B, strict=True)],
+        states=[_terms(*rows) for rows in zip(model.A, model.B, back, strict=True)],
+        fed_back=[i for i in range(model.n_outputs) if back[:, i].any()],
+        anti_windup=time,
+        signs=[_sign(signal, model.input_names) for signal in model.inputs],
+        check=_first_samples(model),
         unused=unused,
         TERMS=TERMS,
     )
@@ -134,14 +152,44 @@ def _template() -> Any:
         keep_trailing_newline=True,
         undefined=StrictUndefined,
     )
-    environment.filters.update(exact=_exact, named=_named, comment=_comment)
+    environment.filters.update(exact=_exact, unit=_unit, comment=_comment)
     return environment.get_template("controller.c.j2")
 
 
-def _terms(from_x: Array, from_u: Array) -> list[tuple[float, str]]:
+def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> list[tuple[float, str]]:
     """The terms of a row that are not zero: number and place."""
-    terms = [(v, f"s->x[{j}]") for j, v in enumerate(from_x.tolist()) if v != 0]
-    return terms + [(v, f"u[{j}]") for j, v in enumerate(from_u.tolist()) if v != 0]
+    rows = (("s->x[{}]", from_x), ("u[{}]", from_u), ("cut{}", np.zeros(0) if from_limits is None else from_limits))
+    return [(v, place.format(j)) for place, row in rows for j, v in enumerate(row.tolist()) if v != 0]
+
+
+def _sign(signal: Signal, names: Sequence[str]) -> list[str]:
+    """What an input is, with its sign, as its name in the model tells it: lines for the comment.
+
+    Designs call the error ``e NAME`` (reference minus measurement) and a reference ``r NAME``; every other name is the
+    signal itself, and then the loop's minus is within the controller: ``u = K (y - r)`` follows a reference.
+    """
+    kind, _, name = signal.name.partition(" ")
+    if name and kind == "e":
+        return [f"REFERENCE MINUS MEASUREMENT: ({name} wanted) - ({name} measured)", f"positive: {name} is too small"]
+    if name and kind == "r":
+        return [f"THE REFERENCE of {name}: the value that is wanted, by itself"]
+    lines = [f"THE SIGNAL ITSELF: {signal.name} with its own sign, not negated"]
+    if not any(other.startswith("r ") for other in names):
+        lines.append("to follow a reference: MEASUREMENT MINUS REFERENCE, never reference minus measurement")
+    return lines
+
+
+def _first_samples(model: StateSpaceModel) -> list[list[str]]:
+    """For each input held at +1 from the zero state: all outputs over the first samples, as text."""
+    rows = []
+    for i in range(model.n_inputs):
+        x, seen = np.zeros(model.n_states), []
+        for _ in range(CHECKED):
+            with np.errstate(over="ignore", invalid="ignore"):  # text for a comment: inf is what it is
+                seen.append(model.C @ x + model.D[:, i])
+                x = model.A @ x + model.B[:, i]
+        rows.append([", ".join(f"{y[j]:+.6g}" for y in seen) for j in range(model.n_outputs)])
+    return rows
 
 
 def _exact(value: float) -> str:
@@ -152,8 +200,8 @@ def _exact(value: float) -> str:
     return f"({text})" if text.startswith("-") else text
 
 
-def _named(signal: Signal) -> str:
-    return _comment(f"{signal.name} [{signal.unit}]" if signal.unit else signal.name)
+def _unit(signal: Signal) -> str:
+    return _comment(f"[{signal.unit}]" if signal.unit else "[unit not stated in the model]")
 
 
 def _comment(text: str) -> str:

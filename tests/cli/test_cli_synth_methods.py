@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli import console
-from robustlab.cli.console import main_guard, status_line
+from robustlab.cli.console import main_guard
 from robustlab.cli.synth import app
 from robustlab.frequency import frequency_response
 from robustlab.statespace import lower_lft
@@ -181,35 +180,3 @@ def test_a_mode_that_no_controller_reaches_is_exit_code_4(tmp_path, capsys):
     for command in ("h2", "fixed"):
         assert run(command, path, "--n-meas", "1", "--n-con", "1") == 4
         assert capsys.readouterr().out == ""
-
-
-class Terminal:
-    """stderr that is a terminal."""
-
-    def __init__(self):
-        self.text = ""
-
-    def isatty(self):
-        return True
-
-    def write(self, text):
-        self.text += text
-        return len(text)
-
-    def flush(self):
-        pass
-
-
-def test_status_line_is_shown_on_a_terminal_only(monkeypatch, capsys):
-    with status_line("search") as report:
-        report("gamma 1.5")
-    assert capsys.readouterr().err == ""
-    with status_line("search", verbose=True) as report:
-        report("gamma 1.5")
-    assert capsys.readouterr().err == "gamma 1.5\n"
-    screen = Terminal()
-    monkeypatch.setattr(console.sys, "stderr", screen)
-    monkeypatch.setenv("TERM", "xterm")
-    with status_line("search") as report:
-        report("gamma [1.5]")
-    assert "gamma [1.5]" in screen.text

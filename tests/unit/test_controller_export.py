@@ -16,10 +16,12 @@ import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.statespace import OperatingPoint
 from robustlab.storage.controller_code import c_source
+from robustlab.synthesis.sampled.anti_windup import back_calculation
+from robustlab.synthesis.sampled.discretisation import discretise
 
-GCC = shutil.which("gcc")
+CC = shutil.which("cc")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-ffp-contract=off"]
-needs_gcc = pytest.mark.skipif(GCC is None, reason="no gcc here")
+needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler (cc) here")
 
 
 def random_controller(seed, n=5, m=3, p=2, dt=1e-3):
@@ -35,7 +37,7 @@ def compiled(folder, source, name="controller"):
     (folder / f"{name}.c").write_text(source)
     library = folder / f"{name}.so"
     subprocess.run(
-        [GCC, *STRICT, "-shared", "-fPIC", "-o", str(library), str(folder / f"{name}.c")], check=True, timeout=60
+        [CC, *STRICT, "-shared", "-fPIC", "-o", str(library), str(folder / f"{name}.c")], check=True, timeout=60
     )
     return ctypes.CDLL(str(library))
 
@@ -52,7 +54,7 @@ def run(library, model, y, prefix="controller"):
     return out
 
 
-@needs_gcc
+@needs_cc
 @pytest.mark.parametrize(("n", "m", "p"), [(5, 3, 2), (0, 2, 2), (1, 1, 1), (12, 1, 3)])
 def test_the_compiled_controller_is_the_simulated_one(tmp_path, n, m, p):
     model = random_controller(n, n, m, p)
@@ -66,17 +68,94 @@ def test_the_compiled_controller_is_the_simulated_one(tmp_path, n, m, p):
     assert ctypes.c_double.in_dll(ctypes.CDLL(str(tmp_path / "controller.so")), "controller_sample_time").value == 1e-3
 
 
-@needs_gcc
-def test_outputs_are_held_and_states_go_on(tmp_path):
+@needs_cc
+def test_within_the_limits_the_code_is_the_model_to_the_last_bit(tmp_path):
     model = random_controller(4, 3, 1, 2)
-    model = model.renamed(outputs=[("u1", "V"), ("u2", "V")])
+    y = np.random.default_rng(1).standard_normal((300, 1))
+    free = run(compiled(tmp_path, c_source(model), "free"), model, y)
+    wide = [(-1.0 - np.abs(free).max(), 1.0 + np.abs(free).max())] * 2
+    source = c_source(model, limits=wide)
+    assert "cut0" in source
+    assert "cut1" in source
+    np.testing.assert_array_equal(run(compiled(tmp_path, source, "wide"), model, y), free)
+
+
+@needs_cc
+def test_without_a_time_the_outputs_are_held_and_states_go_on(tmp_path):
+    model = random_controller(4, 3, 1, 2).renamed(outputs=[("u1", "V"), ("u2", "V")])
     limits = {"u1": (-0.5, 0.25), "u2": (-2.0, 1e-3)}
-    path = rl.export_controller(tmp_path / "k.c", model, prefix="axis_3", saturation=limits)
+    path = rl.export_controller(tmp_path / "k.c", model, prefix="axis_3", saturation=limits, anti_windup=np.inf)
     y = np.random.default_rng(1).standard_normal((300, 1))
     free = run(compiled(tmp_path, c_source(model), "free"), model, y)
     held = run(compiled(tmp_path, path.read_text(), "held"), model, y, "axis_3")
     np.testing.assert_array_equal(held, np.clip(free, [-0.5, -2.0], [0.25, 1e-3]))
     assert (held != free).any(axis=0).all()
+
+
+def simulated(model, gain, limits, y):
+    """Back-calculation, written here: held outputs (n, p) and the states (n + 1, n_x)."""
+    low, high = np.transpose(limits)
+    x, out, states = np.zeros(model.n_states), [], [np.zeros(model.n_states)]
+    for row in y:
+        asked = model.C @ x + model.D @ row
+        held = np.minimum(np.maximum(asked, low), high)
+        x = model.A @ x + model.B @ row + gain @ (held - asked)
+        out.append(held)
+        states.append(x)
+    return np.array(out), np.array(states)
+
+
+@needs_cc
+@pytest.mark.parametrize(("seed", "n", "m", "p"), [(2, 1, 1, 1), (3, 4, 2, 1), (5, 6, 1, 2)])
+def test_saturated_code_is_the_back_calculation(tmp_path, seed, n, m, p):
+    model = random_controller(seed, n, m, p)
+    limits = [(-0.4, 0.7), (-1.0, 0.1)][:p]
+    gain = back_calculation(model, limits, 5e-3)
+    source = c_source(model, limits=limits, anti_windup=5e-3)
+    y = np.random.default_rng(seed).standard_normal((2000, m))
+    wanted, _ = simulated(model, gain, limits, y)
+    found = run(compiled(tmp_path, source), model, y)
+    assert np.isin(wanted, np.ravel(limits)).mean() > 0.3  # it does saturate
+    assert np.abs(found - wanted).max() <= 1e-12
+
+
+@needs_cc
+def test_an_integrator_that_was_saturated_recovers_within_the_stated_time(tmp_path):
+    # PI: y = 2 e + 40 x, x' = e; e = +1 for 2 s, far beyond the limit, then -0.1.
+    dt, limits = 1e-3, [(-1.0, 1.0)]
+    model = rl.StateSpaceModel([[1.0]], [[dt]], [[40.0]], [[2.0]], dt, [("e q", "m")], [("u", "V")])
+    e = np.concatenate([np.ones(2000), -0.1 * np.ones(1000)])[:, None]
+    source = c_source(model, limits=limits, anti_windup=0.02)
+    found = run(compiled(tmp_path, source), model, e)[:, 0]
+    gain = back_calculation(model, limits, 0.02)
+    wanted, states = simulated(model, gain, limits, e)
+    assert np.abs(found - wanted[:, 0]).max() <= 1e-12
+    # Held at v = 1 for long, the state rests where dt e + L (v - 40 x - 2 e) = 0; free, it would be at 2.
+    assert states[2000, 0] == pytest.approx((1.0 + dt / gain[0, 0] - 2.0) / 40.0, rel=1e-6)
+    assert np.abs(states).max() < 0.1
+    assert np.argmax(found[2000:] < 1.0) * dt <= 0.02  # the actuator leaves its stop within T
+    wound = run(compiled(tmp_path, c_source(model, limits=limits, anti_windup=np.inf), "wound"), model, e)[:, 0]
+    assert (wound[2000:] == 1.0).all()  # what it is there for: without it, held for another second and more
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_back_calculation_moves_slow_modes_only(seed):
+    model = random_controller(seed, 5, 1, 2)
+    T = 0.02
+    slowest, mirror = np.exp(-model.dt / T), np.exp(-1.5 * model.dt / T)
+    before = np.abs(np.linalg.eigvals(model.A))
+    after = np.abs(np.linalg.eigvals(model.A - back_calculation(model, [(-1, 2), (0, 1e-3)], T) @ model.C))
+    wanted = [r if r <= slowest else mirror**2 / r for r in before]
+    np.testing.assert_allclose(np.sort(after), np.sort(wanted), rtol=1e-6)
+
+
+def test_a_slow_mode_that_no_output_shows_is_refused():
+    model = rl.StateSpaceModel(np.diag([1.0, 0.5]), [[1.0], [1.0]], [[0.0, 1.0]], [[0.0]], 1e-3)
+    with pytest.raises(InputError, match="does not show"):
+        c_source(model, limits=[(-1.0, 1.0)])
+    with pytest.raises(InputError, match="at least one sample time"):
+        c_source(model, limits=[(-1.0, 1.0)], anti_windup=1e-4)
+    assert "none needed" in c_source(rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 1e-3), limits=[(-1.0, 1.0)])
 
 
 HOSTILE = [
@@ -92,7 +171,7 @@ HOSTILE = [
 ]
 
 
-@needs_gcc
+@needs_cc
 def test_hostile_names_stay_comments(tmp_path):
     m = len(HOSTILE)
     rng = np.random.default_rng(0)
@@ -149,8 +228,41 @@ def test_json_and_matlab_give_back_every_bit(tmp_path):
 def test_the_header_says_what_a_user_must_know():
     model = random_controller(1, 2, 1, 1, dt=0.002).renamed([("phi", "rad")], [("u", "V")])
     top = c_source(model, limits=[(-12.0, 12.0)]).split("*/")[0]
-    for words in ("sample time 0.002 s", "u[0]: phi [rad]", "y[0]: u [V], held in [-12.0, 12.0]", "positive"):
+    for words in (
+        "every 0.002 s (sample time)", "u[0]: phi [rad]", "THE SIGNAL ITSELF: phi", "MEASUREMENT MINUS REFERENCE",
+        "y[0]: u [V], held in [-12.0, 12.0]", "do not negate", "exp(-t / 0.02 s)", "not scaled",
+    ):  # fmt: skip
         assert words in top
+    first = model.D[0, 0], model.D[0, 0] + (model.C @ model.B)[0, 0]
+    assert f"u[0] = +1: y[0] = {first[0]:+.6g}, {first[1]:+.6g}, " in top
+
+
+def test_the_header_tells_errors_from_references_and_signals():
+    model = random_controller(1, 2, 3, 1).renamed([("e q", "m"), ("r q", "m"), ("i", "")])
+    top = c_source(model).split("*/")[0]
+    assert "REFERENCE MINUS MEASUREMENT: (q wanted) - (q measured)" in top
+    assert "THE REFERENCE of q" in top
+    assert "MEASUREMENT MINUS REFERENCE" not in top  # the reference has an input of its own
+    assert "u[2]: i [unit not stated in the model]" in top
+
+
+@needs_cc
+def test_the_header_of_a_mixed_sensitivity_design_says_which_sign_stabilises(tmp_path):
+    """The truth is the loop: fed as the header says it settles on the reference, fed the other way it does not."""
+    plant = rl.StateSpaceModel([[-20.0]], [[40.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("omega", "rad/s")])
+    design = rl.mixsyn(plant, rl.performance_weight(bandwidth=50.0, error=1e-3), rl.control_weight(0.1), None)
+    digital = discretise(design.K, 1e-3, "tustin")
+    source = c_source(digital)
+    assert "REFERENCE MINUS MEASUREMENT: (omega wanted) - (omega measured)" in source
+    library, held = compiled(tmp_path, source), discretise(plant, 1e-3, "zoh")
+    for sign, settles in ((1.0, True), (-1.0, False)):
+        step, state, x, u = library.controller_step, np.zeros(digital.n_states), np.zeros(1), np.zeros(1)
+        doubles = ctypes.POINTER(ctypes.c_double)
+        for _ in range(1000):
+            e = np.array([sign * (3.0 - held.C @ x).item()])
+            step(*(a.ctypes.data_as(doubles) for a in (state, e, u)))
+            x = held.A @ x + held.B @ u
+        assert (abs((held.C @ x).item() - 3.0) < 0.05) == settles
 
 
 @pytest.mark.parametrize(
@@ -182,6 +294,10 @@ def test_other_extensions_are_refused(tmp_path):
         rl.export_controller(tmp_path / "k.py", random_controller(0))
     with pytest.raises(UsageError, match="saturation"):
         rl.export_controller(tmp_path / "k.mat", random_controller(0), saturation=(-1, 1))
+    with pytest.raises(UsageError, match="anti-windup"):
+        rl.export_controller(tmp_path / "k.c", random_controller(0), anti_windup=0.1)
+    with pytest.raises(UsageError, match="anti-windup"):
+        rl.export_controller(tmp_path / "k.json", random_controller(0), saturation=(-1, 1), anti_windup=0.1)
 
 
 def test_c_code_of_deviations_is_refused():

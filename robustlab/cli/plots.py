@@ -1,0 +1,123 @@
+"""``robustlab model plot`` and ``robustlab data plot``: figures straight from a file, the ones that reports draw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, note
+from robustlab.cli.options import JsonOption, SeedOption, grouped, names
+from robustlab.cli.plant import plant_or_model
+from robustlab.cli.record_options import RecordOptions
+from robustlab.errors import InputError, UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["KINDS", "plot_model", "plot_record"]
+
+# Kind -> function of robustlab.report.model_figures.
+KINDS = {"bode": "bode_figure", "step": "step_figure", "sigma": "sigma_figure", "pzmap": "pole_figure"}
+CHANNELS = 4  # inputs or outputs in one figure
+
+FigureOption = Annotated[
+    str | None,
+    typer.Option(
+        "--figure", "-o", help="Name of the figure, SVG and PNG.  [default: out/FILE-KIND]", show_default=False
+    ),
+]
+
+
+def plot_model(
+    file: Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")],
+    kind: Annotated[str, typer.Option("--kind", help=f"{', '.join(KINDS)}.")] = "bode",
+    inputs: Annotated[
+        str | None, typer.Option("--inputs", "--input", help="Inputs to draw: u or u,w.", show_default=False)
+    ] = None,
+    outputs: Annotated[
+        str | None, typer.Option("--outputs", "--output", help="Outputs to draw: q or q,v.", show_default=False)
+    ] = None,
+    n: Annotated[int, typer.Option("-n", "--samples", help="Members of an uncertain model that are drawn.")] = 30,
+    seed: SeedOption = 0,
+    figure: FigureOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw a model: frequency response, step response, singular values, or poles and zeros.
+
+    Of an uncertain model sampled members and their envelope are drawn too; the true one may be wider.
+
+    Example: robustlab model plot motor.h5 --outputs omega
+    Example: robustlab model plot dc-motor --kind step --figure out/motor-step
+    """
+    if kind not in KINDS:
+        raise UsageError(
+            f"--kind {kind}", "no such figure", f"one of {', '.join(KINDS)}", did_you_mean(kind, list(KINDS))
+        )
+    from robustlab.report import model_figures
+
+    drawn: Figure = getattr(model_figures, KINDS[kind])(_channels(_model(file), inputs, outputs), n=n, seed=seed)
+    files = _write(drawn, figure, file, kind)
+    emit("model plot", {"model": file, "kind": kind, "files": files}, "\n".join(files), as_json)
+
+
+@grouped
+def plot_record(
+    *,
+    file: Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="FILE")],
+    options: RecordOptions,
+    figure: FigureOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw the signals of a record over time, inputs first.
+
+    Example: robustlab data plot run3.csv --inputs u --outputs q
+    """
+    from robustlab.report.design_figures import TimePanel, runs_figure
+
+    record = options.read(file, options.inputs)
+    panels = [
+        TimePanel(f"{name} [{record.unit(name)}]" if record.unit(name) else name, {name: record[name]})
+        for name in (*record.inputs, *record.outputs)
+    ]
+    files = _write(runs_figure(record.t, panels), figure, file, "record")
+    emit("data plot", {"record": file, "files": files}, "\n".join(files), as_json)
+
+
+def _model(name: str) -> Any:
+    """A model, linearised at rest where it is a plant."""
+    from robustlab.dynamics import Plant, linearise
+
+    found = plant_or_model(name, [])
+    return linearise(found) if isinstance(found, Plant) else found
+
+
+def _channels(model: Any, inputs: str | None, outputs: str | None) -> Any:
+    """The model between the channels that were asked for; of many the first, with a note."""
+    from robustlab.statespace import as_model
+    from robustlab.uncertainty.lft import UncertainModel
+
+    model = model if isinstance(model, UncertainModel) else as_model(model, "model plot")
+    chosen = []
+    for option, given, side in (("--inputs", inputs, model.inputs), ("--outputs", outputs, model.outputs)):
+        known = [s.name for s in side]
+        wanted = known[:CHANNELS] if given is None else names(given)
+        if given is None and len(known) > CHANNELS:
+            note(f"the first {CHANNELS} of {len(known)}: {option} takes others")
+        missing = [name for name in wanted if name not in known]
+        if missing or len(wanted) > CHANNELS:
+            found = f"no {missing[0]!r}" if missing else f"{len(wanted)} channels"
+            raise UsageError(option, found, f"at most {CHANNELS} of {', '.join(known)}")
+        chosen.append(wanted)
+    return model.select(*chosen)
+
+
+def _write(drawn: Figure, figure: str | None, file: str, kind: str) -> list[str]:
+    from robustlab.report.figures import save_figure
+
+    target = Path(figure) if figure is not None else Path("out") / f"{Path(file.replace(':', '-')).stem}-{kind}"
+    if not target.stem:
+        raise InputError("--figure", repr(figure), "a name, for example design.svg")
+    name = target.stem if target.suffix.lower() in (".svg", ".png") else target.name
+    return [str(path) for path in save_figure(drawn, target.parent, name)]

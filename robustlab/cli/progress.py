@@ -1,0 +1,204 @@
+"""How far a long command is: the one display of all of them, on stderr.
+
+``auto``   on a terminal a line with a bar where the end is known, the time passed and the time to go; it appears after
+           two seconds and vanishes at the end. Elsewhere nothing, but for the lines that some commands always say.
+``json``   an object a line, at every step and every few seconds: ``{"progress": {"command", "text", "elapsed_s",
+           "done", "total", "remaining_s", "at_most", "ended"}}``.
+``none``   nothing.
+
+Where a command knows its steps, the time to go is in proportion to them. Where only the work is counted that a search
+may do at most, the time to go is an upper estimate and said to be (``at_most``).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+
+from robustlab.cli.console import note
+from robustlab.errors import UsageError, plain_text
+
+__all__ = ["MODES", "Display", "ProgressOptions"]
+
+MODES = ("auto", "json", "none")
+PATIENCE = 2.0  # s; what takes less shows nothing on a terminal
+EVERY = 0.25  # s between two looks at where the work stands
+BEAT = 2.0  # s after which a line of JSON comes though nothing new was said
+SHORT = 0.1  # s; lines of JSON that come thicker are left out, unless the text is new
+
+
+@dataclass(frozen=True)
+class ProgressOptions:
+    """How the state of long work is shown."""
+
+    progress: Annotated[
+        str,
+        typer.Option("--progress", help="auto: a bar on terminals; json: JSON lines on stderr; none.", metavar="MODE"),
+    ] = "auto"
+
+    @contextmanager
+    def shown(
+        self,
+        command: str,
+        total: int | None = None,
+        *,
+        lines: bool = False,
+        verbose: bool = False,
+        budgets: bool = True,
+    ) -> Iterator[Display]:
+        """The display for the time of a ``with`` block.
+
+        Parameters
+        ----------
+        total
+            Number of steps, where the command knows it.
+        lines
+            In mode auto, texts are lines of their own where stderr is no terminal.
+        verbose
+            In mode auto, they are everywhere.
+        budgets
+            Whether the work that searches count is shown; not where the command has steps of its own.
+        """
+        from robustlab.budget import listening
+
+        if self.progress not in MODES:
+            raise UsageError(f"--progress {self.progress}", "no such mode", f"one of {', '.join(MODES)}")
+        mode = self.progress
+        if mode == "auto":
+            mode = "lines" if verbose else "bar" if sys.stderr.isatty() else "lines" if lines else "none"
+        display = Display(command, mode, total)
+        with listening(display.work if budgets and mode in ("bar", "json") else None), display:
+            yield display
+
+
+class Display:
+    """What a command tells: call it with a text, or tell it steps; it takes care of who sees it.
+
+    Parameters
+    ----------
+    command
+        Name of the command.
+    mode
+        ``bar``, ``json``, ``lines``, or anything else for nothing.
+    total
+        Number of steps.
+    """
+
+    def __init__(self, command: str, mode: str, total: int | None = None) -> None:
+        self.command, self.mode = command, mode
+        self._text, self._done, self._total, self._at_most = "", 0.0, float(total or 0), False
+        self._began = self._base = time.monotonic()
+        self._from, self._told = 0.0, 0.0
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._watch = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> Display:
+        if self.mode in ("bar", "json"):
+            self._watch.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._watch.is_alive():
+            self._watch.join()
+        if self.mode == "json":
+            self._line(ended=True)
+
+    def __call__(self, text: str) -> None:
+        """What is being done now."""
+        self._text = text
+        if self.mode == "lines":
+            note(text)
+        elif self.mode == "json":
+            self._line()
+
+    def step(self, done: float, text: str = "") -> None:
+        """So many steps are done."""
+        self._done = done
+        if text:
+            self(text)
+        elif self.mode == "json" and time.monotonic() - self._told > SHORT:
+            self._line()
+
+    def work(self, done: float, whole: float) -> None:
+        """Work that a search has counted, of what it may do at most; a new search begins a new count."""
+        if whole != self._total:
+            self._base, self._from = time.monotonic(), 0.0
+        self._done, self._total, self._at_most = done, whole, True
+
+    def resumed(self, done: float) -> None:
+        """Steps that were done before this run: no measure of its speed."""
+        self._from = self._done = done
+
+    @property
+    def remaining(self) -> float | None:
+        """Seconds to go in proportion to what is done; None where nothing is known."""
+        done = self._done - self._from
+        if done <= 0 or self._total < self._done:
+            return None
+        return (time.monotonic() - self._base) * (self._total - self._done) / done
+
+    def _look(self) -> None:
+        """The thread that shows: a bar once the command takes long, or a line of JSON now and then."""
+        if self.mode == "bar":
+            if not self._over.wait(PATIENCE):
+                self._bar()
+            return
+        with suppress(OSError):  # nobody reads any more; the command itself meets that where it prints its result
+            while not self._over.wait(EVERY):
+                if time.monotonic() - self._told >= BEAT:
+                    self._line()
+
+    def _line(self, ended: bool = False) -> None:
+        with self._lock:
+            self._told = time.monotonic()
+            remaining = self.remaining
+            state: dict[str, Any] = {
+                "command": self.command,
+                "text": plain_text(self._text),
+                "elapsed_s": round(self._told - self._began, 3),
+                "done": self._done if self._total else None,
+                "total": self._total or None,
+                "remaining_s": None if remaining is None or ended else round(remaining, 3),
+                "at_most": self._at_most,
+                "ended": ended,
+            }
+            print(json.dumps({"progress": state}), file=sys.stderr, flush=True)
+
+    def _bar(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24),
+                   TextColumn("{task.fields[times]}", markup=False))  # fmt: skip
+        with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+            task = bar.add_task(self.command, total=None, times="")
+            while True:
+                told = plain_text(f"{self.command}: {self._text}" if self._text else self.command)
+                bar.update(
+                    task, description=told[-80:], completed=self._done, total=self._total or None, times=self._times()
+                )
+                if self._over.wait(EVERY):
+                    return
+
+    def _times(self) -> str:
+        passed, remaining = _duration(time.monotonic() - self._began), self.remaining
+        if remaining is None:
+            return passed
+        return f"{passed}, {'at most' if self._at_most else 'about'} {_duration(remaining)} to go"
+
+
+def _duration(seconds: float) -> str:
+    """``38 s``, ``2 min 5 s``, ``3 h 20 min``."""
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -1,0 +1,117 @@
+r"""Anti-windup of a digital controller by back-calculation.
+
+Where the actuator takes less than the controller asks for, the states are told the difference:
+
+.. math:: y_k = C x_k + D u_k, \quad v_k = \mathrm{sat}(y_k), \qquad
+    x_{k+1} = A x_k + B u_k + L (v_k - y_k) = (A - L C) x_k + (B - L D) u_k + L v_k
+
+so that with A - L C stable the states stay bounded however long the outputs saturate, since v is bounded. Within the
+limits nothing changes. Where only some of several outputs saturate, only their columns of L act, and A - L C says
+nothing about the states: that case is not proved.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.errors import InputError
+from robustlab.matrix_equations import lyapunov
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["back_calculation"]
+
+# Modes are mirrored at exp(-MIRROR dt / T): a little inside of where a mode counts as slow, so that none lies on it.
+MIRROR = 1.5
+
+
+def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
+    r"""Gain L of back-calculation, shape (n, p): with all outputs saturated every mode decays within ``time``.
+
+    Eigenvalues of A that are slower than :math:`e^{-dt/T}` are mirrored at :math:`e^{-1.5 dt/T}` by the gain that is
+    the least in the sense of :math:`\sum |v - y|^2`, each output counted in halves of its range; all others stay where
+    they are. A controller without slow modes has L = 0.
+
+    Parameters
+    ----------
+    model
+        Discrete controller with n states, m inputs and p outputs.
+    limits
+        ``(low, high)`` of each output, (p, 2).
+    time
+        T in s, at least one sample time; inf moves only what is not stable.
+
+    Returns
+    -------
+    Array
+        L in states per unit of the output, (n, p).
+
+    Raises
+    ------
+    InputError
+        A time below the sample time; a slow mode that does not show in the outputs.
+
+    References
+    ----------
+    Åström, Wittenmark 1997, section 9.4; the mirroring gain: Anderson, Moore 1979, section 4.4.
+
+    Examples
+    --------
+    >>> integrator = StateSpaceModel([[1.0]], [[0.01]], [[1.0]], [[0.5]], 0.01)
+    >>> L = back_calculation(integrator, [(-1.0, 1.0)], 0.1)
+    >>> bool(abs(1.0 - L[0, 0]) <= np.exp(-0.01 / 0.1))
+    True
+    """
+    if not time >= model.dt:
+        raise InputError("anti-windup", f"a time of {time:g} s", f"at least one sample time, {model.dt:g} s")
+    scale = np.array([0.5 * (high - low) for low, high in limits])
+    slowest = math.exp(-model.dt / time)
+    gain = _mirroring_gain(model.A, model.C / scale[:, None], slowest, math.exp(-MIRROR * model.dt / time))
+    found = np.zeros((model.n_states, model.n_outputs)) if gain is None else gain / scale
+    radius = float(np.abs(np.linalg.eigvals(model.A - found @ model.C)).max(initial=0.0))
+    if radius > slowest * (1 + 1e-6):
+        raise InputError(
+            "anti-windup",
+            f"a mode of modulus {radius:.6g} that does not show in the control signals",
+            f"modes slower than {time:g} s that do",
+            "take it out first (robustlab synth reduce), or allow a longer time",
+        )
+    return found
+
+
+def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array | None:
+    """L for outputs scaled to one; None where no mode is slow.
+
+    The dual of the feedback of least energy: with F = A' / mirror on the slow modes, whose eigenvalues all lie outside
+    the unit circle, the Riccati equation without a state weight is a Stein equation in its inverse.
+    """
+    from scipy.linalg import schur
+
+    if not A.size:
+        return None
+    ordered: Any = schur(A.T, output="complex", sort=lambda pole: abs(pole) <= slowest * (1 + 1e-12))
+    T, Z, n_fast = ordered
+    if n_fast == len(A):
+        return None
+    F, modes = T[n_fast:, n_fast:] / mirror, Z[:, n_fast:]
+    G = modes.conj().T @ C.T / mirror
+    inverse = np.linalg.inv(F)
+    driven = inverse @ G
+    Y = _stein(inverse, driven @ driven.conj().T)
+    X = np.linalg.pinv(Y, rcond=1e-13, hermitian=True)
+    feedback = np.linalg.solve(np.eye(G.shape[1]) + G.conj().T @ X @ G, G.conj().T @ X @ F)
+    return (feedback @ modes.conj().T).real.T
+
+
+def _stein(A: Any, Q: Any) -> Any:
+    """Y with ``A Y A^H - Y + Q = 0`` of complex matrices, through the real equation of twice the size."""
+    n = len(A)
+    real = lyapunov(_as_real(A), _as_real(Q), discrete=True)
+    return real[:n, :n] - 1j * real[:n, n:]
+
+
+def _as_real(matrix: Any) -> Array:
+    return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])

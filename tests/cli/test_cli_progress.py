@@ -1,0 +1,144 @@
+"""How long commands show where they stand: a bar on terminals, JSON lines, or nothing; stdout stays the result's."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+import robustlab as rl
+from robustlab.budget import Budget, listening
+from robustlab.cli.ending import main_guard
+from robustlab.cli.main import run as command
+from robustlab.cli.progress import Display
+
+pty = pytest.importorskip("pty")
+
+# A plant whose file takes long: what a slow computation looks like from outside, on any machine.
+SLOW = "import time\nimport robustlab as rl\ntime.sleep(4.5)\naxis = rl.plant('servo-axis')\n"
+RECIPE = """\
+schema = "robustlab.recipe/1"
+name = "slow"
+[step.first]
+do = "plant"
+plant = "servo-axis"
+[step.second]
+do = "plant"
+plant = "slow.py:axis"
+"""
+
+
+@pytest.fixture
+def slow(tmp_path):
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "slow.toml").write_text(RECIPE)
+    return tmp_path
+
+
+def started(folder, *options, stderr):
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120", "OPENBLAS_NUM_THREADS": "1"}
+    words = [sys.executable, "-m", "robustlab.cli.main", "run", "slow.toml", "--json", *options]
+    return subprocess.Popen(words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=stderr)
+
+
+def on_a_terminal(folder, *options):
+    """stdout, and what a terminal that stderr is shows."""
+    ours, theirs = pty.openpty()
+    with started(folder, *options, stderr=theirs) as process:
+        os.close(theirs)
+        shown = b""
+        while part := _read(ours):
+            shown += part
+        os.close(ours)
+        out = process.stdout.read()
+        assert process.wait(timeout=60) == 0
+    return json.loads(out), shown.decode()
+
+
+def _read(terminal):
+    try:
+        return os.read(terminal, 65536)
+    except OSError:  # the other end was closed
+        return b""
+
+
+def test_a_terminal_shows_the_step_the_time_passed_and_the_time_to_go(slow):
+    result, shown = on_a_terminal(slow)
+    assert result["command"] == "run"
+    assert "run: [2/2] second (plant)" in shown
+    assert " s, about " in shown
+    assert " to go" in shown
+    assert "\x1b[2K" in shown  # it is wiped again
+    _, quiet = on_a_terminal(slow, "--progress", "none")
+    assert quiet == ""
+
+
+def test_a_pipe_gets_lines_without_a_bar(slow):
+    process = started(slow, stderr=subprocess.PIPE)
+    out, err = process.communicate(timeout=120)
+    assert json.loads(out)["command"] == "run"
+    assert err.decode().splitlines() == ["[1/2] first (plant)", "[2/2] second (plant)"]
+
+
+def test_json_lines_say_where_it_stands(slow):
+    process = started(slow, "--progress", "json", stderr=subprocess.PIPE)
+    out, err = process.communicate(timeout=120)
+    assert json.loads(out)["command"] == "run"
+    states = [json.loads(line)["progress"] for line in err.decode().splitlines()]
+    assert next(s["text"] for s in states if s["text"]) == "[1/2] first (plant)"
+    assert {s["command"] for s in states} == {"run"}
+    assert [s["elapsed_s"] for s in states] == sorted(s["elapsed_s"] for s in states)
+    waiting = [s for s in states if s["done"] == 1 and s["remaining_s"] is not None]
+    assert len(waiting) >= 2  # at the step, and at least once while it sleeps
+    for s in waiting:  # half of it is done: as much to go as has passed
+        assert s["remaining_s"] == pytest.approx(s["elapsed_s"], abs=0.2)
+    assert [s["ended"] for s in states] == [False] * (len(states) - 1) + [True]
+
+
+@pytest.fixture
+def robustlab(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments, code=0):
+        assert main_guard(lambda: command(arguments)) == code
+        return capsys.readouterr()
+
+    return call
+
+
+def test_a_search_tells_the_work_it_may_take_at_most(robustlab):
+    pair = [rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]]) for a in (-1.0, -1.2)]
+    rl.save("set.h5", rl.elementwise(*pair))
+    out, err = robustlab("mu", "set.h5", "--progress", "json", "--json")
+    assert json.loads(out)["command"] == "mu"
+    last = json.loads(err.splitlines()[-1])["progress"]
+    assert last["ended"]
+    assert last["at_most"]
+    assert 0 < last["done"] <= last["total"]
+    assert robustlab("mu", "set.h5").err == ""
+    assert "no such mode" in robustlab("mu", "set.h5", "--progress", "loud", code=2).err
+
+
+def test_a_budget_tells_all_that_is_spent_in_it_once():
+    told = []
+    with listening(lambda done, whole: told.append((done, whole))):
+        budget = Budget(100)
+        endless = Budget()
+    part = budget.share(0.5)
+    part.spend(20)
+    budget.apart(30).spend(25)  # counted when it was taken
+    endless.spend(7)
+    Budget(50).spend(1)  # made when nobody listened
+    assert told == [(20, 100), (50, 100)]
+
+
+def test_what_earlier_runs_did_is_no_measure_of_speed():
+    display = Display("campaign resume", "none", 100)
+    display.resumed(80)
+    assert display.remaining is None
+    time.sleep(0.05)
+    display.step(90)  # ten in this time, ten to go
+    passed = time.monotonic() - display._base
+    assert display.remaining == pytest.approx(passed, rel=0.5)
