@@ -21,11 +21,19 @@ def run(
     recipe: RecipeArgument,
     changes: ChangesOption = None,
     out: Annotated[
-        str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)
+        str | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder to write.  [default: out/NAME, and one of its own for other settings]",
+            show_default=False,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
+
+    Without --out each recipe and each choice of settings has a folder of its own below out/; out/latest is the last one.
 
     Exit code 0: all requirements met; 1: one is not; 4: a step ended without a trustworthy number.
 
@@ -33,12 +41,14 @@ def run(
     """
     from pathlib import Path
 
+    from robustlab.recipe.folders import default_folder, point_latest, replaced
     from robustlab.recipe.load import load_recipe
     from robustlab.recipe.paths import recipe_path
     from robustlab.recipe.run import run_recipe
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
-    folder = Path(out) if out else Path("out") / loaded.recipe.name
+    folder = Path(out) if out else default_folder(loaded)
+    replacing = replaced(folder, loaded)
     steps = iter(range(len(loaded.recipe.step)))
     with progress(loaded.recipe.name, len(loaded.recipe.step)) as advance:
 
@@ -50,6 +60,10 @@ def run(
 
         result_alone()  # a plant of the recipe may be code of the user's
         result = run_recipe(loaded, folder, begin)
+    if not out:
+        point_latest(result.folder)
+    if replacing:
+        note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)
 

@@ -48,7 +48,7 @@ from robustlab.recipe.steps.contract import Outcome, Step, Workspace
 from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 
-__all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
+__all__ = ["RunResult", "read_result", "recipe_origin", "run_recipe", "write_report"]
 
 DONE, NOT_RUN = "done", "not run"
 LOCK = ".running"  # held by the run that writes the folder
@@ -278,6 +278,7 @@ def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, An
             "title": recipe.title,
             "description": recipe.description,
             "file": loaded.path.name,
+            "origin": recipe_origin(loaded),
             "sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
             "overrides": loaded.overrides,
             "text": loaded.text,
@@ -287,6 +288,11 @@ def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, An
         "provenance": provenance.to_json(),
         "files": sorted({*workspace.files, "report.html", "junit.xml", "result.json"}),
     }
+
+
+def recipe_origin(loaded: LoadedRecipe) -> str:
+    """What tells one recipe file from another of the same name: a hash of its place, which names no folder."""
+    return hashlib.sha256(str(loaded.path.resolve()).encode()).hexdigest()[:16]
 
 
 def _write(path: Path, text: str) -> None:
