@@ -33,7 +33,7 @@ def run(
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
 
-    Without --out each recipe and each choice of settings has a folder of its own below out/; out/latest is the last one.
+    Without --out each recipe and each choice of settings has a folder of its own; out/latest is the last one.
 
     Exit code 0: all requirements met; 1: one is not; 4: a step ended without a trustworthy number.
 
@@ -74,7 +74,7 @@ def _text(result: RunResult) -> str:
 
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"]), q["condition"])
+        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"], q["limits"]), q["condition"])
         for q in data["requirements"]
     ]
     doubtful = [

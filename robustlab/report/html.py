@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -38,6 +39,10 @@ _MEANING = {
     Status.TIMEOUT: "the time limit ended the search",
     Status.FAILED: "the method broke down; there is no value",
 }
+
+
+_MARKS = {"good": "✓", "warn": "!", "bad": "✗"}
+_DIGITS = 8  # at most, of a number beside its limit
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,17 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
             "warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for."
         )
     headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
+    remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
+    if remains:
+        return Verdict("warn", "!", f"{headline}; something remains", f"What these steps found is not all: {remains}.")
     return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
+
+
+def tone(step: Mapping[str, Any]) -> str:
+    """Colour of a step: ``bad`` without a trustworthy number, ``warn`` where it found that something remains."""
+    if not step["trustworthy"]:
+        return "bad"
+    return "warn" if step["numbers"].get("complete") is False else "good"
 
 
 def render(result: Mapping[str, Any], folder: str | Path) -> str:
@@ -95,13 +110,15 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
     from jinja2 import UndefinedError
 
     try:
-        readable = _readable(result)
+        readable = _with_optional_parts(_readable(result))
         return _template().render(
             r=readable,
             verdict=verdict(readable),
             found=in_words,
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
+            tone=tone,
+            MARKS=_MARKS,
             image=lambda stem: _image(Path(folder), stem),
         )
     except (UndefinedError, KeyError, TypeError, AttributeError) as error:
@@ -133,21 +150,45 @@ def _readable(value: Any) -> Any:
     return value
 
 
-def in_words(value: Any) -> str:
-    """What was found for a requirement, for reading."""
+def _with_optional_parts(result: Any) -> Any:
+    """Parts that results of earlier versions lack, empty."""
+    for requirement in result["requirements"]:
+        requirement.setdefault("limits", None)
+    for step in result["steps"]:
+        step.setdefault("story", [])
+    return result
+
+
+def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
+    """What was found for a requirement, for reading.
+
+    A number beside its limits has four digits, or as many as its distance to the nearest limit needs for two.
+    """
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "none"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    if limits is None or not math.isfinite(value):
+        return f"{value:.6g}"
+    nearest = min(abs(value - end) for end in limits if end is not None)
+    digits = 4
+    while digits < _DIGITS and abs(float(f"{value:.{digits}g}") - value) > 0.05 * nearest:
+        digits += 1
+    return f"{value:.{digits}g}" if abs(value) >= 10.0**6 or abs(value) < 10.0**digits else f"{value:.0f}"
 
 
 def _paragraphs(text: str) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
-def _status_meaning(status: str) -> str:
-    return _MEANING[Status(status)] if status in set(Status) else "no status: nothing here could fail to converge"
+def _status_meaning(step: Mapping[str, Any]) -> str:
+    status = step["status"]
+    if status in set(Status):
+        more = "; but something remains that it does not explain" if tone(step) == "warn" else ""
+        return _MEANING[Status(status)] + more
+    return "it was left out" if step["error"] else "nothing here could fail to converge"
 
 
 def _pretty(numbers: Any) -> str:
