@@ -24,7 +24,7 @@ from robustlab.report.figures import (
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
 
-__all__ = ["Story", "fall_in_words", "fall_percent", "story_figure"]
+__all__ = ["Story", "fall_in_words", "fall_percent", "story_figure", "times_smaller"]
 
 BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
 WORDS = ("before", "after")
@@ -86,7 +86,7 @@ def _gap(axes: Axes, story: Story, number: int) -> None:
     axes.plot(gap["t"], gap["curves"][0], color=BEFORE, lw=1.2, label="model before")
     axes.plot(gap["t"], gap["curves"][1], color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="with the named effects")
     axes.set(xlabel="time [s]", ylabel=plain_label(gap["label"]), xlim=(gap["t"][0], gap["t"][-1]))
-    axes.set_title(f"{number}  The gap: {_number(ratio)} times smaller (RMS)", loc="left")
+    axes.set_title(f"{number}  The gap: {times_smaller(ratio)} (RMS)", loc="left")
     axes.legend(loc="best")
 
 
@@ -106,7 +106,7 @@ def _uncertainty(axes: Axes, story: Story, number: int) -> None:
     lowest, highest = min(max(v, floor) for v in shown), max(*story.radii, floor)
     axes.set(yticks=[0, 1], yticklabels=WORDS, ylim=(1.6, -0.6), xlim=(lowest / 3, 4 * highest))
     axes.set_xlabel("unmodelled dynamics, share of the input")
-    fall = f"{_number(story.radii[0] / story.radii[1])} times smaller" if story.radii[1] > 0 else "none is left"
+    fall = times_smaller(story.radii[0] / story.radii[1]) if story.radii[1] > 0 else "none is left"
     axes.set_title(f"{number}  The uncertainty: {fall}", loc="left")
     axes.legend(loc="lower right")
 
@@ -134,7 +134,7 @@ def _error(axes: Axes, story: Story, number: int) -> None:
     axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
     headroom(axes, above=0.25)
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
-    axes.set_title(f"{number}  Simulated machine: error {_number(ratio)} times smaller", loc="left")
+    axes.set_title(f"{number}  Simulated machine: error {times_smaller(ratio)}", loc="left")
     axes.legend(loc="upper right")
 
 
@@ -147,6 +147,11 @@ def fall_in_words(before: float, after: float) -> str:
     """The fall of mu, or that there is none to tell."""
     fall = fall_percent(before, after)
     return f"{fall:.3g} % lower" if np.isfinite(fall) else "not to be compared"
+
+
+def times_smaller(ratio: float) -> str:
+    """``before / after`` in words, with what became larger called so."""
+    return f"{_number(ratio)} times smaller" if ratio >= 1 else f"{_number(1 / max(ratio, 1e-300))} times larger"
 
 
 def _number(ratio: float) -> str:

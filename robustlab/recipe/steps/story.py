@@ -131,7 +131,7 @@ class StoryStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Gap, uncertainty, robust performance and the simulated machine's error, before and after."""
-        from robustlab.report.story_figures import Story, fall_in_words, fall_percent, story_figure
+        from robustlab.report.story_figures import Story, fall_in_words, fall_percent, story_figure, times_smaller
 
         mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(self.performance, self.controllers, strict=True)]
         errors = [_of_controller(work, self.runs, k, "worst_error") for k in self.controllers]
@@ -151,7 +151,7 @@ class StoryStep(Step):
                 0,
                 Fact(
                     f"Gap of {gap['label']}, {gap['origin']} record, RMS",
-                    f"{rms[0]:.4g} → {rms[1]:.4g}: {_ratio(*rms):.4g} times smaller",
+                    f"{rms[0]:.4g} → {rms[1]:.4g}: {times_smaller(_ratio(*rms))}",
                 ),
             )
         radii = None
@@ -168,7 +168,7 @@ class StoryStep(Step):
                 facts.append(Fact("Unmodelled dynamics that held-out data need", text))
             facts.append(Fact("Unmodelled dynamics in the set", f"{radii[0]:.3g} → {radii[1]:.3g} of the input"))
         runs = work.values[self.runs]
-        text = f"{errors[0]:.4g} → {errors[1]:.4g} {runs.unit}: {_ratio(*errors):.3g} times smaller"
+        text = f"{errors[0]:.4g} → {errors[1]:.4g} {runs.unit}: {times_smaller(_ratio(*errors))}"
         facts.append(Fact("Largest tracking error of the referee, simulated", text))
         margins = [work.values[p][k] for p, k in zip(self.performance, self.controllers, strict=True)]
         curves = [runs.errors[k] for k in self.controllers]
