@@ -77,7 +77,7 @@ def _panel(axes: Axes, room: int) -> tuple[dict[str, Any], bool]:
         edges = _band(collection) if isinstance(collection, PolyCollection) else None
         whole = whole and edges is not None
         if edges is not None:
-            colour, name = to_hex(collection.get_facecolor()[0]), _name(collection.get_label())
+            colour, name = to_hex(tuple(np.asarray(collection.get_facecolor())[0])), _name(collection.get_label())
             for k, (x, y) in enumerate(edges):
                 look = {"label": f"{name or 'band'}, {('lower', 'upper')[k]}", "colour": colour, "width": 0.5}
                 series.append({**look, "band": k, **_points(x, y, logs, room)})
@@ -108,9 +108,9 @@ def _line(axes: Axes, line: Line2D) -> tuple[Array, Array] | None:
     x, y = (np.atleast_1d(np.asarray(part)) for part in line.get_data(orig=False))
     if not line.get_visible() or x.dtype.kind not in "if" or y.dtype.kind not in "if" or len(x) == 0:
         return None
-    if line.get_transform() == axes.get_yaxis_transform(which="grid"):  # drawn from edge to edge
+    if line.get_transform() is axes.get_yaxis_transform(which="grid"):  # drawn from edge to edge
         return (np.array(axes.get_xlim()), np.repeat(y[:1], 2).astype(float)) if _name(line.get_label()) else None
-    if line.get_transform() != axes.transData:
+    if line.get_transform() is not axes.transData:
         return None
     x, y = x.astype(float), y.astype(float)
     kept = np.isfinite(x)
@@ -125,7 +125,8 @@ def _line(axes: Axes, line: Line2D) -> tuple[Array, Array] | None:
 
 def _is_rule(axes: Axes, line: Line2D) -> bool:
     """A thin line without a name from edge to edge: a zero, a mean."""
-    across = line.get_transform() in (axes.get_yaxis_transform(which="grid"), axes.get_xaxis_transform(which="grid"))
+    rules = (axes.get_yaxis_transform(which="grid"), axes.get_xaxis_transform(which="grid"))
+    across = any(line.get_transform() is rule for rule in rules)
     return across and not _name(line.get_label())
 
 
