@@ -25,7 +25,7 @@ GROUPS = {
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
     "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
     "recipe": ("robustlab.cli.recipe", "Check a recipe, print its schema, start a new one."),
-    "report": ("robustlab.cli.report", "Write the report of a finished run again."),
+    "report": ("robustlab.cli.report", "Write the report of a finished run again; compare two runs."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robustlab.cli.console import emit, result_alone, table
+from robustlab.cli.console import emit, note, result_alone, table
 from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument, grouped
 from robustlab.cli.progress import ProgressOptions
 
@@ -23,12 +23,20 @@ def run(
     recipe: RecipeArgument,
     changes: ChangesOption = None,
     out: Annotated[
-        str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)
+        str | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder to write.  [default: out/NAME, and one of its own for other settings]",
+            show_default=False,
+        ),
     ] = None,
     progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
+
+    Without --out each recipe and each choice of settings has a folder of its own; out/latest is the last one.
 
     Exit code 0: all requirements met; 1: one is not; 4: a step ended without a trustworthy number.
 
@@ -36,12 +44,14 @@ def run(
     """
     from pathlib import Path
 
+    from robustlab.recipe.folders import default_folder, point_latest, replaced
     from robustlab.recipe.load import load_recipe
     from robustlab.recipe.paths import recipe_path
     from robustlab.recipe.run import run_recipe
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
-    folder = Path(out) if out else Path("out") / loaded.recipe.name
+    folder = Path(out) if out else default_folder(loaded)
+    replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
     begun: list[str] = []
     result_alone()  # a plant of the recipe may be code of the user's
@@ -52,6 +62,10 @@ def run(
             display.step(len(begun) - 1, f"[{len(begun)}/{count}] {name} ({kind})")
 
         result = run_recipe(loaded, folder, begin)
+    if not out:
+        point_latest(result.folder)
+    if replacing:
+        note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)
 
@@ -62,7 +76,7 @@ def _text(result: RunResult) -> str:
 
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"]), q["condition"])
+        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"], q["limits"]), q["condition"])
         for q in data["requirements"]
     ]
     doubtful = [

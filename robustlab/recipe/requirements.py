@@ -41,6 +41,7 @@ class Judgement:
             "text": r.text,
             "that": r.that,
             "condition": r.condition,
+            "limits": r.limits,
             "value": self.value,
             "met": self.met,
             "why_not": self.why_not,

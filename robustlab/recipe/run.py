@@ -49,7 +49,7 @@ from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 from robustlab.shown import Facts, Shown, listed
 
-__all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
+__all__ = ["RunResult", "read_result", "recipe_origin", "run_recipe", "write_report"]
 
 DONE, NOT_RUN = "done", "not run"
 LOCK = ".running"  # held by the run that writes the folder
@@ -241,6 +241,7 @@ def _done(name: str, step: Step, outcome: Outcome, figures: list[tuple[str, str]
         "summary": outcome.summary,
         "numbers": {**plain(outcome.numbers), "status": str(status) if status else DONE},
         "facts": [vars(fact) for fact in outcome.facts],
+        "story": [vars(fact) for fact in outcome.story],
         "notes": list(outcome.notes),
         "text": outcome.text,
         "figures": [{"stem": stem, "caption": caption} for stem, caption in figures],
@@ -259,6 +260,7 @@ def _entry(name: str, step: Step, status: str = NOT_RUN, error: str = "") -> dic
         "error": error,
         "numbers": {},
         "facts": [],
+        "story": [],
         "notes": [],
         "text": "",
         "figures": [],
@@ -290,6 +292,7 @@ def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, An
             "title": recipe.title,
             "description": recipe.description,
             "file": loaded.path.name,
+            "origin": recipe_origin(loaded),
             "sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
             "overrides": loaded.overrides,
             "text": loaded.text,
@@ -299,6 +302,11 @@ def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, An
         "provenance": provenance.to_json(),
         "files": sorted({*workspace.files, "report.html", "junit.xml", "result.json"}),
     }
+
+
+def recipe_origin(loaded: LoadedRecipe) -> str:
+    """What tells one recipe file from another of the same name: a hash of its place, which names no folder."""
+    return hashlib.sha256(str(loaded.path.resolve()).encode()).hexdigest()[:16]
 
 
 def _write(path: Path, text: str) -> None:

@@ -66,6 +66,17 @@ class Requirement(Strict):
         margin = f" ± {self.tolerance:.10g}" if self.tolerance else ""
         return f"{self.equals:.10g}{margin}"
 
+    @property
+    def limits(self) -> list[float | None] | None:
+        """Lowest and highest number that is met, None where there is no such end; None of a condition on no number."""
+        if self.within is not None:
+            return [*self.within]
+        if self.equals is not None and not isinstance(self.equals, (bool, str)):
+            return [self.equals - (self.tolerance or 0.0), self.equals + (self.tolerance or 0.0)]
+        if self.at_least is None and self.at_most is None:
+            return None
+        return [self.at_least, self.at_most]
+
 
 class Recipe(Strict):
     """A whole recipe."""

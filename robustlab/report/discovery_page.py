@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from robustlab.identification.naming.discovery_result import (
     compared,
     headline,
     in_words,
+    overall,
     with_interval,
 )
 from robustlab.provenance import Provenance
@@ -20,7 +22,7 @@ from robustlab.report.figures import save_figure
 from robustlab.report.html import render
 from robustlab.result import plain
 
-__all__ = ["caption", "facts", "write_page"]
+__all__ = ["caption", "facts", "story", "write_page"]
 
 TONES = {
     "named": ("good", "✓"),
@@ -58,6 +60,35 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
     return found
 
 
+def story(d: Discovery) -> list[tuple[str, str, str]]:
+    """Where, what, how sure, and the gap before and after: label, value and remark of each."""
+    places = list(dict.fromkeys(e.site for e in d.effects))
+    what = [(e.title, "; ".join(with_interval(p) for p in e.parameters)) for e in d.effects]
+    sure = [f"{chance(e.confidence)}{f' {e.title}' if len(d.effects) > 1 else ''}" for e in d.effects]
+    rivals = ", ".join(dict.fromkeys(r.title for r in d.rivals))
+    doubt = f"not excluded: {rivals}" if rivals else "no rival is left"
+    left = "nothing more is seen" if d.complete else "something else remains"
+    none = "no effect of the catalogue" if d.verdict == "unknown" else "nothing that these records show"
+    run = ""
+    if d.free_run:
+        before, after = (overall(d.free_run, model) for model in ("nominal", "updated"))
+        run = f"; in one free run {_share(before)} → {_share(after)}"
+    return [
+        ("Where", ", ".join(places) or "no place", f"in {d.plant}"),
+        ("What is missing", ", ".join(t for t, _ in what) or none, "; ".join(v for _, v in what if v)),
+        ("How sure", "; ".join(sure) or d.verdict, f"{doubt}; {left}"),
+        (
+            "Gap before → after",
+            f"{_share(d.gap_before)} → {_share(d.gap_after)}",
+            f"rms error on held-out data, share of the range; refitted without it {_share(d.gap_refitted)}{run}",
+        ),
+    ]
+
+
+def _share(percent: float) -> str:
+    return f"{percent:.2g} %" if math.isfinite(percent) and percent < 99.5 else f"{percent:.0f} %"
+
+
 def caption(name: str) -> str:
     """Caption of a figure of `discovery_figures`."""
     return CAPTIONS[name.partition("-")[0]]
@@ -67,7 +98,7 @@ def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]
     """Write the figures into ``folder/figures`` and ``folder/report.html``; the paths written, the page last."""
     figures = discovery_figures(d)
     files = [path for name, figure in figures.items() for path in save_figure(figure, folder / "figures", name)]
-    tone, mark = TONES[d.verdict]
+    tone, mark = TONES[d.verdict] if d.complete or d.verdict != "named" else ("warn", "!")
     page = {
         "verdict": {"tone": tone, "mark": mark, "headline": headline(d), "detail": MEANINGS[d.verdict]},
         "requirements": [],
@@ -101,5 +132,6 @@ def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
         "facts": [dict(zip(("label", "value", "source"), fact, strict=True)) for fact in facts(d)],
         "notes": [f.message for f in d.findings],
         "text": d.summary(details=True),
+        "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
         "figures": [{"stem": name, "caption": caption(name)} for name in figures],
     }

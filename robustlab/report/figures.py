@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -231,6 +232,8 @@ def _power_of_ten(value: float) -> str:
 def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     """Write ``name.svg`` and ``name.png`` into ``folder``; the same figure gives the same bytes.
 
+    The SVG carries its curves as numbers, see `robustlab.report.curves`.
+
     Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
 
     Returns
@@ -256,11 +259,17 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Pa
         # A name in a script that the font lacks is drawn as boxes; the caption in the report has it in full.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         FigureCanvasSVG(figure)
-        atomic_write(
-            svg, lambda path: figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "robustlab"})
-        )
+        atomic_write(svg, lambda path: _write_svg(figure, path))
         FigureCanvasAgg(figure)
         atomic_write(
             png, lambda path: figure.savefig(path, format="png", dpi=PNG_DPI, metadata={"Software": "robustlab"})
         )
     return svg, png
+
+
+def _write_svg(figure: Figure, path: Path) -> None:
+    from robustlab.report.curves import with_curves
+
+    text = StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "robustlab"})
+    path.write_text(with_curves(text.getvalue(), figure), encoding="utf-8")

@@ -1,24 +1,31 @@
 """The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
 
-The page opens offline, runs no script and reaches no network.
+The page opens offline and reaches no network. It is whole without scripts; where they run, figures can be zoomed and
+their values read with uPlot (MIT licence, 51 kB, its release file unchanged beside this module: no Python package
+carries a plotting library that small), inlined once.
 
 Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
 control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
-an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
+an image cannot run anything), their curves are JSON in an attribute, and the page's Content-Security-Policy forbids all
+but its own style, such images, and the one script by its hash.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 from robustlab.errors import InputError, plain_text
+from robustlab.report.curves import split
 from robustlab.result import Status
 
 if TYPE_CHECKING:
@@ -27,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["Verdict", "in_words", "junit_xml", "render", "verdict"]
 
 
+MAX_CURVES = 700_000  # characters of all curves in the page; later figures are pictures only
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
 _MEANING = {
@@ -38,6 +46,10 @@ _MEANING = {
     Status.TIMEOUT: "the time limit ended the search",
     Status.FAILED: "the method broke down; there is no value",
 }
+
+
+_MARKS = {"good": "✓", "warn": "!", "bad": "✗"}
+_DIGITS = 8  # at most, of a number beside its limit
 
 
 @dataclass(frozen=True)
@@ -74,7 +86,17 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
             "warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for."
         )
     headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
+    remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
+    if remains:
+        return Verdict("warn", "!", f"{headline}; something remains", f"What these steps found is not all: {remains}.")
     return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
+
+
+def tone(step: Mapping[str, Any]) -> str:
+    """Colour of a step: ``bad`` without a trustworthy number, ``warn`` where it found that something remains."""
+    if not step["trustworthy"]:
+        return "bad"
+    return "warn" if step["numbers"].get("complete") is False else "good"
 
 
 def render(result: Mapping[str, Any], folder: str | Path) -> str:
@@ -95,14 +117,22 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
     from jinja2 import UndefinedError
 
     try:
-        readable = _readable(result)
+        readable = _with_optional_parts(_readable(result))
+        pictures = _Pictures(Path(folder), readable)
+        script = _script() if pictures.with_curves else ""
         return _template().render(
             r=readable,
             verdict=verdict(readable),
             found=in_words,
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
-            image=lambda stem: _image(Path(folder), stem),
+            tone=tone,
+            MARKS=_MARKS,
+            image=pictures.image,
+            curves=pictures.curves,
+            script=script,
+            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+            chart_style=_part("uplot/uPlot.min.css").strip() if script else "",
         )
     except (UndefinedError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
@@ -133,21 +163,45 @@ def _readable(value: Any) -> Any:
     return value
 
 
-def in_words(value: Any) -> str:
-    """What was found for a requirement, for reading."""
+def _with_optional_parts(result: Any) -> Any:
+    """Parts that results of earlier versions lack, empty."""
+    for requirement in result["requirements"]:
+        requirement.setdefault("limits", None)
+    for step in result["steps"]:
+        step.setdefault("story", [])
+    return result
+
+
+def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
+    """What was found for a requirement, for reading.
+
+    A number beside its limits has four digits, or as many as its distance to the nearest limit needs for two.
+    """
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "none"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    if limits is None or not math.isfinite(value):
+        return f"{value:.6g}"
+    nearest = min(abs(value - end) for end in limits if end is not None)
+    digits = 4
+    while digits < _DIGITS and abs(float(f"{value:.{digits}g}") - value) > 0.05 * nearest:
+        digits += 1
+    return f"{value:.{digits}g}" if abs(value) >= 10.0**6 or abs(value) < 10.0**digits else f"{value:.0f}"
 
 
 def _paragraphs(text: str) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
-def _status_meaning(status: str) -> str:
-    return _MEANING[Status(status)] if status in set(Status) else "no status: nothing here could fail to converge"
+def _status_meaning(step: Mapping[str, Any]) -> str:
+    status = step["status"]
+    if status in set(Status):
+        more = "; but something remains that it does not explain" if tone(step) == "warn" else ""
+        return _MEANING[Status(status)] + more
+    return "it was left out" if step["error"] else "nothing here could fail to converge"
 
 
 def _pretty(numbers: Any) -> str:
@@ -155,11 +209,45 @@ def _pretty(numbers: Any) -> str:
     return text if len(text) <= MAX_NUMBERS else f"{text[:MAX_NUMBERS]}\n... (the rest is in result.json)"
 
 
-def _image(folder: Path, stem: str) -> str:
+class _Pictures:
+    """Figures of a run, each read once: the picture as an address, and its curves as JSON while there is room."""
+
+    def __init__(self, folder: Path, result: Mapping[str, Any]) -> None:
+        stems = [f["stem"] for step in result["steps"] for f in step["figures"]]
+        self._parts = {stem: split(_svg(folder, stem)) for stem in stems}
+        room = MAX_CURVES
+        for stem, (svg, curves) in self._parts.items():
+            kept = curves if len(curves) <= room else ""
+            room -= len(kept)
+            self._parts[stem] = svg, kept
+        self.with_curves = any(curves for _, curves in self._parts.values())
+
+    def image(self, stem: str) -> str:
+        """The picture as a ``data:`` address."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self._parts[stem][0].encode()).decode("ascii")
+
+    def curves(self, stem: str) -> str:
+        """The curves as JSON, without characters that change how other text is shown; empty where there are none."""
+        return plain_text(self._parts[stem][1])
+
+
+def _svg(folder: Path, stem: str) -> str:
     path = folder / "figures" / f"{stem}.svg"
     if Path(stem).name != stem or not path.is_file():
         raise InputError(str(path), "no such figure", "the figures of the run beside its result.json")
-    return "data:image/svg+xml;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+    return path.read_bytes().decode("utf-8", errors="replace")
+
+
+@cache
+def _part(name: str) -> str:
+    """A file that lies beside this module."""
+    return resources.files("robustlab.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _script() -> str:
+    """The library with its licence, and what makes charts of curves; all of it files of ours."""
+    library = _part("uplot/uPlot.iife.min.js").split("\n", 1)[1]  # without the line that names its address
+    return f"/* uPlot 1.6.32\n{_part('uplot/LICENSE')}*/\n{library}\n{_part('interactive.js')}"
 
 
 def junit_xml(result: Mapping[str, Any]) -> str:

@@ -81,12 +81,12 @@ def story_figure(story: Story) -> Figure:
 
 def _gap(axes: Axes, story: Story, number: int) -> None:
     assert story.gap is not None
-    gap, ratio = story.gap, story.gap["rms"][0] / max(story.gap["rms"][1], 1e-300)
+    gap = story.gap
     axes.plot(gap["t"], gap["record"], color=COLOURS["sample"], lw=3.2, label=f"{gap['origin']} record")
     axes.plot(gap["t"], gap["curves"][0], color=BEFORE, lw=1.2, label="model before")
     axes.plot(gap["t"], gap["curves"][1], color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="with the named effects")
     axes.set(xlabel="time [s]", ylabel=plain_label(gap["label"]), xlim=(gap["t"][0], gap["t"][-1]))
-    axes.set_title(f"{number}  The gap: {_number(ratio)} times smaller (RMS)", loc="left")
+    axes.set_title(f"{number}  The gap: {times_in_words(gap['rms'][0], gap['rms'][1])} (RMS)", loc="left")
     axes.legend(loc="best")
 
 
@@ -106,7 +106,7 @@ def _uncertainty(axes: Axes, story: Story, number: int) -> None:
     lowest, highest = min(max(v, floor) for v in shown), max(*story.radii, floor)
     axes.set(yticks=[0, 1], yticklabels=WORDS, ylim=(1.6, -0.6), xlim=(lowest / 3, 4 * highest))
     axes.set_xlabel("unmodelled dynamics, share of the input")
-    fall = f"{_number(story.radii[0] / story.radii[1])} times smaller" if story.radii[1] > 0 else "none is left"
+    fall = times_in_words(story.radii[0], story.radii[1]) if story.radii[1] > 0 else "none is left"
     axes.set_title(f"{number}  The uncertainty: {fall}", loc="left")
     axes.legend(loc="lower right")
 

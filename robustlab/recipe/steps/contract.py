@@ -99,6 +99,8 @@ class Outcome:
         What the reader must know to judge the numbers.
     text
         A longer account for reading, line by line.
+    story
+        What a reader wants to know first, a handful at most; shown before all else.
     """
 
     value: Any
@@ -108,6 +110,7 @@ class Outcome:
     status: Status | None = None
     notes: tuple[str, ...] = ()
     text: str = ""
+    story: tuple[Fact, ...] = ()
 
 
 @dataclass

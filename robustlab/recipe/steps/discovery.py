@@ -48,7 +48,7 @@ class DiscoverStep(Step):
         from robustlab.dynamics.effects.catalogue import effect
         from robustlab.identification.naming.discovery_result import headline
         from robustlab.report.discovery_figures import discovery_figures
-        from robustlab.report.discovery_page import caption, facts
+        from robustlab.report.discovery_page import caption, facts, story
 
         found = rl.discover(
             work.values[self.of],
@@ -84,7 +84,14 @@ class DiscoverStep(Step):
             notes.append(f"The signal of the next experiment is in {file}.")
         lines = tuple(Fact(*line) for line in facts(found))
         return Outcome(
-            found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary(details=True)
+            found.model,
+            headline(found),
+            numbers(found),
+            lines,
+            status,
+            tuple(notes),
+            found.summary(details=True),
+            tuple(Fact(*part) for part in story(found)),
         )
 
 

@@ -22,11 +22,15 @@ if TYPE_CHECKING:
 
 
 _CAPTIONS = {
-    "time": "The record and its simulation, and the error over time; shaded: the window with the largest error.",
-    "speed": "Where the error lives over speed and position: dry friction shows as a step at zero speed.",
-    "spectrum": "Where the error lives over frequency.",
+    "where": "Where {} is missed: rms of the error over time, direction, speed, position, input, frequency; orange is "
+    "the largest of each.",
+    "response": "The linear part of the record and of the model: frequency response from the inputs to {}.",
+    "harmonics": "What a linear model cannot explain: lines of the record's spectrum beyond the excited ones.",
+    "time": "{}: record and simulation, and the error over time; shaded: the window with the largest error.",
+    "speed": "Where the error of {} lives over speed: dry friction shows as a step at zero speed.",
+    "spectrum": "Where the error of {} lives over frequency.",
     "outputs": "The windowed error of all outputs beside each other.",
-    "residual": "What is left in the residual: its correlation with itself and with the input, and the 99 % band.",
+    "residual": "What is left of {}: correlation of the residual with itself and with the input, and the 99 % band.",
 }
 
 
@@ -132,7 +136,8 @@ class CompareStep(Step):
         worst = _worst(model, found)
         facts.append(Fact("Worst of all", *worst.pop("words")))
         for name, figure in comparison_figures(found).items():
-            work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
+            kind, _, output = name.partition("-")
+            work.draw(figure, name, _CAPTIONS[kind].format(output))
         head = f"{self.of} against {self.record}, a {work.origin(self.record)} record:"
         if found.free_run.whole:
             most = max(found.outputs.values(), key=lambda gap: gap.rms_percent)

@@ -151,7 +151,7 @@ class StoryStep(Step):
                 0,
                 Fact(
                     f"Gap of {gap['label']}, {gap['origin']} record, RMS",
-                    f"{rms[0]:.4g} → {rms[1]:.4g}: {_ratio(*rms):.4g} times smaller",
+                    f"{rms[0]:.4g} → {rms[1]:.4g}: {times_in_words(*rms)}",
                 ),
             )
         radii = None
