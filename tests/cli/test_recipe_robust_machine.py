@@ -198,7 +198,7 @@ def test_h2_of_a_generalised_plant_from_a_file(tmp_path):
         ('[step.k]\ndo = "ncf"\nof = "motor"\nfactor = 1.0\n', "factor"),
         (
             '[step.h]\ndo = "ncf"\nof = "set"\n[step.k]\ndo = "follow-trajectory"\nof = "motor"\ncontrollers = ["h"]\n',
-            "no Stewart platform with motors",
+            "no Stewart platform that can be followed",
         ),
         (
             ('[step.h]\ndo = "ncf"\nof = "set"\n[step.k]\ndo = "simulate-control"\nof = "motor"\ncontrollers = ["h"]\n'

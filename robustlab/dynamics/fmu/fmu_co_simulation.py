@@ -21,6 +21,7 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.record import Record
 from robustlab.result import Status
+from robustlab.shown import Facts, Shown
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.units import same_unit
 
@@ -29,8 +30,8 @@ __all__ = ["FmuCoSimulation", "FreeRun"]
 SHOWS_NONE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
 
 
-@dataclass(frozen=True, eq=False)
-class FreeRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class FreeRun(Shown):
     """A record beside the simulation of its inputs from the unit's own initial state.
 
     Attributes
@@ -48,14 +49,14 @@ class FreeRun:
     gaps: Mapping[str, Mapping[str, float]]
     status: Status = Status.CONVERGED
 
-    def summary(self) -> str:
-        """One line an output."""
-        lines = [f"{self.simulated.name} against {self.record.name}: free run from the unit's own initial state"]
+    def facts(self) -> Facts:
+        """One an output."""
+        told = [("", f"{self.simulated.name} against {self.record.name}: free run from the unit's own initial state")]
         for name, gap in self.gaps.items():
             unit = self.simulated.unit(name)
             rms, peak = (f"{gap[key]:.4g} {unit}".rstrip() for key in ("rms", "peak"))
-            lines.append(f"  {name}: rms {rms}, peak {peak}, fit {gap['fit']:.4g} %")
-        return "\n".join(lines)
+            told.append((name, f"rms {rms}, peak {peak}, fit {gap['fit']:.4g} %"))
+        return told
 
     def to_json(self, *, series: bool = True) -> dict[str, Any]:
         """The gaps and the names of both; with ``series`` the simulated outputs over time."""
