@@ -128,7 +128,7 @@ def test_cover_design_and_story(tmp_path):
     assert "simulated record, RMS" in facts
     assert "of the referee, simulated" in facts
     page = (result.folder / "report.html").read_text(encoding="utf-8")
-    assert page.index("From the gap to the better controller") < page.index("Requirements")
+    assert page.index("From the gap to the better controller") < page.index(">Requirements</h2>")
     assert page.count("From the gap to the better controller") == 2  # its alternative text and its caption, once
 
 

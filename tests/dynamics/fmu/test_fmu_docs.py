@@ -31,7 +31,7 @@ def test_the_page_runs(unit, folder, tmp_path, monkeypatch, capsys):
         exec(block, names)
     np.testing.assert_allclose(names["rest"].u, [0.8], rtol=1e-9)  # k q
     assert (names["axis"].port_places[0].unit, names["axis"].joints_source) == ("N", "stated by the user")
-    assert "omega: rms 0, peak 0, fit 100 %" in capsys.readouterr().out
+    assert "omega  rms 0, peak 0, fit 100 %" in capsys.readouterr().out
     assert BY_DIFFERENCES in TEXT
     command = [sys.executable, "-c", "from robustlab.cli.main import main; main()"]
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("robustlab ")]
