@@ -158,18 +158,20 @@ def poles_figure(poles: AnyArray, zeros: AnyArray, dt: float, cloud: AnyArray | 
     with house_style():
         if dt:
             turn = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
-            axes.plot(turn.real, turn.imag, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="unit circle")
+            axes.plot(np.real(turn), np.imag(turn), color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="unit circle")
             axes.set_aspect("equal")
         else:
             axes.axvline(0.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="stability boundary")
         axes.axhline(0.0, color="#888888", lw=0.8)
         if cloud is not None and len(cloud):
-            axes.plot(cloud.real, cloud.imag, ".", color=COLOURS["sample"], ms=4, alpha=0.7, label="poles of members")
+            axes.plot(
+                np.real(cloud), np.imag(cloud), ".", color=COLOURS["sample"], ms=4, alpha=0.7, label="poles of members"
+            )
         if len(zeros):
             style: dict[str, Any] = {"mfc": "none", "mew": 1.6, "ms": 8, "color": COLOURS["good"]}
-            axes.plot(zeros.real, zeros.imag, "o", label="zeros", **style)
+            axes.plot(np.real(zeros), np.imag(zeros), "o", label="zeros", **style)
         if len(poles):
-            axes.plot(poles.real, poles.imag, "x", color=COLOURS["nominal"], mew=1.8, ms=8, label="poles")
+            axes.plot(np.real(poles), np.imag(poles), "x", color=COLOURS["nominal"], mew=1.8, ms=8, label="poles")
         unit = "" if dt else "rad/s"
         axes.set_xlabel(axis_label("real part", unit))
         axes.set_ylabel(axis_label("imaginary part", unit))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from robustlab.campaign.result import CampaignResult, exceedance_curve
 from robustlab.campaign.store import Store
@@ -188,7 +189,7 @@ def mu_bars(bounds: MuBounds) -> Figure:
         axes.plot(place, lower, "o", color=COLOURS["worst"], ms=2.5 if many else 5, label="lower, attained by a Δ")
         axes.set_ylim(0, 1.15 * max(float(upper.max(initial=0.0)), 1e-300))
         axes.set_xlim(-0.7, len(upper) - 0.3)
-        axes.xaxis.get_major_locator().set_params(integer=True)  # pyright: ignore[reportAttributeAccessIssue]
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("matrix")
         axes.set_ylabel("structured singular value μ")
         legend_below(figure, (axes,), 2)
@@ -236,7 +237,7 @@ def hankel_figure(found: ReducedModel) -> Figure:
             logarithmic(axes.yaxis)
             top = float(found.hankel.max())
             axes.set_ylim(max(float(found.hankel[found.hankel > 0].min()) / 3, 1e-16 * top), 3 * top)
-        axes.xaxis.get_major_locator().set_params(integer=True)  # pyright: ignore[reportAttributeAccessIssue]
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("state of the balanced model")
         axes.set_ylabel("Hankel singular value")
         axes.set_title(f"error at most {found.error.upper:.4g}")
@@ -292,7 +293,7 @@ def mode_figure(found: StructuralTest) -> Figure:
         floor = 1e-16
         values = np.maximum(found.margins[order], floor)
         axes.barh(range(len(order)), values, left=floor, color=COLOURS["nominal"], height=0.65)
-        axes.set_yticks(range(len(order)), [_mode(found.eigenvalues[k]) for k in order])
+        axes.set_yticks(range(len(order)), [_mode(complex(found.eigenvalues[k])) for k in order])
         axes.invert_yaxis()
         logarithmic(axes.xaxis)
         axes.set_xlim(floor, 3 * float(values.max(initial=1.0)))

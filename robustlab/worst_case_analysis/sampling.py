@@ -142,12 +142,12 @@ class Samples(Tabular, Shown):
 
     def table(self) -> Table:
         """A row for each sample: parameters in their units where they are known, else normalised values."""
-        known = {b.name: b for b in self.uncertain.blocks if b.parameter is not None}
+        known = {b.name: b.parameter for b in self.uncertain.blocks if b.parameter is not None}
         scalar = [b.name for b in self.uncertain.blocks if b.is_scalar]
         rows = list(self.deltas)
         columns = {name: np.array([np.ravel(row[name])[0] for row in rows]) for name in scalar}
-        values = {name: [b.parameter.value(float(np.real(v))) for v in columns[name]] for name, b in known.items()}
-        units = {name: b.parameter.unit for name, b in known.items()}
+        values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
+        units = {name: p.unit for name, p in known.items()}
         return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
 
     def to_json(self) -> dict[str, object]:

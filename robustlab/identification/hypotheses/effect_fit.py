@@ -414,12 +414,11 @@ class Problem:
         n_x = len(self.plant.states)
         xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
         simulators = self.simulators(hypothesis)
-        damping, count = self.tuning.damping, 0
+        damping, count, rounds = self.tuning.damping, 0, plan.iterations
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
         cost = _total(residual, xi, z)
         hessian = np.eye(len(z))
         parts: list[Linearised] = []
-        rounds = plan.iterations
         while rounds > 0 or not plan.draft:
             parts = [
                 self._linearised(
@@ -439,6 +438,7 @@ class Problem:
                     bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there, moved = self._within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
+                trial, found = residual, np.inf
                 for near in (z, None) if isinstance(self.plant, NonlinearPlant) else (None,):  # first at little cost
                     trial = self.whitened(self.errors(hypothesis, there, moved, simulators, near), noise)
                     found = _total(trial, moved, there)

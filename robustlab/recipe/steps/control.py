@@ -465,10 +465,10 @@ def _followed(
         runs = {name: follow_with_torques(plant, K, path, t, at=point) for name, K in models.items()}
         poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
         return runs, poles, asked, Fact("The machine", f"takes torques{named}")
-    lower = two_layer(plant, p_low=step.p_low).lower
+    lower = two_layer(machine, p_low=step.p_low).lower
     layered = {name: LayeredController(K, lower, point) for name, K in models.items()}
-    runs = {name: follow(plant, controller, path, t) for name, controller in layered.items()}
-    poles = {name: closed_loop(plant, controller).spectral_abscissa() for name, controller in layered.items()}
+    runs = {name: follow(machine, controller, path, t) for name, controller in layered.items()}
+    poles = {name: closed_loop(machine, controller).spectral_abscissa() for name, controller in layered.items()}
     return runs, poles, asked, Fact("Torque loops below", f"triple pole at {step.p_low:g} 1/s")
 
 

@@ -193,8 +193,8 @@ def _worst(model: Any, found: Comparison) -> dict[str, Any]:
     words = f"{gap.name}, {start:.3g} to {stop:.3g} s"
     worst: dict[str, Any] = {"output": gap.name, "start": start, "stop": stop}
     machine = model.plant if isinstance(model, ExtendedNonlinearPlant) else model
-    angles = [s.name for s in machine.outputs[:6]] if isinstance(machine, StewartPlatform) else []
-    if angles and all(name in found.measured.outputs for name in angles):
+    angles = [s.name for s in machine.outputs[:6]]
+    if isinstance(machine, StewartPlatform) and all(name in found.measured.outputs for name in angles):
         k = int(np.argmin(np.abs(found.measured.t - 0.5 * (start + stop))))
         pose = machine.poses(np.array([found.measured[name][k] for name in angles]))
         worst["pose"] = dict(zip(("tx", "ty", "tz", "ax", "ay", "az"), pose.tolist(), strict=True))
