@@ -402,7 +402,7 @@ def _steps_along(model: PortModel, h: float, n_u: int, rising: bool) -> tuple[Ar
         phi, psi, ramp = exponentials_and_ramps(model.A, 0.5 * h)
     else:
         phi, psi = exponentials(model.A, 0.5 * h)
-        ramp = psi
+        ramp = psi  # stands for none: inputs that are held have no ramp
     return *_in_steps(model.B[..., :n_u], phi, psi, ramp, rising), psi @ model.B[..., n_u:]
 
 

@@ -182,7 +182,7 @@ def _of_record(
         x = [points(outputs(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
         motions = tuple(_motion(problem, fit, place, k) for place in places)
         length = record.windows.length
-        most = min(SEGMENTS, PULSES // count)
+        most = min(SEGMENTS, max(1, PULSES // count))
         edges = np.unique(np.append(np.arange(0, length, -(-length // most)), length))
         samples = record.windows.starts[chosen][:, None] + np.arange(length)
 
