@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import emit, note
+from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, SeedOption, grouped, names
 from robustlab.cli.plant import plant_or_model
 from robustlab.cli.record_options import RecordOptions
@@ -31,8 +32,13 @@ FigureOption = Annotated[
 
 
 def plot_model(
-    file: Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")],
-    kind: Annotated[str, typer.Option("--kind", help=f"{', '.join(KINDS)}.")] = "bode",
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Model file, name of a plant, or file.py:name.", metavar="MODEL", autocompletion=plant_or_file
+        ),
+    ],
+    kind: Annotated[str, typer.Option("--kind", help=f"{', '.join(KINDS)}.", autocompletion=one_of(*KINDS))] = "bode",
     inputs: Annotated[
         str | None, typer.Option("--inputs", "--input", help="Inputs to draw: u or u,w.", show_default=False)
     ] = None,

@@ -24,6 +24,7 @@ from typing import Annotated, Any
 import typer
 
 from robustlab.cli.console import note
+from robustlab.cli.offers import one_of
 from robustlab.errors import UsageError, plain_text
 
 __all__ = ["MODES", "Display", "ProgressOptions"]
@@ -41,7 +42,12 @@ class ProgressOptions:
 
     progress: Annotated[
         str,
-        typer.Option("--progress", help="auto: a bar on terminals; json: JSON lines on stderr; none.", metavar="MODE"),
+        typer.Option(
+            "--progress",
+            help="auto: a bar on terminals; json: JSON lines on stderr; none.",
+            metavar="MODE",
+            autocompletion=one_of(*MODES),
+        ),
     ] = "auto"
 
     @contextmanager
