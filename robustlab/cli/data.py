@@ -373,7 +373,7 @@ def discover(
             period=windows.period,
             repeats=records(windows.repeat),
             exclude=tuple(effect(name).id for name in naming.exclude or []),
-            progress=report,
+            progress=report.listener,
         )
     read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
