@@ -76,18 +76,14 @@ def plot_record(
     figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw the signals of a record over time, inputs first.
+    """Draw the signals of a record over time, inputs first; of many the first eight, --outputs takes others.
 
     Example: robustlab data plot run3.csv --inputs u --outputs q
     """
-    from robustlab.report.design_figures import TimePanel, runs_figure
+    from robustlab.report.result_figures import record_figure
 
     record = options.read(file, options.inputs)
-    panels = [
-        TimePanel(f"{name} [{record.unit(name)}]" if record.unit(name) else name, {name: record[name]})
-        for name in (*record.inputs, *record.outputs)
-    ]
-    files = _write(runs_figure(record.t, panels), figure, file, "record")
+    files = _write(record_figure(record), figure, file, "record")
     emit("data plot", {"record": file, "files": files}, "\n".join(files), as_json)
 
 
