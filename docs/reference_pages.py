@@ -13,7 +13,6 @@ import json
 import re
 import typing
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -139,9 +138,7 @@ def _api_page(path: str, obj: object) -> str:
 
 def commands() -> dict[tuple[str, ...], Any]:
     """Words of a command -> its parser, all commands that can be run."""
-    from typer.main import get_command
-
-    from robustlab.cli.main import GROUPS
+    from robustlab.cli.groups import GROUPS, parser
 
     found: dict[tuple[str, ...], Any] = {}
 
@@ -152,16 +149,15 @@ def commands() -> dict[tuple[str, ...], Any]:
         for name, part in below.items():
             walk((*words, name), part)
 
-    for name, (module, _) in GROUPS.items():
-        app = import_module(module).app
-        app.rich_markup_mode = None
-        walk((name,), get_command(app))
+    for name in GROUPS:
+        walk((name,), parser(name))
     return found
 
 
 def cli_pages() -> dict[str, str]:
     """A page for each word after ``robustlab``, and one with what all have in common."""
-    from robustlab.cli.main import GROUPS, help_text
+    from robustlab.cli.groups import GROUPS
+    from robustlab.cli.main import help_text
 
     top = (
         heading("Commands", "=")

@@ -13,6 +13,7 @@ import typer
 
 from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
+from robustlab.cli.offers import METRICS, one_of
 from robustlab.cli.options import JsonOption, SeedOption, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EXIT_INTERRUPTED, UsageError
@@ -20,7 +21,9 @@ from robustlab.errors import EXIT_INTERRUPTED, UsageError
 if TYPE_CHECKING:
     from robustlab.campaign import Crew
 
-app = typer.Typer(help="Run samples and searches of any size, stored one by one.", no_args_is_help=True)
+app = typer.Typer(
+    help="Run samples and searches of any size, stored one by one.", no_args_is_help=True, add_completion=False
+)
 
 SHOWN_LOST = 10
 
@@ -32,9 +35,16 @@ BoundOption = Annotated[float | None, typer.Option("--limit", help="Count how of
 class PlanOptions:
     """What is computed, and for how many."""
 
-    metric: Annotated[str, typer.Option("--metric", help="A metric of robustlab worst-case --help.")] = "peak-deviation"
+    metric: Annotated[
+        str, typer.Option("--metric", help="A metric of robustlab worst-case --help.", autocompletion=one_of(*METRICS))
+    ] = "peak-deviation"
     n: Annotated[int, typer.Option("-n", "--samples", help="How many samples, vertices or searches.")] = 1000
-    kind: Annotated[str, typer.Option("--kind", help="samples, vertices or search.")] = "samples"
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--kind", help="samples, vertices or search.", autocompletion=one_of("samples", "vertices", "search")
+        ),
+    ] = "samples"
     seed: SeedOption = 0
 
 

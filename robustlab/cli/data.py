@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import SCHEMA, emit, note, require_trust, save_figures, table
+from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
     EffortOptions,
     JsonOption,
@@ -41,11 +42,18 @@ __all__ = ["PLANT_FILE", "DiscoveryFiles", "app"]
 
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
-app = typer.Typer(help="Check, convert and compare measured records; name what a model lacks.", no_args_is_help=True)
+app = typer.Typer(
+    help="Check, convert and compare measured records; name what a model lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+)
 app.command("plot")(plot_record)
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="FILE")]
-ModelArgument = Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")]
+ModelArgument = Annotated[
+    str,
+    typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL", autocompletion=plant_or_file),
+]
 DataArgument = Annotated[
     str, typer.Argument(help="Record: HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="DATA")
 ]
@@ -99,7 +107,8 @@ class NamingOptions:
         typer.Option("--tolerance", help="Relative tolerance of a parameter: Km=0.05 or Km=5%.", show_default=False),
     ] = None
     exclude: Annotated[
-        list[str] | None, typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False)
+        list[str] | None,
+        typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False),
     ] = None
 
 
@@ -158,18 +167,32 @@ class ExplanationOptions:
     ] = None
     domain: Annotated[
         str,
-        typer.Option("--domain", help="time, or frequency: whole periods in steady state, line by line."),
+        typer.Option(
+            "--domain",
+            help="time, or frequency: whole periods in steady state, line by line.",
+            autocompletion=one_of("time", "frequency"),
+        ),
     ] = "time"
     period: Annotated[
         float | None, typer.Option("--period", help="Frequency domain: period in s where no signal tells it.")
     ] = None
     noise_norm: Annotated[
         str | None,
-        typer.Option("--noise-norm", help="What the bound is of: peak or rms (frequency domain: rms).", metavar="NORM"),
+        typer.Option(
+            "--noise-norm",
+            help="What the bound is of: peak or rms (frequency domain: rms).",
+            metavar="NORM",
+            autocompletion=one_of("peak", "rms"),
+        ),
     ] = None
     delta: Annotated[
         str,
-        typer.Option("--delta", help="Complex and full blocks are: time-invariant or time-varying.", metavar="KIND"),
+        typer.Option(
+            "--delta",
+            help="Complex and full blocks are: time-invariant or time-varying.",
+            metavar="KIND",
+            autocompletion=one_of("time-invariant", "time-varying"),
+        ),
     ] = "time-invariant"
     at_rest: Annotated[bool, typer.Option("--at-rest", help="The record starts at rest.")] = False
     window: Annotated[
@@ -203,7 +226,10 @@ def check(
     model: Annotated[
         str | None,
         typer.Option(
-            "--model", help="Model file, plant, file.py:name: is the record fit for naming?", show_default=False
+            "--model",
+            help="Model file, plant, file.py:name: is the record fit for naming?",
+            show_default=False,
+            autocompletion=plant_or_file,
         ),
     ] = None,
     settings: SettingsOption = None,
@@ -347,7 +373,7 @@ def discover(
             period=windows.period,
             repeats=records(windows.repeat),
             exclude=tuple(effect(name).id for name in naming.exclude or []),
-            progress=report,
+            progress=report.listener,
         )
     read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
@@ -366,7 +392,12 @@ def discover(
 def validate(
     *,
     uncertain: Annotated[
-        str, typer.Argument(help="Uncertain model: HDF5 file, or a plant with tolerances.", metavar="UNCERTAIN")
+        str,
+        typer.Argument(
+            help="Uncertain model: HDF5 file, or a plant with tolerances.",
+            metavar="UNCERTAIN",
+            autocompletion=plant_or_file,
+        ),
     ],
     data: DataArgument,
     asked: ExplanationOptions,

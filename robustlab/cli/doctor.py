@@ -8,7 +8,7 @@ from robustlab.cli.console import emit, table
 from robustlab.cli.options import JsonOption
 from robustlab.errors import EnvironmentFault, RobustlabError
 
-app = typer.Typer(help="Say whether this installation can work.")
+app = typer.Typer(help="Say whether this installation can work.", add_completion=False)
 
 _OK = "ok"
 
@@ -103,7 +103,7 @@ def _figures() -> str:
 
 
 def _recipes() -> str:
-    from robustlab.recipe.paths import shipped_recipes
+    from robustlab.recipe.shipped import shipped_recipes
 
     found = shipped_recipes()
     assert found, "no shipped recipe was found beside the package"

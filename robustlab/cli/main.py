@@ -9,25 +9,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 
-__all__ = ["GROUPS", "help_text", "main"]
+from robustlab.cli.groups import GROUPS, parser
 
-# Command -> (module that holds its `app`, one line of help).
-GROUPS = {
-    "plant": ("robustlab.cli.plant", "Start a plant of your own in a file; show a plant."),
-    "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
-    "uncertain": ("robustlab.cli.uncertain", "Build, show and sample uncertain models."),
-    "worst-case": ("robustlab.cli.worst_case", "Search the worst member of an uncertain model."),
-    "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
-    "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
-    "synth": ("robustlab.cli.synth", "Design a controller and verify its loop."),
-    "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
-    "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
-    "recipe": ("robustlab.cli.recipe", "Check a recipe, print its schema, start a new one."),
-    "report": ("robustlab.cli.report", "Write the report of a finished run again; compare two runs."),
-    "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
-}
+__all__ = ["help_text", "main"]
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
@@ -46,6 +31,9 @@ _FOOT = """
 Options:
   --version  Print the version and leave.
   --help     Show this message and leave; COMMAND --help shows that command's.
+  --install-completion [SHELL]  Words completed by TAB: bash, zsh or fish; the
+                                shell of $SHELL if left out.
+  --show-completion [SHELL]     Print what that shell would load.
 
 Start with:
   robustlab run first-light
@@ -76,6 +64,10 @@ def run(arguments: Sequence[str]) -> int:
 
         print(robustlab_version())
         return 0
+    if name in ("--install-completion", "--show-completion"):
+        from robustlab.cli.completion import install, show
+
+        return (install if name == "--install-completion" else show)(rest)
     if name not in GROUPS:
         from robustlab.errors import UsageError, did_you_mean
 
@@ -87,13 +79,9 @@ def run(arguments: Sequence[str]) -> int:
     require_surroundings()
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
-    app = import_module(GROUPS[name][0]).app
-    app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
-    from typer.main import get_command
+    command = parser(name)
 
-    # Not app(): the parser's own frame turns a reader of stdout that went away into exit code 1.
-    command = get_command(app)
-
+    # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.
     def called() -> int | None:
         with command.make_context(f"robustlab {name}", rest) as context:
             return command.invoke(context)
@@ -107,6 +95,10 @@ def main() -> None:
 
     def command() -> int:
         ready_streams()
+        if "_ROBUSTLAB_COMPLETE" in os.environ:  # a shell asks what TAB may put here
+            from robustlab.cli.completion import complete
+
+            return complete()
         return run(sys.argv[1:])
 
     sys.exit(main_guard(command))

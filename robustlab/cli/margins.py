@@ -11,6 +11,7 @@ import typer
 
 from robustlab.cli.console import emit, require_trust, table
 from robustlab.cli.members import delta_value, stands_for
+from robustlab.cli.offers import one_of
 from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped
 from robustlab.errors import UsageError
 
@@ -34,13 +35,19 @@ class LoopOptions:
         str | None,
         typer.Option("--controller", "-k", help="File with the controller; left out: unity.", show_default=False),
     ] = None
-    at: Annotated[str, typer.Option(help="Where gain and phase change: input, output or both.")] = "output"
+    at: Annotated[
+        str,
+        typer.Option(
+            help="Where gain and phase change: input, output or both.", autocompletion=one_of("input", "output", "both")
+        ),
+    ] = "output"
     skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
     feedback: Annotated[
         str | None,
         typer.Option(
             help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
             show_default=False,
+            autocompletion=one_of("negative", "positive"),
         ),
     ] = None
 

@@ -10,6 +10,7 @@ import typer
 from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
+from robustlab.cli.offers import FORMULAS, one_of, plant_or_file
 from robustlab.cli.options import (
     DtOption,
     JsonOption,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from robustlab.statespace import Signal, StateSpaceModel
     from robustlab.storage import Loaded
 
-app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True)
+app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
@@ -66,7 +67,11 @@ class ReadOptions:
 def build(
     plant: Annotated[
         str,
-        typer.Argument(help="Name of the plant (dc-motor), file.py:name, or an HDF5 file with one.", metavar="PLANT"),
+        typer.Argument(
+            help="Name of the plant (dc-motor), file.py:name, or an HDF5 file with one.",
+            metavar="PLANT",
+            autocompletion=plant_or_file,
+        ),
     ],
     out: Annotated[str, typer.Option("--out", "-o", help="HDF5 or MATLAB file to write.")],
     settings: Annotated[
@@ -268,7 +273,14 @@ def reduce(
     tolerance: Annotated[
         float | None, typer.Option("--tolerance", help="In place of --order: largest error, H-infinity norm.")
     ] = None,
-    method: Annotated[str, typer.Option("--method", help="truncation, residualisation or coprime.")] = "truncation",
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="truncation, residualisation or coprime.",
+            autocompletion=one_of("truncation", "residualisation", "coprime"),
+        ),
+    ] = "truncation",
     output: OutputOptions,
 ) -> None:
     """A model of lower order, with its certified H-infinity error beside what theory promises.
@@ -296,7 +308,12 @@ def discretise(
     file: ModelArgument,
     dt: DtOption,
     method: Annotated[
-        str, typer.Option("--method", help="tustin, tustin-prewarp, zoh, foh, impulse or matched.")
+        str,
+        typer.Option(
+            "--method",
+            help="tustin, tustin-prewarp, zoh, foh, impulse or matched.",
+            autocompletion=one_of(*FORMULAS),
+        ),
     ] = "tustin",
     prewarp: PrewarpOption = None,
     output: OutputOptions,

@@ -15,6 +15,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from robustlab.cli.console import note
+from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, share
 
@@ -60,7 +61,12 @@ PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
 ]
 RecipeArgument = Annotated[
-    str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
+    str,
+    typer.Argument(
+        help="A recipe file, or the name of one that comes with robustlab.",
+        show_default=False,
+        autocompletion=recipe_or_file,
+    ),
 ]
 ChangesOption = Annotated[
     list[str] | None,

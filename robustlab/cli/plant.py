@@ -10,12 +10,13 @@ import typer
 
 from robustlab.cli.console import emit, note, result_alone, table
 from robustlab.cli.members import named
+from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import JsonOption, assignments, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
 
 __all__ = ["app", "made_of", "plant_or_model", "read_plant", "uncertain_or_plant"]
 
-app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_args_is_help=True)
+app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_args_is_help=True, add_completion=False)
 
 
 # --- what other commands read ----------------------------------------------------------------------------------------
@@ -104,6 +105,7 @@ def show(
             help="file.py:name or machine.fmu (the file is run), file.py for the names in it, an HDF5 file, or a"
             " plant's name.",
             metavar="PLANT",
+            autocompletion=plant_or_file,
         ),
     ],
     settings: Annotated[

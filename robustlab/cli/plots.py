@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import emit, note
+from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, SeedOption, grouped, names
 from robustlab.cli.plant import plant_or_model
 from robustlab.cli.record_options import RecordOptions
@@ -31,8 +32,13 @@ FigureOption = Annotated[
 
 
 def plot_model(
-    file: Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")],
-    kind: Annotated[str, typer.Option("--kind", help=f"{', '.join(KINDS)}.")] = "bode",
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Model file, name of a plant, or file.py:name.", metavar="MODEL", autocompletion=plant_or_file
+        ),
+    ],
+    kind: Annotated[str, typer.Option("--kind", help=f"{', '.join(KINDS)}.", autocompletion=one_of(*KINDS))] = "bode",
     inputs: Annotated[
         str | None, typer.Option("--inputs", "--input", help="Inputs to draw: u or u,w.", show_default=False)
     ] = None,
@@ -70,18 +76,14 @@ def plot_record(
     figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw the signals of a record over time, inputs first.
+    """Draw the signals of a record over time, inputs first; of many the first eight, --outputs takes others.
 
     Example: robustlab data plot run3.csv --inputs u --outputs q
     """
-    from robustlab.report.design_figures import TimePanel, runs_figure
+    from robustlab.report.result_figures import record_figure
 
     record = options.read(file, options.inputs)
-    panels = [
-        TimePanel(f"{name} [{record.unit(name)}]" if record.unit(name) else name, {name: record[name]})
-        for name in (*record.inputs, *record.outputs)
-    ]
-    files = _write(runs_figure(record.t, panels), figure, file, "record")
+    files = _write(record_figure(record), figure, file, "record")
     emit("data plot", {"record": file, "files": files}, "\n".join(files), as_json)
 
 

@@ -2,12 +2,12 @@
 
 ``auto``   on a terminal a line with a bar where the end is known, the time passed and the time to go; it appears after
            two seconds and vanishes at the end. Elsewhere nothing, but for the lines that some commands always say.
-``json``   an object a line, at every step and every few seconds: ``{"progress": {"command", "text", "elapsed_s",
-           "done", "total", "remaining_s", "at_most", "ended"}}``.
+``json``   an object a line, at every step and every few seconds; its keys are those of `Display.state`.
 ``none``   nothing.
 
 Where a command knows its steps, the time to go is in proportion to them. Where only the work is counted that a search
-may do at most, the time to go is an upper estimate and said to be (``at_most``).
+may do at most, the time to go is an upper estimate and said to be (``at_most``). Where a search has parts whose number
+is not known before its end, the numbers are those of the present one, and said to be (``part``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -24,10 +24,12 @@ from typing import Annotated, Any
 import typer
 
 from robustlab.cli.console import note
+from robustlab.cli.offers import one_of
 from robustlab.errors import UsageError, plain_text
 
-__all__ = ["MODES", "Display", "ProgressOptions"]
+__all__ = ["MODES", "SCHEMA", "Display", "ProgressOptions"]
 
+SCHEMA = "robustlab.progress/1"
 MODES = ("auto", "json", "none")
 PATIENCE = 2.0  # s; what takes less shows nothing on a terminal
 EVERY = 0.25  # s between two looks at where the work stands
@@ -41,7 +43,12 @@ class ProgressOptions:
 
     progress: Annotated[
         str,
-        typer.Option("--progress", help="auto: a bar on terminals; json: JSON lines on stderr; none.", metavar="MODE"),
+        typer.Option(
+            "--progress",
+            help="auto: a bar on terminals; json: JSON lines on stderr; none.",
+            metavar="MODE",
+            autocompletion=one_of(*MODES),
+        ),
     ] = "auto"
 
     @contextmanager
@@ -95,6 +102,7 @@ class Display:
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:
         self.command, self.mode = command, mode
         self._text, self._done, self._total, self._at_most = "", 0.0, float(total or 0), False
+        self._part = False
         self._began = self._base = time.monotonic()
         self._from, self._told = 0.0, 0.0
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -134,6 +142,20 @@ class Display:
             self._base, self._from = time.monotonic(), 0.0
         self._done, self._total, self._at_most = done, whole, True
 
+    @property
+    def listener(self) -> Display | Callable[[str], None]:
+        """For a search that counts in parts: the display, where it shows numbers, else what takes lines of text."""
+        return self if self.mode in ("bar", "json") else self.__call__
+
+    def part(self, done: float, expected: float, text: str) -> None:
+        """Work done in the present part of a search, of what is expected in it; a smaller count is the next part's."""
+        new = done < self._done or expected <= 0 or not self._part
+        if new:
+            self._base, self._from = time.monotonic(), done
+        self._done, self._total, self._text, self._part = done, expected, text, True
+        if new and expected > 0 and self.mode == "json":
+            self._line()
+
     def resumed(self, done: float) -> None:
         """Steps that were done before this run: no measure of its speed."""
         self._from = self._done = done
@@ -157,21 +179,25 @@ class Display:
                 if time.monotonic() - self._told >= BEAT:
                     self._line()
 
+    def state(self, ended: bool = False) -> dict[str, Any]:
+        """Where the command stands, as a line of JSON says it under ``progress``."""
+        remaining = self.remaining
+        return {
+            "command": self.command,
+            "text": plain_text(self._text),
+            "elapsed_s": round(time.monotonic() - self._began, 3),
+            "done": self._done if self._total else None,
+            "total": self._total or None,
+            "remaining_s": None if remaining is None or ended else round(remaining, 3),
+            "at_most": self._at_most,
+            "part": self._part,
+            "ended": ended,
+        }
+
     def _line(self, ended: bool = False) -> None:
         with self._lock:
             self._told = time.monotonic()
-            remaining = self.remaining
-            state: dict[str, Any] = {
-                "command": self.command,
-                "text": plain_text(self._text),
-                "elapsed_s": round(self._told - self._began, 3),
-                "done": self._done if self._total else None,
-                "total": self._total or None,
-                "remaining_s": None if remaining is None or ended else round(remaining, 3),
-                "at_most": self._at_most,
-                "ended": ended,
-            }
-            print(json.dumps({"progress": state}), file=sys.stderr, flush=True)
+            print(json.dumps({"schema": SCHEMA, "progress": self.state(ended)}), file=sys.stderr, flush=True)
 
     def _bar(self) -> None:
         from rich.console import Console
@@ -193,7 +219,8 @@ class Display:
         passed, remaining = _duration(time.monotonic() - self._began), self.remaining
         if remaining is None:
             return passed
-        return f"{passed}, {'at most' if self._at_most else 'about'} {_duration(remaining)} to go"
+        left = f"{'at most' if self._at_most else 'about'} {_duration(remaining)} to go"
+        return f"{passed}, {left}{' in this part' * self._part}"
 
 
 def _duration(seconds: float) -> str:

@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from robustlab.cli.console import emit, table
+from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
 from robustlab.errors import UsageError
 
-app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_args_is_help=True)
+app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_args_is_help=True, add_completion=False)
 
 
 @app.command()
@@ -59,7 +60,10 @@ def new(
     plant: Annotated[
         str | None,
         typer.Option(
-            "--plant", help="With data: plant to compare it with, a name or file.py:name.", show_default=False
+            "--plant",
+            help="With data: plant to compare it with, a name or file.py:name.",
+            show_default=False,
+            autocompletion=plant_or_file,
         ),
     ] = None,
     clock: Annotated[

@@ -30,6 +30,7 @@ app = typer.Typer(
     help="Write the report of a finished run again (robustlab report RUN_DIR), or compare two runs.",
     cls=_FolderOrCommand,
     no_args_is_help=True,
+    add_completion=False,
 )
 
 

@@ -13,7 +13,7 @@ from robustlab.cli.progress import ProgressOptions
 if TYPE_CHECKING:
     from robustlab.recipe.run import RunResult
 
-app = typer.Typer(help="Run a recipe: steps, requirements, report.")
+app = typer.Typer(help="Run a recipe: steps, requirements, report.", add_completion=False)
 
 
 @app.command()

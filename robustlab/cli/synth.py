@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+from robustlab.cli.offers import FORMULAS, one_of
 from robustlab.cli.options import (
     DtOption,
     EffortOptions,
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-app = typer.Typer(help="Design a controller and verify it in the loop rebuilt from it.", no_args_is_help=True)
+app = typer.Typer(
+    help="Design a controller and verify it in the loop rebuilt from it.", no_args_is_help=True, add_completion=False
+)
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", show_default=False)]
 NominalOption = Annotated[
@@ -320,11 +323,14 @@ def fixed(
             "--structure",
             help="static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, "
             ":diagonal, :scalar), decentralised:WORD.",
+            autocompletion=one_of("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer"),
         ),
     ] = "static",
     channels: ChannelOptions,
     nominal: NominalOption = False,
-    objective: Annotated[str, typer.Option("--objective", help="hinf or h2.")] = "hinf",
+    objective: Annotated[
+        str, typer.Option("--objective", help="hinf or h2.", autocompletion=one_of("hinf", "h2"))
+    ] = "hinf",
     starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
     seed: SeedOption = 0,
     effort: EffortOptions,
@@ -411,7 +417,12 @@ def reduce(
     loss: Annotated[float, typer.Option("--loss", help="Largest loss allowed, as a share.")] = 0.01,
     order: Annotated[int | None, typer.Option("--order", help="States of the result, whatever it loses.")] = None,
     measure: Annotated[
-        str, typer.Option("--measure", help="hinf, h2, or mu (robust performance of an uncertain plant).")
+        str,
+        typer.Option(
+            "--measure",
+            help="hinf, h2, or mu (robust performance of an uncertain plant).",
+            autocompletion=one_of("hinf", "h2", "mu"),
+        ),
     ] = "hinf",
     channels: LoopChannelOptions,
     effort: EffortOptions,
@@ -446,7 +457,11 @@ class SamplingOptions:
     dt: DtOption
     method: Annotated[
         str,
-        typer.Option("--method", help="auto, direct, tustin, tustin-prewarp, zoh, foh, impulse or matched."),
+        typer.Option(
+            "--method",
+            help="auto, direct, tustin, tustin-prewarp, zoh, foh, impulse or matched.",
+            autocompletion=one_of("auto", "direct", *FORMULAS),
+        ),
     ] = "auto"
     loss: Annotated[float, typer.Option("--loss", help="Loss from which on auto tries a direct design.")] = 0.1
     delay: Annotated[float, typer.Option("--delay", help="Computational delay in s.")] = 0.0

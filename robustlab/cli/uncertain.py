@@ -11,6 +11,7 @@ import typer
 
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
+from robustlab.cli.offers import COVERS, one_of, plant_or_file
 from robustlab.cli.options import (
     EffortOptions,
     JsonOption,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from robustlab.uncertainty.lft import UncertainModel
     from robustlab.worst_case_analysis import Responses
 
-app = typer.Typer(help="Build, show and sample uncertain models.", no_args_is_help=True)
+app = typer.Typer(help="Build, show and sample uncertain models.", no_args_is_help=True, add_completion=False)
 
 
 # --- what an uncertain model is made of ------------------------------------------------------------------------------
@@ -57,9 +58,14 @@ class TwoModels:
     perturbed: Annotated[
         str | None, typer.Argument(help="Maximally perturbed model of the same signals.", metavar="[PERTURBED]")
     ] = None
-    structure: Annotated[str, typer.Option("--structure", help="elements, columns, rows, matrices or single.")] = (
-        "elements"
-    )
+    structure: Annotated[
+        str,
+        typer.Option(
+            "--structure",
+            help="elements, columns, rows, matrices or single.",
+            autocompletion=one_of("elements", "columns", "rows", "matrices", "single"),
+        ),
+    ] = "elements"
     noise: Annotated[
         float | None,
         typer.Option("--noise", help="Relative differences up to this are noise; none where left out."),
@@ -89,7 +95,11 @@ class PlantRanges:
 
     plant: Annotated[
         str | None,
-        typer.Option("--plant", help="Instead of models: an uncertain plant: its name, file.py:name, or HDF5 file."),
+        typer.Option(
+            "--plant",
+            help="Instead of models: an uncertain plant: its name, file.py:name, or HDF5 file.",
+            autocompletion=plant_or_file,
+        ),
     ] = None
     tolerance: Annotated[
         list[str] | None,
@@ -184,6 +194,7 @@ class CoverOptions:
             "--form",
             help="Of the cover: elements, pca, ellipsoid, additive, input-multiplicative, output-multiplicative, or"
             " inverse- and one of these three (inverse-additive, ...).",
+            autocompletion=one_of(*COVERS),
         ),
     ] = "elements"
     order: Annotated[int, typer.Option("--order", help="Largest order of the cover's weight.")] = 4
@@ -230,7 +241,12 @@ class DiscoveryOptions:
         typer.Option("--amplitude", help="With --discovery: amplitude of a speed or signal, NAME=VALUE; repeatable."),
     ] = None
     dry: Annotated[
-        str | None, typer.Option("--dry", help="With --discovery: dry friction as load (any speed), gain, or both.")
+        str | None,
+        typer.Option(
+            "--dry",
+            help="With --discovery: dry friction as load (any speed), gain, or both.",
+            autocompletion=one_of("load", "gain", "both"),
+        ),
     ] = None
     pade: Annotated[int, typer.Option("--pade", help="With --discovery: order of the Pade part of delays.")] = 2
 

@@ -9,11 +9,12 @@ import typer
 
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
+from robustlab.cli.offers import METRICS, one_of
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
 
-app = typer.Typer(help="Search the worst member of an uncertain model.")
+app = typer.Typer(help="Search the worst member of an uncertain model.", add_completion=False)
 
 SHOWN_INFLUENCES = 12
 
@@ -57,6 +58,7 @@ def worst_case(
             "--metric",
             help="peak-deviation, peak, rms, overshoot, settling-time, hinf, h2, spectral-abscissa, damping, "
             "controllability or hankel.",
+            autocompletion=one_of(*METRICS),
         ),
     ] = "peak-deviation",
     of: MetricOptions,

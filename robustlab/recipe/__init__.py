@@ -1,5 +1,10 @@
-"""Recipes: a TOML file of steps and requirements, checked before anything runs, and run to a result and a report."""
+"""Recipes: a TOML file of steps and requirements, checked before anything runs, and run to a result and a report.
 
-from robustlab.recipe.load import load_recipe, parse_recipe
+In the order of a run::
 
-__all__ = ["load_recipe", "parse_recipe"]
+    shipped                 names of the recipes that come with robustlab; loads nothing
+    load, schema, steps     the file as a checked object
+    paths, folders          the files it reads, the folder it writes
+    run, requirements       its steps run, its requirements judged
+    starters                a recipe to start from
+"""

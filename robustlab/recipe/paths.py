@@ -1,17 +1,17 @@
-"""The files around a recipe: those it names and may read, the recipes that ship with robustlab."""
+"""The files around a recipe: those it names and may read, and the recipe itself."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import robustlab
 from robustlab.errors import InputError, did_you_mean
 from robustlab.recipe.load import LoadedRecipe
+from robustlab.recipe.shipped import shipped_folder, shipped_recipes
 from robustlab.recipe.steps.contract import Step
 from robustlab.recipe.steps.models import LoadStep, PlantStep
 from robustlab.recipe.steps.records import RecordStep
 
-__all__ = ["find_files", "recipe_path", "shipped_recipes"]
+__all__ = ["find_files", "recipe_path"]
 
 
 def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
@@ -91,18 +91,6 @@ def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
     )
 
 
-def _shipped_folder() -> Path:
-    """Beside the package in a checkout, inside it when installed from a wheel."""
-    package = Path(robustlab.__file__).parent
-    installed = package / "shipped" / "recipes"
-    return installed if installed.is_dir() else package.parent / "recipes"
-
-
-def shipped_recipes() -> list[str]:
-    """Names of the recipes that come with robustlab."""
-    return sorted(path.stem for path in _shipped_folder().glob("*.toml"))
-
-
 def recipe_path(given: str) -> Path:
     """The file that ``robustlab run`` means by ``given``: a path, or the name of a shipped recipe.
 
@@ -115,7 +103,7 @@ def recipe_path(given: str) -> Path:
     if path.is_file() or path.suffix or len(path.parts) > 1:
         return path  # a path: `load_recipe` says what is wrong with it
     if given in shipped_recipes():
-        return _shipped_folder() / f"{given}.toml"
+        return shipped_folder() / f"{given}.toml"
     names = shipped_recipes()
     hint = did_you_mean(given, names) or "robustlab recipe new NAME starts a recipe of your own"
     raise InputError(

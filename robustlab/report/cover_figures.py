@@ -77,7 +77,7 @@ def overbound_figure(fit: Overbound, errors: Sequence[Array] | Array = (), title
             above.plot(
                 fit.omega, np.maximum(row, LIGHTEST * fit.bound.max()), color=COLOURS["sample"], lw=0.8, label=label
             )
-        above.plot(fit.omega, fit.bound, color=COLOURS["reference"], lw=1.0, ls=(0, (5, 1.5)), label="their bound")
+        above.plot(fit.omega, fit.bound, color=COLOURS["reference"], lw=1.0, ls=(0, (5, 1.5)), label="bound")
         above.plot(fit.omega, fit.magnitude, color=COLOURS["nominal"], label=f"weight of order {fit.order}")
         low = max(float(fit.bound.min()) / 10.0, LIGHTEST * float(fit.bound.max()))
         logarithmic(above.xaxis)

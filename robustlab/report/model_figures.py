@@ -112,7 +112,9 @@ def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, se
                 logarithmic(above.yaxis)
                 above.set_ylabel(axis_label("magnitude", _per(y, u)))
                 above.set_title(plain_label(f"{u.name} to {y.name}"))
-                _curves(below, w, _phases(curves))
+                _curves(below, w, np.where(size > 0, _phases(curves), np.nan))
+                if not size.any():
+                    above.text(0.5, 0.5, "no response", ha="center", va="center", transform=above.transAxes)
                 below.set_ylabel("phase [degrees]")
                 below.yaxis.set_major_locator(_quarter_turns(below))
                 for panel in (above, below):

@@ -57,6 +57,8 @@ __all__ = [
     "weights_figure",
 ]
 
+LARGEST_GAIN = 60  # dB; of a disk margin's curve
+
 CURVES = ("nominal", "worst", "good", "limit", "sample", "band", "reference")
 BLOCKS = 24  # side by side
 SIGNALS = 8  # below one another
@@ -103,15 +105,18 @@ def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
             if not 0 < margin.lower < np.inf:
                 axes.plot([], [], color=colour, label=label)
                 continue
-            turn = margin.lower * np.exp(1j * np.linspace(-np.pi, np.pi, 1441))
+            turn = margin.lower * np.exp(1j * np.linspace(-np.pi, np.pi, 14401))
             with np.errstate(divide="ignore", invalid="ignore"):
                 factor = (1 + (1 - margin.skew) / 2 * turn) / (1 - (1 + margin.skew) / 2 * turn)
                 gain, phase = 20 * np.log10(np.abs(factor)), np.degrees(np.unwrap(np.angle(factor)))
             axes.plot(gain, phase - np.mean(phase), color=colour, lw=2.4 if k == 0 else 1.4, label=label)
             if k == 0:
                 axes.fill(gain, phase - np.mean(phase), color=COLOURS["band"], alpha=0.25, lw=0)
+        wide = any(np.abs(np.asarray(line.get_xdata())).max(initial=0.0) > LARGEST_GAIN for line in axes.lines)
+        if wide:  # near a margin of 2 the curve runs to infinity
+            axes.set_xlim(-LARGEST_GAIN, LARGEST_GAIN)
         axes.plot(0.0, 0.0, "+", color=COLOURS["reference"], ms=9, mew=1.4)
-        axes.set_xlabel("change of gain [dB]")
+        axes.set_xlabel(f"change of gain [dB]{f', shown to {LARGEST_GAIN} dB' * wide}")
         axes.set_ylabel("change of phase [degrees]")
         axes.set_title("stable for every change inside of the curve")
         legend_below(figure, (axes,), 3)

@@ -86,7 +86,7 @@ def _size_figure(found: Validation) -> Figure:
     with house_style():
         for i, name in enumerate(found.blocks):
             axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=plain_label(name))
-        axes.axhline(found.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 1.5)), label="gamma")
+        axes.axhline(found.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 1.5)), label=f"gamma: {found.upper:.4g}")
         frequency_axis(axes)
         axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
         axes.set_ylabel("size of the block")

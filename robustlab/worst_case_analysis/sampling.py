@@ -9,7 +9,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
@@ -141,11 +141,21 @@ class Samples(Tabular, Shown):
         ]
 
     def table(self) -> Table:
-        """A row for each sample: parameters in their units where they are known, else normalised values."""
+        """A row for each sample: parameters in their units where they are known, else normalised values.
+
+        A block that is a matrix has a column for each entry, ``NAME[row,column]`` counted from 1.
+        """
         known = {b.name: b.parameter for b in self.uncertain.blocks if b.parameter is not None}
-        scalar = [b.name for b in self.uncertain.blocks if b.is_scalar]
         rows = list(self.deltas)
-        columns = {name: np.array([np.ravel(row[name])[0] for row in rows]) for name in scalar}
+        columns: dict[str, AnyArray] = {}
+        for block in self.uncertain.blocks:
+            drawn = np.array([row[block.name] for row in rows])
+            if block.is_scalar:
+                columns[block.name] = drawn.reshape(len(rows))
+            else:
+                r, c = block.value_shape
+                entries = [(i, j) for i in range(r) for j in range(c)]
+                columns |= {f"{block.name}[{i + 1},{j + 1}]": drawn.reshape(-1, r, c)[:, i, j] for i, j in entries}
         values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
         units = {name: p.unit for name, p in known.items()}
         return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)

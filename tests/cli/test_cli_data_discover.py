@@ -235,3 +235,21 @@ def test_a_record_that_says_nothing_ends_in_4_and_a_wrong_one_in_3(run, tmp_path
     code, text, err = run("discover", "servo-axis", tmp_path / "turned.h5")
     assert (code, text) == (3, "")
     assert "sign" in err
+
+
+def test_lines_of_json_say_how_far_the_search_is(files, run):
+    record, held = files / "run7.h5", files / "run8.h5"
+    code, out, err = run(
+        "discover", "servo-axis", record, "--held-out", held, *EXCLUDED, "--progress", "json", "--json"
+    )
+    assert code in (0, 4)
+    assert json.loads(out)["command"] == "data discover"
+    states = [json.loads(line)["progress"] for line in err.splitlines() if line.startswith('{"schema"')]
+    counted = [s for s in states if s["total"]]
+    assert counted
+    for s in counted:
+        assert 0 <= s["done"] <= s["total"]
+        assert s["part"]
+        assert "what could be added to " in s["text"]
+        assert "so far" not in s["text"]  # times stand in keys of their own
+    assert states[-1]["ended"]

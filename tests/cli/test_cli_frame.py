@@ -9,7 +9,8 @@ from importlib import import_module
 import pytest
 
 from robustlab.cli.console import main_guard, table
-from robustlab.cli.main import GROUPS, help_text, run
+from robustlab.cli.groups import GROUPS
+from robustlab.cli.main import help_text, run
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 
 HEAVY = ["numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic", "slycot", "clarabel", "jinja2"]

@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -12,7 +14,7 @@ import robustlab as rl
 from robustlab.budget import Budget, listening
 from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run as command
-from robustlab.cli.progress import Display
+from robustlab.cli.progress import SCHEMA, Display
 
 pty = pytest.importorskip("pty")
 
@@ -86,7 +88,10 @@ def test_json_lines_say_where_it_stands(slow):
     process = started(slow, "--progress", "json", stderr=subprocess.PIPE)
     out, err = process.communicate(timeout=120)
     assert json.loads(out)["command"] == "run"
-    states = [json.loads(line)["progress"] for line in err.decode().splitlines()]
+    lines = [json.loads(line) for line in err.decode().splitlines()]
+    assert {line["schema"] for line in lines} == {SCHEMA}
+    states = [line["progress"] for line in lines]
+    assert all(set(s) == KEYS for s in states)
     assert next(s["text"] for s in states if s["text"]) == "[1/2] first (plant)"
     assert {s["command"] for s in states} == {"run"}
     assert [s["elapsed_s"] for s in states] == sorted(s["elapsed_s"] for s in states)
@@ -119,6 +124,38 @@ def test_a_search_tells_the_work_it_may_take_at_most(robustlab):
     assert 0 < last["done"] <= last["total"]
     assert robustlab("mu", "set.h5").err == ""
     assert "no such mode" in robustlab("mu", "set.h5", "--progress", "loud", code=2).err
+
+
+KEYS = {"command", "text", "elapsed_s", "done", "total", "remaining_s", "at_most", "part", "ended"}
+
+
+def test_the_page_names_every_key_of_a_line():
+    page = (Path(__file__).parents[2] / "docs" / "progress.md").read_text(encoding="utf-8")
+    assert set(Display("run", "none").state()) == KEYS
+    keys = page.partition("| key |")[2].partition("What is counted")[0]
+    assert set(re.findall(r"(?m)^\| `(\w+)` \|", keys)) == KEYS
+    assert SCHEMA in page
+
+
+def test_parts_of_a_search_are_counted_and_timed_one_by_one(monkeypatch):
+    now = [50.0]
+    monkeypatch.setattr("robustlab.cli.progress.time.monotonic", lambda: now[0])
+    display = Display("data discover", "none")
+    assert display.state()["done"] is display.state()["total"] is display.state()["remaining_s"] is None
+    display.part(1, 9, "first")
+    now[0] += 8.0
+    display.part(5, 9, "first")  # four took 8 s, four are left
+    state = display.state()
+    assert (state["done"], state["total"], state["elapsed_s"], state["remaining_s"]) == (5, 9, 8.0, 8.0)
+    assert state["part"]
+    display.part(1, 21, "second")
+    assert display.state()["remaining_s"] is None
+    now[0] += 10.0
+    display.part(11, 21, "second")
+    assert display.state()["remaining_s"] == 10.0
+    assert display._times() == "18 s, about 10 s to go in this part"
+    display.part(0, 0, "what remains")
+    assert display.state()["total"] is display.state()["remaining_s"] is None
 
 
 def test_a_budget_tells_all_that_is_spent_in_it_once():

@@ -46,11 +46,45 @@ def test_the_time_to_go_is_in_proportion():
     clock.now += 5.0
     progress.step(10, 10, "last")
     assert lines == [
-        "coulomb-friction@v (30 s so far, about 2 min 0 s to go)",
+        "coulomb-friction@v (30 s so far, about 2 min 0 s to go in this part)",
         "nothing is known (35 s so far)",
         "more than was expected (40 s so far)",
-        "last (45 s so far, about 0 s to go)",
+        "last (45 s so far)",
     ]
+
+
+def test_the_time_to_go_is_that_of_the_present_part():
+    clock, lines = Clock(), []
+    progress = Progress(lines.append, clock)
+    progress.step(1, 10, "first part")
+    clock.now += 90.0
+    progress.step(10, 10, "first part")
+    progress.step(1, 11, "second part")  # its clock starts here: the 90 s are no measure of its speed
+    clock.now += 10.0
+    progress.step(6, 11, "second part")  # five took 10 s, five are left
+    assert lines == [
+        "first part (1 min 30 s so far, about 0 s to go in this part)",
+        "second part (1 min 40 s so far, about 10 s to go in this part)",
+    ]
+
+
+def test_a_listener_that_counts_gets_every_number_and_no_times():
+    class Counter:
+        def __init__(self):
+            self.told = []
+
+        def __call__(self, text):
+            self.told.append(text)
+
+        def part(self, done, expected, text):
+            self.told.append((done, expected, text))
+
+    counter = Counter()
+    with Progress(counter) as progress:
+        progress.step(1, 4, "fits")
+        progress.step(2, 4, "fits")
+        progress.tell("what remains")
+    assert counter.told == [(1, 4, "fits"), (2, 4, "fits"), (0, 0, "what remains"), "what remains"]
 
 
 def test_a_milestone_is_told_at_once_and_counts_as_a_line():
@@ -80,7 +114,7 @@ def test_lines_come_while_one_step_takes_long_and_end_with_it(monkeypatch):
         progress.tell("what remains")
     told = len(lines)
     assert told >= 4
-    assert lines[0].startswith("a long fit (0 s so far, about ")
+    assert lines[0].startswith("a long fit (0 s so far")
     assert threading.active_count() == before
     time.sleep(0.1)
     assert len(lines) == told

@@ -34,7 +34,7 @@ def test_what_public_functions_return_is_documented_too():
 
 def test_every_command_and_every_option_of_its_help_is_on_the_page():
     """The help is the real command's; how wide its lines are does not matter."""
-    from robustlab.cli.main import GROUPS
+    from robustlab.cli.groups import GROUPS
 
     assert {words[0] for words in reference_pages.commands()} == set(GROUPS)
     for words in reference_pages.commands():

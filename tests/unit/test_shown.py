@@ -34,8 +34,6 @@ NUMBERS = {
     "Conflict", "Conservatism", "CoprimeMargin", "GapMetric", "H2Norm", "HinfNorm", "Influence", "NuGap", "Result",
     "Reduction", "PlantSamples", "StreamedResponses", "Trim", "WellPosedness", "DcMotor", "PerformanceLimits",
 }  # fmt: skip
-# Drawings that these small examples have no data for.
-WITHOUT = {("Comparison", "harmonics"), ("Validation", "delta")}
 
 
 def public_classes() -> set[type]:
@@ -76,7 +74,7 @@ def test_every_public_result_is_among_the_examples_and_shows_itself(make):
     assert [kind.__name__ for kind in kinds if not issubclass(kind, Shown)] == []
     made = [type(make(name)) for name in NAMES]
     missing = {kind.__name__ for kind in kinds if not any(issubclass(one, kind) for one in made)}
-    assert missing == {"FmuPlant", "FreeRun"}  # these need a functional mock-up unit (tests/dynamics)
+    assert missing == {"FmuPlant", "FreeRun"}  # tests/dynamics/fmu/test_fmu_co_simulation.py has a unit for them
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -139,6 +137,34 @@ def test_the_notebook_gets_a_valid_table(name, make):
     assert len(root.find("tbody")) >= 1
 
 
+def inside(thing, seen, depth=6):
+    """Everything of ours that can be reached from an object by attributes, tables and lists."""
+    if id(thing) in seen or depth == 0:
+        return
+    seen[id(thing)] = thing
+    if type(thing).__module__.startswith("robustlab"):
+        yield thing
+        parts = list(getattr(thing, "__dict__", {}).values())
+    elif isinstance(thing, dict):
+        parts = list(thing.values())
+    else:
+        parts = list(thing)[:30] if isinstance(thing, (list, tuple)) else []
+    for part in parts:
+        yield from inside(part, seen, depth - 1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_stands_inside_of_a_result_is_short_too(name, make):
+    found = list(inside(make(name), {}))
+    long = {type(part).__name__ for part in found if len(repr(part)) > 600 or len(repr(part).splitlines()) > LINES}
+    assert long == set()
+
+
+def test_a_proof_says_what_is_proved(make):
+    piece = make("Margin").proof[0]
+    assert re.fullmatch(r"Piece\n  proved: mu <= [\d.]+ for [\d.]+ \.\. [\d.inf]+ rad/s", repr(piece))
+
+
 def test_names_from_files_are_escaped():
     model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[(HOSTILE, "V")], states=[HOSTILE])
     text = model._repr_html_()
@@ -183,12 +209,7 @@ def test_whatever_has_more_than_numbers_can_be_drawn(make):
 
 
 PARENT = {"HinfSynthesis": "Synthesis", "WorstCaseDiskMargin": "DiskBounds"}  # one for each drawing that is inherited
-CASES = [
-    (name, kind)
-    for name in NAMES
-    for kind in DRAWINGS.get(PARENT.get(name, name), {})
-    if (name, kind) not in WITHOUT
-]  # fmt: skip
+CASES = [(name, kind) for name in NAMES for kind in DRAWINGS.get(PARENT.get(name, name), {})]
 
 
 def panels_of(drawn):
@@ -197,7 +218,8 @@ def panels_of(drawn):
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_a_drawing_returns_its_axes_with_labels_and_units(name, kind, make):
-    drawn = make(name).plot(kind)
+    other = shown_objects.OTHERS.get((name, kind))
+    drawn = (other() if other else make(name)).plot(kind)
     panels = panels_of(drawn)
     assert panels
     assert isinstance(drawn, Axes) or drawn.shape == (len(panels),)
@@ -262,6 +284,54 @@ def test_what_cannot_be_drawn_is_said_in_one_line_and_leaves_no_figure(ask, text
         ask(make("StateSpaceModel"))
     assert "\n" not in error.value.line
     assert plt.get_fignums() == []
+
+
+def test_what_has_no_data_for_a_drawing_says_so(make):
+    for name, kind in shown_objects.OTHERS:
+        with pytest.raises(InputError, match=f"plot\\('{kind}'\\)"):
+            make(name).plot(kind)
+        assert plt.get_fignums() == []
+
+
+def test_the_drawn_delta_is_that_of_the_validation():
+    found = shown_objects.validation_over_frequency()
+    axes = found.plot("delta")
+    curve, level = axes.lines
+    assert curve.get_ydata() == pytest.approx(found.line_sizes[:, 0])
+    assert level.get_ydata() == pytest.approx([found.upper] * 2)
+    assert level.get_label() == f"gamma: {found.upper:.4g}"
+
+
+def test_the_drawn_harmonics_are_those_of_the_test():
+    comparison = shown_objects.periodic_comparison()
+    axes = comparison.plot("harmonics")
+    signal = comparison.nonlinearity.signals["q"]
+    excited, even, odd = axes.lines[:3]
+    by_hand = np.abs(np.fft.rfft(comparison.measured["q"][-512:]))  # one period: lines 1, 3, 5, skip 7, ...
+    assert excited.get_xdata()[:4] == pytest.approx(np.array([1, 3, 5, 9]) / 5.12)
+    assert len(excited.get_xdata()) == 30
+    ratio = excited.get_ydata()[:4] / by_hand[[1, 3, 5, 9]]
+    assert ratio == pytest.approx(ratio[0], rel=1e-3)
+    assert len(even.get_xdata()) > 30
+    assert np.max(odd.get_ydata()) > 100 * np.max(even.get_ydata())  # friction is odd
+    assert axes.get_ylabel() == "amplitude [m]"
+    assert "odd at least" in axes.get_title(loc="left")
+    assert set(signal.kind.tolist()) == {0, 1, 2}
+
+
+def test_a_channel_without_response_is_said_and_not_drawn(make):
+    panels = make("GeneralizedPlant").plot("bode")
+    (above,) = (p for p in panels if p.get_title(loc="left") == "n to x")
+    assert [text.get_text() for text in above.texts] == ["no response"]
+    below = panels[list(panels).index(above) + 3]
+    assert all(np.isnan(line.get_ydata()).all() for line in below.lines)
+
+
+def test_an_endless_disk_is_cut_and_says_so(make):
+    axes = make("WorstCaseDiskMargin").plot("disk")
+    assert axes.get_xlim() == (-60.0, 60.0)
+    assert axes.get_xlabel() == "change of gain [dB], shown to 60 dB"
+    assert make("DiskMargins").plot("disk").get_xlabel() == "change of gain [dB]"
 
 
 def test_an_unknown_output_is_named(make):
@@ -349,6 +419,16 @@ def test_the_table_of_a_margin_is_its_curves(make):
     assert frame.attrs["units"] == {"omega": "rad/s"}
     campaign = make("CampaignResult").to_pandas()
     assert campaign["peak-deviation"].max() == pytest.approx(make("CampaignResult").worst)
+
+
+def test_a_full_block_has_a_column_for_each_entry():
+    model = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.zeros((4, 3))), [rl.FullBlock("gap", 2, 3)])
+    samples = rl.sample(model, 5, 1)
+    columns = samples.table().columns
+    assert list(columns) == [f"gap[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
+    for k, delta in enumerate(samples.deltas):
+        assert [columns[name][k] for name in columns] == list(np.ravel(delta["gap"]))
+    assert list(samples.to_pandas().columns) == list(columns)
 
 
 def test_without_pandas_it_is_said_how_to_get_it(make, monkeypatch):

@@ -28,6 +28,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.parameters import Parameter, Sign
 from robustlab.errors import InputError, did_you_mean
+from robustlab.shown import Shown
 
 __all__ = [
     "CONSTANTS",
@@ -198,7 +199,7 @@ CONSTANTS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Geometry:
+class Geometry(Shown):
     """Points and axes, in m; arrays are read-only.
 
     Attributes

@@ -378,8 +378,10 @@ class _Search:
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
             return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
 
-        for fit in self.workers.map(full, starts):
+        self.progress(0, len(starts), f"full fits of what could be added to {text}")
+        for done, fit in enumerate(self.workers.map(full, starts), 1):
             self._visit(fit)
+            self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
         self.expansions += 1
         self._from_children(key)
@@ -435,6 +437,7 @@ class _Search:
         leader = self._freed(self._told().fit)
         if self.sharpened and leader is self._told().fit and self._white(leader):
             return
+        self.progress(0, 0, "the noise that the best set leaves, and the sets that may matter under it")
         self.sharpened = True
         self.noise = self._noise_of(leader)
         leader = self._clocked(self._again(leader))

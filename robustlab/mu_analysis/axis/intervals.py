@@ -25,6 +25,7 @@ from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.mu_analysis.tuning import TUNING
+from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
@@ -33,7 +34,7 @@ __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 
 
 @dataclass(frozen=True)
-class Piece:
+class Piece(Shown):
     """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``.
 
     ``members`` are the indices of the blocks that it is about; None for all of them.
@@ -44,6 +45,11 @@ class Piece:
     beta: float
     bound: UpperBound
     members: tuple[int, ...] | None = None
+
+    def facts(self) -> Facts:
+        """Level, interval of frequencies, and the blocks where they are not all."""
+        told = [("proved", f"mu <= {number(self.beta)} for {number(self.low)} .. {number(self.high, 'rad/s')}")]
+        return told if self.members is None else [*told, ("blocks", in_words(self.members))]
 
 
 @dataclass

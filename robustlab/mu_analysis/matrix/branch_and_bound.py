@@ -29,6 +29,7 @@ from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
+from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = [
@@ -56,7 +57,7 @@ class Improved:
 
 
 @dataclass
-class Region:
+class Region(Shown):
     """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved."""
 
     box: Box

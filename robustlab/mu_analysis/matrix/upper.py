@@ -14,13 +14,14 @@ from robustlab.mu_analysis.matrix.decomposition import Component, balancing_expo
 from robustlab.mu_analysis.matrix.interior_point import path_following, primal_dual
 from robustlab.mu_analysis.matrix.scalings import scaling_space
 from robustlab.mu_analysis.tuning import TUNING
+from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
 __all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
 
 
 @dataclass(frozen=True)
-class UpperBound:
+class UpperBound(Shown):
     r"""``mu(M) <= beta``, proved by :math:`M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w \preceq 0`.
 
     ``D_w`` is (q, q), ``D_z`` (p, p) (the same matrix where all blocks are square), ``G`` (q, p).

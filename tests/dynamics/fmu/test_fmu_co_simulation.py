@@ -102,3 +102,23 @@ def test_a_unit_with_directional_derivatives_has_a_linear_model(unit, version):
         plant.compare(wrong)
     with pytest.raises(rl.NoTrustworthyNumber, match="is nan at t ="):
         rl.simulate(plant.with_parameters(fault=3), T, T)
+
+
+@needs_compiler
+@pytest.mark.parametrize("version", [2, 3])
+def test_units_and_their_free_run_show_themselves(unit, plant_of, version):
+    run = rl.plant(unit(version), interface="co-simulation")
+    response = rl.simulate(run, T, np.sin(T))
+    record = rl.Record(T, {"F": np.sin(T)}, {"q": response["q"] + 0.01}, {"F": "N", "q": "m"}, "day one")
+    free = run.compare(record)
+    for shown in (plant_of(version), run, free):
+        lines = repr(shown).splitlines()
+        assert lines[0].startswith(type(shown).__name__)
+        assert len(lines) <= 6
+        assert len(repr(shown)) <= 600
+        assert shown._repr_html_().startswith("<table>")
+        with pytest.raises(rl.InputError, match="nothing to draw"):
+            shown.plot()
+    assert repr(free).splitlines()[0] == "FreeRun (converged)"
+    assert "q: rms 0.01 m, peak 0.01 m, fit " in repr(free)
+    assert free.summary().splitlines()[0] == repr(free).splitlines()[0]

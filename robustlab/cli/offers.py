@@ -1,0 +1,63 @@
+"""What the shell is offered for a parameter at TAB: the words of a choice, names of plants and recipes.
+
+Each is an ``autocompletion`` of a typer parameter: what was typed so far -> the words that go on from there. Where it
+returns none, the shell offers files, as it does for every parameter without one. A TAB must not wait for numerical
+libraries, so nothing of them is imported here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+__all__ = ["COVERS", "FORMULAS", "METRICS", "PLANTS", "Offer", "one_of", "plant_or_file", "recipe_or_file"]
+
+Offer = Callable[[str], list[str]]
+
+# Words of choices whose modules load numpy; a test holds them to those modules.
+PLANTS = (
+    "dc-motor", "brushless-motor", "servo-axis", "mass-spring-damper", "two-mass", "linear-actuator",
+    "stewart-platform",
+)  # fmt: skip
+METRICS = (
+    "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
+    "controllability", "hankel",
+)  # fmt: skip
+FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
+COVERS = (
+    "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
+    "inverse-input-multiplicative", "inverse-output-multiplicative",
+)  # fmt: skip
+_PLANT_FILES = (".h5", ".mat", ".json", ".py", ".fmu")
+
+
+def one_of(*words: str) -> Offer:
+    """The words of a choice."""
+
+    def offered(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    return offered
+
+
+def plant_or_file(incomplete: str) -> list[str]:
+    """Names of the plants that come with robustlab, and files that hold a plant or a model."""
+    return _names_and_files(PLANTS, _PLANT_FILES, incomplete)
+
+
+def recipe_or_file(incomplete: str) -> list[str]:
+    """Names of the recipes that come with robustlab, and recipes in files."""
+    from robustlab.recipe.shipped import shipped_recipes
+
+    return _names_and_files(shipped_recipes(), (".toml",), incomplete)
+
+
+def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete: str) -> list[str]:
+    """Where no name begins so, nothing: the shell itself is better at files."""
+    found = [name for name in names if name.startswith(incomplete)]
+    if not found:
+        return []
+    here = (path.name + "/" * path.is_dir() for path in Path().iterdir() if not path.name.startswith("."))
+    files = (name for name in here if name.startswith(incomplete) and name.endswith((*suffixes, "/")))
+    return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more

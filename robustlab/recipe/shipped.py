@@ -1,0 +1,21 @@
+"""The recipes that ship with robustlab; nothing is read, and no library is loaded, to know their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import robustlab
+
+__all__ = ["shipped_folder", "shipped_recipes"]
+
+
+def shipped_folder() -> Path:
+    """Beside the package in a checkout, inside it when installed from a wheel."""
+    package = Path(robustlab.__file__).parent
+    installed = package / "shipped" / "recipes"
+    return installed if installed.is_dir() else package.parent / "recipes"
+
+
+def shipped_recipes() -> list[str]:
+    """Names of the recipes that come with robustlab."""
+    return sorted(path.stem for path in shipped_folder().glob("*.toml"))

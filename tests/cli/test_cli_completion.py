@@ -1,0 +1,247 @@
+"""Words completed by TAB: bash asked as a user's bash asks, zsh and fish by the protocol their scripts speak."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import pytest
+
+from robustlab.cli.groups import GROUPS, parser
+from robustlab.cli.offers import COVERS, FORMULAS, METRICS, PLANTS
+
+HEAVY = {"numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "jinja2"}  # typer itself takes pydantic
+SCRIPTS = Path(sys.executable).parent
+needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+
+
+def called(*arguments, home=None, shell="/bin/bash", **variables):
+    environment = {**os.environ, "PATH": f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}", "SHELL": shell, **variables}
+    for name in ("ZDOTDIR", "XDG_CONFIG_HOME"):
+        environment.pop(name, None)
+    if home is not None:
+        environment["HOME"] = str(home)
+    return subprocess.run(
+        [sys.executable, "-m", "robustlab.cli.main", *arguments],
+        env=environment, cwd=home, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+# What a line's last word may become, by bash's own machinery: the script is loaded, its function is called.
+IN_BASH = """\
+source "$SCRIPT" || exit 9
+COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
+complete -p robustlab >&2 || exit 8
+_robustlab_completion robustlab
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bash") / "robustlab.sh"
+    path.write_text(called("--show-completion", "bash").stdout)
+    return path
+
+
+@pytest.fixture
+def tab(script, tmp_path):
+    def completed(*words):
+        environment = {**os.environ, "PATH": f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}", "SCRIPT": str(script)}
+        command = ["bash", "--norc", "-c", IN_BASH, "bash", "robustlab", *words]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert done.stderr == "complete -o default -F _robustlab_completion robustlab\n"
+        return [word for word in done.stdout.splitlines() if word]
+
+    return completed
+
+
+@needs_bash
+def test_bash_completes_commands_sub_commands_and_options(tab):
+    assert tab("") == list(GROUPS)
+    assert tab("m") == ["model", "mu"]
+    assert tab("synth", "") == list(parser("synth").commands)
+    assert tab("model", "re") == ["reduce"]
+    assert tab("run", "first-light", "--pro") == ["--progress"]
+    assert set(tab("--")) == {"--version", "--help", "--install-completion", "--show-completion"}
+    assert tab("mu", "x.h5", "--in") == ["--inputs", "--intervals"]
+
+
+@needs_bash
+def test_bash_completes_choices_recipes_and_plants(tab, tmp_path):
+    assert tab("run", "x.toml", "--progress", "") == ["auto", "json", "none"]
+    assert tab("model", "plot", "x.h5", "--kind", "p") == ["pzmap"]
+    assert tab("worst-case", "x.h5", "--metric", "p") == ["peak-deviation", "peak"]
+    assert tab("run", "first") == ["first-light"]
+    assert tab("model", "plot", "s") == ["servo-axis", "stewart-platform"]
+    (tmp_path / "first-try.toml").touch()
+    (tmp_path / "first-try.csv").touch()
+    (tmp_path / "first-folder").mkdir()
+    assert tab("recipe", "check", "first") == ["first-light", "first-folder/", "first-try.toml"]
+
+
+@needs_bash
+def test_where_only_a_file_can_stand_bash_is_left_to_complete_files(tab, tmp_path):
+    (tmp_path / "motor.h5").touch()
+    assert tab("mu", "") == []  # and `complete -o default` means files then
+    assert tab("run", "./") == []
+    assert tab("mu", "x.h5", "--out", "") == []
+    assert tab("no-such-command", "") == list(GROUPS)
+
+
+def test_zsh_is_told_each_word_with_its_line_of_help():
+    said = called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab m").stdout
+    assert said.startswith("_arguments '*: :((")
+    assert '"mu":"Robust stability margin with proved mu bounds."' in said
+    assert '"model":' in said
+    assert "synth" not in said
+    assert called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab mu ").stdout == "_files\n"
+
+
+def test_fish_is_told_words_or_to_complete_files():
+    def asked(line, action):
+        return called(
+            _ROBUSTLAB_COMPLETE="complete_fish", _TYPER_COMPLETE_ARGS=line, _TYPER_COMPLETE_FISH_ACTION=action
+        )
+
+    assert asked("robustlab run x --progress j", "get-args").stdout == "json\n"
+    assert asked("robustlab run x --progress j", "is-args").returncode == 0
+    assert asked("robustlab mu ", "is-args").returncode == 1
+
+
+def test_tab_loads_no_numerical_library_and_only_the_group_that_is_named():
+    for words in ("robustlab\nsynth\nh", "robustlab\nrun\nf", "robustlab\nmodel\nplot\nd"):
+        code = (
+            "import sys, runpy, atexit\n"
+            "atexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
+            "sys.argv = ['robustlab']\n"
+            "runpy.run_module('robustlab.cli.main', run_name='__main__')\n"
+        )
+        asked = {"COMP_WORDS": words, "COMP_CWORD": str(words.count("\n")), "_ROBUSTLAB_COMPLETE": "complete_bash"}
+        environment = {**os.environ, **asked}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout
+        loaded = done.stderr.split()
+        assert not {module.split(".")[0] for module in loaded} & HEAVY
+        assert ("robustlab.cli.synth" in loaded) == ("synth" in words)
+        assert ("robustlab.cli.run" in loaded) == ("run" in words)
+
+
+# --- installing ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("shell", "files"),
+    [
+        ("bash", [".bash_completions/robustlab.sh", ".bashrc"]),
+        ("zsh", [".zfunc/_robustlab", ".zshrc"]),
+        ("fish", [".config/fish/completions/robustlab.fish"]),
+    ],
+)
+def test_install_writes_only_what_it_says_and_the_second_time_nothing(shell, files, tmp_path):
+    first = called("--install-completion", shell, home=tmp_path)
+    assert first.returncode == 0, first.stderr
+    expected = [f"written: {tmp_path / file}" for file in files]
+    assert first.stdout.splitlines() == [*expected, f"completion takes effect in a new {shell}"]
+    made = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert set(made) == {tmp_path / file for file in files}
+    again = called("--install-completion", shell, home=tmp_path)
+    assert again.stdout.count("unchanged: ") == len(files)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == made
+
+
+def test_what_stands_in_the_users_file_stays_and_a_link_stays_a_link(tmp_path):
+    (tmp_path / "dotfiles").mkdir()
+    kept = tmp_path / "dotfiles" / "bashrc"
+    kept.write_bytes(b"alias \xe9=ls")  # not UTF-8, and no line break at the end
+    (tmp_path / ".bashrc").symlink_to(kept)
+    assert called("--install-completion", home=tmp_path).returncode == 0  # the shell of $SHELL
+    assert (tmp_path / ".bashrc").is_symlink()
+    script = tmp_path / ".bash_completions" / "robustlab.sh"
+    assert kept.read_bytes() == b"alias \xe9=ls\nsource " + str(script).encode() + b"\n"
+
+
+@needs_bash
+def test_a_new_bash_completes_after_installing(tmp_path):
+    called("--install-completion", "bash", home=tmp_path)
+    environment = {**os.environ, "HOME": str(tmp_path)}
+    done = subprocess.run(
+        ["bash", "--rcfile", str(tmp_path / ".bashrc"), "-ic", "complete -p robustlab"],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "complete -o default -F _robustlab_completion robustlab\n"
+
+
+@pytest.mark.parametrize("option", ["--install-completion", "--show-completion"])
+@pytest.mark.parametrize(("shell", "words"), [("/bin/tcsh", []), ("", []), ("/bin/bash", ["csh"])])
+def test_an_unknown_shell_is_one_line_and_exit_code_2(option, shell, words, tmp_path):
+    done = called(option, *words, home=tmp_path, shell=shell)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert "expected one of bash, zsh, fish" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_group_has_a_completion_of_its_own():
+    assert "--install-completion" not in called("synth", "--help").stdout
+
+
+# --- what is offered is what the library takes -----------------------------------------------------------------------
+
+
+def offered(*words):
+    """Option -> all that is offered for it."""
+    command = parser(words[0])
+    for word in words[1:]:
+        command = command.commands[word]
+    context = command.make_context(" ".join(words), [], resilient_parsing=True)
+    found = {}
+    for parameter in command.get_params(context):
+        values = [item.value for item in parameter.shell_complete(context, "")]
+        if values:
+            found |= dict.fromkeys(parameter.opts, values)
+    return found
+
+
+def test_plants_and_metrics_are_those_of_the_library():
+    from robustlab.dynamics import plant_names
+    from robustlab.worst_case_analysis.metrics import METRICS as KNOWN
+
+    assert set(PLANTS) == set(plant_names())
+    assert set(METRICS) == set(KNOWN)
+
+
+def test_choices_are_those_of_the_library():
+    from robustlab.campaign.settings import CampaignSettings
+    from robustlab.dynamics.extended.force_blocks import Dry
+    from robustlab.identification.validation.sampled_problem import NoiseNorm
+    from robustlab.identification.validation.time_domain import DeltaKind
+    from robustlab.mu_analysis.margins.disk_margin import Place
+    from robustlab.synthesis.problem.performance_measure import MeasureName
+    from robustlab.synthesis.reduction.model_reduction import Method as Reduction
+    from robustlab.synthesis.sampled.discretisation import Method as Formula
+    from robustlab.synthesis.sampled.sampled_controller import SampledMethod
+    from robustlab.uncertainty.covering.parametric_cover import ParametricForm
+    from robustlab.uncertainty.unstructured import Form
+
+    kinds = get_args(get_type_hints(CampaignSettings)["kind"])
+    assert set(FORMULAS) == set(get_args(Formula))
+    assert set(COVERS) == {*get_args(ParametricForm), *get_args(Form)}
+    for words, option, known in [
+        (("model", "margins"), "--at", get_args(Place)),
+        (("model", "reduce"), "--method", get_args(Reduction)),
+        (("model", "discretise"), "--method", get_args(Formula)),
+        (("synth", "discretise"), "--method", get_args(SampledMethod)),
+        (("synth", "reduce"), "--measure", get_args(MeasureName)),
+        (("uncertain", "build"), "--form", COVERS),
+        (("uncertain", "build"), "--dry", get_args(Dry)),
+        (("data", "validate"), "--noise-norm", get_args(NoiseNorm)),
+        (("data", "validate"), "--delta", get_args(DeltaKind)),
+        (("campaign", "run"), "--kind", kinds),
+    ]:
+        assert set(offered(*words)[option]) == set(known), (words, option)
