@@ -78,6 +78,18 @@ def _clarabel() -> str:
     return "a program with a known answer is solved"
 
 
+def _cvxpy() -> str:
+    import cvxpy
+
+    x = cvxpy.Variable()
+    try:
+        found = cvxpy.Problem(cvxpy.Minimize(x), [x >= 1]).solve(solver="CLARABEL")
+    except cvxpy.SolverError as error:
+        raise EnvironmentFault("cvxpy", str(error), "a problem solved with Clarabel") from None
+    assert abs(found - 1.0) < 1e-6, f"min x over x >= 1 came out as {found}"
+    return f"cvxpy {cvxpy.__version__} solves with Clarabel"
+
+
 def _hdf5() -> str:
     import tempfile
     from pathlib import Path
@@ -125,6 +137,7 @@ _CHECKS = {
     "mu": _mu,
     "scipy": _riccati,
     "clarabel": _clarabel,
+    "cvxpy": _cvxpy,
     "h5py": _hdf5,
     "matplotlib": _figures,
     "recipes": _recipes,
