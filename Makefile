@@ -8,9 +8,12 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Stamps, made last, so that an interrupted set-up starts again: what the demo needs, with the tests' tools, with the site's.
 READY := $(VENV)/.ready
-
+DEV_READY := $(VENV)/.ready-dev
 DOCS_READY := $(VENV)/.ready-docs
+# Modules are compiled when they are used: compiling all that is installed takes longer than the rest of the set-up.
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable
 
 .PHONY: demo test test-all lint types layers bench docs check-docs clean
 
@@ -19,23 +22,23 @@ demo: $(READY)
 
 PYTEST := $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-test: $(READY)
+test: $(DEV_READY)
 	$(PYTEST) -m "not slow"
 
-test-all: $(READY)
+test-all: $(DEV_READY)
 	$(PYTEST)
 
-lint: $(READY)
+lint: $(DEV_READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(READY)
+types: $(DEV_READY)
 	$(BIN)/pyright --threads 2 --pythonpath $(BIN)/python
 
-layers: $(READY)
+layers: $(DEV_READY)
 	$(BIN)/lint-imports
 
-bench: $(READY)
+bench: $(DEV_READY)
 	$(BIN)/python benchmarks/startup.py
 
 docs: $(DOCS_READY)
@@ -44,15 +47,18 @@ docs: $(DOCS_READY)
 check-docs: docs
 	$(BIN)/python docs/check_site.py out/docs
 
-# The stamps are made last, so that an interrupted set-up starts again.
-$(DOCS_READY): $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+$(DOCS_READY): $(DEV_READY)
+	$(INSTALL) '.[docs]'
+	touch $@
+
+$(DEV_READY): $(READY)
+	$(INSTALL) '.[dev]'
 	touch $@
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("robustlab needs Python 3.11 or newer, this is " + sys.version) if sys.version_info < (3, 11) else 0'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(INSTALL) .
 	touch $@
 
 clean:

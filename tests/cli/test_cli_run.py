@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.main import run
-from robustlab.provenance import library_versions
 from robustlab.recipe.steps.contract import KINDS, Outcome
 
 RECIPE = """\
@@ -294,53 +292,6 @@ def test_report_writes_the_same_page_again(recipe, capsys):
     assert robustlab("report", "out/small") == 0
     assert page.read_bytes() == before
     assert robustlab("report", "nowhere") == 3
-
-
-def test_doctor_says_what_works(capsys):
-    assert robustlab("doctor", "--json") == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["healthy"]
-    assert data["versions"]["numpy"] == np.__version__
-    assert all(line.startswith("ok") for line in data["checks"].values())
-
-
-def test_doctor_tells_the_version_of_the_module_cvxpy_whichever_package_brought_it(capsys, monkeypatch):
-    from importlib import metadata
-
-    import cvxpy
-
-    robustlab("doctor", "--json")
-    data = json.loads(capsys.readouterr().out)
-    assert data["checks"]["cvxpy"] == f"ok: cvxpy {cvxpy.__version__} solves with Clarabel"
-    assert cvxpy.__version__ in data["versions"]["cvxpy"]
-
-    both = {"cvxpy": "1.9.3", "cvxpy-base": "1.8.2"}
-    monkeypatch.setattr(metadata, "version", lambda name: both.get(name, "7"))
-    assert library_versions()["cvxpy"] == "1.8.2 or 1.9.3"
-    monkeypatch.setattr(metadata, "version", lambda name: {"cvxpy": "1.7.0", "cvxpy-base": "1.7.0"}.get(name, "7"))
-    assert library_versions()["cvxpy"] == "1.7.0"
-
-
-def test_doctor_says_where_cvxpy_lacks_clarabel(capsys, monkeypatch):
-    import cvxpy
-
-    def unsolved(*_: object, **__: object) -> float:
-        raise cvxpy.SolverError("The solver CLARABEL is not installed.")
-
-    monkeypatch.setattr(cvxpy.Problem, "solve", unsolved)
-    assert robustlab("doctor") == 5
-    assert "missing: EnvironmentFault: cvxpy: The solver CLARABEL is not installed." in capsys.readouterr().out
-
-
-def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
-    from robustlab.cli import doctor
-
-    def missing() -> str:
-        raise ImportError("No module named 'h5py'")
-
-    monkeypatch.setitem(doctor._CHECKS, "h5py", missing)
-    assert robustlab("doctor") == 5
-    assert "missing: ImportError: No module named 'h5py'" in capsys.readouterr().out
 
 
 # --- steps that are given something else than they need ---------------------------------------------------------------
