@@ -101,8 +101,9 @@ def _clarabel() -> str:
 
 
 def _cvxpy() -> str:
-    import cvxpy
+    from importlib import import_module
 
+    cvxpy: Any = import_module("cvxpy")  # its types do not say what a problem's value is
     x = cvxpy.Variable()
     try:
         found = cvxpy.Problem(cvxpy.Minimize(x), [x >= 1]).solve(solver="CLARABEL")

@@ -43,11 +43,12 @@ def cache_place() -> str:
     RuntimeError
         None of the three can be written: numba's error, which every command ends on with exit code 5.
     """
-    from numba import config, njit
+    from numba import njit
 
-    if config.DISABLE_JIT:
+    kept = getattr(njit(cache=True)(_nothing), "stats", None)  # the place is chosen here; compiled when it is called
+    if kept is None:
         raise EnvironmentFault("doctor --warm", "nothing is compiled", "NUMBA_DISABLE_JIT unset")
-    place = Path(njit(cache=True)(_nothing).stats.cache_path)  # chosen here; compiled only when it is called
+    place = Path(kept.cache_path)
     package = Path(__file__).parents[1]
     return f"{package} (its __pycache__ folders)" if package in place.parents else str(place.parent)
 
@@ -104,6 +105,7 @@ def _discovery() -> None:
     t, rng = 2.5e-3 * np.arange(500), np.random.default_rng(0)
     u = np.repeat(rng.uniform(-3.0, 3.0, size=10), 50)
     axis = rl.plant("servo-axis")
+    rl.simulate(rl.with_effects(axis, {"actuator-lag": {"T": 0.01}}), t, u)
     q = rl.simulate(rl.with_effects(axis, {"coulomb-friction": {"Fc": 20.0}}), t, u)["q"]
     record = rl.Record(t, {"u": u}, {"q": q + 1e-6 * rng.standard_normal(t.size)}, {"u": "V", "q": "m"})
     rl.compare(axis, record)
