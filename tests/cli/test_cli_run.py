@@ -256,7 +256,14 @@ def test_a_new_recipe_checks_and_runs(recipe, capsys):
     capsys.readouterr()
     assert robustlab("recipe", "new", "mine") == 5
     assert "exists already" in capsys.readouterr().err
-    assert robustlab("recipe", "new", "../mine") == 2
+    (recipe / "below").mkdir()
+    assert robustlab("recipe", "new", "below/mine") == 0
+    assert robustlab("recipe", "check", "below/mine.toml") == 0
+    capsys.readouterr()
+    assert robustlab("recipe", "new", "nowhere/mine") == 5
+    assert "no such folder" in capsys.readouterr().err
+    for name in ("below/", "..", "below/a b"):
+        assert robustlab("recipe", "new", name) == 2, name
 
 
 def test_check_names_steps_and_files(recipe, capsys):
