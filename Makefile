@@ -12,8 +12,11 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEV_READY := $(VENV)/.ready-dev
 DOCS_READY := $(VENV)/.ready-docs
-# Modules are compiled when they are used: compiling all that is installed takes longer than the rest of the set-up.
+# For the demo modules are compiled when they are used: compiling all that is installed costs 10 s of CPU. The tests start
+# Python often, and where PYTHONDONTWRITEBYTECODE is set nothing is kept: there all is compiled (files of other versions
+# of Python cannot be, which is no error).
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable
+COMPILE := $(BIN)/python -m compileall -q -q $(VENV)/lib || true
 
 .PHONY: demo test test-all lint types layers bench docs check-docs clean
 
@@ -49,10 +52,12 @@ check-docs: docs
 
 $(DOCS_READY): $(DEV_READY)
 	$(INSTALL) '.[docs]'
+	$(COMPILE)
 	touch $@
 
 $(DEV_READY): $(READY)
 	$(INSTALL) '.[dev]'
+	$(COMPILE)
 	touch $@
 
 $(READY): pyproject.toml
