@@ -8,9 +8,15 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Stamps, made last, so that an interrupted set-up starts again: what the demo needs, with the tests' tools, with the site's.
 READY := $(VENV)/.ready
-
+DEV_READY := $(VENV)/.ready-dev
 DOCS_READY := $(VENV)/.ready-docs
+# For the demo modules are compiled when they are used: compiling all that is installed costs 10 s of CPU. The tests start
+# Python often, and where PYTHONDONTWRITEBYTECODE is set nothing is kept: there all is compiled (files of other versions
+# of Python cannot be, which is no error).
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable
+COMPILE := $(BIN)/python -m compileall -q -q $(VENV)/lib || true
 
 .PHONY: demo test test-all lint types layers bench docs check-docs clean
 
@@ -19,23 +25,23 @@ demo: $(READY)
 
 PYTEST := $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-test: $(READY)
+test: $(DEV_READY)
 	$(PYTEST) -m "not slow"
 
-test-all: $(READY)
+test-all: $(DEV_READY)
 	$(PYTEST)
 
-lint: $(READY)
+lint: $(DEV_READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(READY)
+types: $(DEV_READY)
 	$(BIN)/pyright --threads 2 --pythonpath $(BIN)/python
 
-layers: $(READY)
+layers: $(DEV_READY)
 	$(BIN)/lint-imports
 
-bench: $(READY)
+bench: $(DEV_READY)
 	$(BIN)/python benchmarks/startup.py
 
 docs: $(DOCS_READY)
@@ -44,15 +50,20 @@ docs: $(DOCS_READY)
 check-docs: docs
 	$(BIN)/python docs/check_site.py out/docs
 
-# The stamps are made last, so that an interrupted set-up starts again.
-$(DOCS_READY): $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+$(DOCS_READY): $(DEV_READY)
+	$(INSTALL) '.[docs]'
+	$(COMPILE)
+	touch $@
+
+$(DEV_READY): $(READY)
+	$(INSTALL) '.[dev]'
+	$(COMPILE)
 	touch $@
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("robustlab needs Python 3.11 or newer, this is " + sys.version) if sys.version_info < (3, 11) else 0'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(INSTALL) .
 	touch $@
 
 clean:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -33,6 +34,9 @@ BY_DIFFERENCES = "derivatives by differences, not exact"
 NOT_VERIFIED = "not verified by a content hash"
 
 _LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "control", "h5py")
+# Packages that bring the module of that name. Where both are installed, the files are those of the one that came last,
+# which their metadata does not tell: both versions are named then.
+_PACKAGES = {"cvxpy": ("cvxpy-base", "cvxpy")}
 
 
 def robustlab_version() -> str:
@@ -44,10 +48,11 @@ def library_versions() -> dict[str, str]:
     """Versions of the libraries whose numerics a result depends on; read from the metadata, nothing is imported."""
     versions = {"robustlab": robustlab_version(), "python": platform.python_version()}
     for name in _LIBRARIES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
+        found: set[str] = set()
+        for package in _PACKAGES.get(name, (name,)):
+            with suppress(metadata.PackageNotFoundError):
+                found.add(metadata.version(package))
+        versions[name] = " or ".join(sorted(found)) or "not installed"
     return versions
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Annotated, Any
+
 import typer
 
 from robustlab.cli.console import emit, table
-from robustlab.cli.options import JsonOption
+from robustlab.cli.options import JsonOption, grouped
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EnvironmentFault, RobustlabError
 
 app = typer.Typer(help="Say whether this installation can work.", add_completion=False)
@@ -14,19 +18,37 @@ _OK = "ok"
 
 
 @app.command()
-def doctor(as_json: JsonOption = False) -> None:
+@grouped
+def doctor(
+    *,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Also compile all that is compiled on first use, and keep it: minutes, once.")
+    ] = False,
+    progress: ProgressOptions,
+    as_json: JsonOption = False,
+) -> None:
     """Try every native library once and print the versions; exit code 5 where something needed is missing.
 
-    Example: robustlab doctor
+    Example: robustlab doctor --warm
     """
     from robustlab.provenance import library_versions
 
+    warmed = None
+    if warm:  # before the checks, one of which would compile a part of it unseen
+        from robustlab.cli import warm as warming
+
+        with progress.shown("doctor", warming.WEIGHT, lines=True, budgets=False) as display:
+            warmed = warming.warm(display)
     checks = {name: _outcome(check) for name, check in _CHECKS.items()}
     versions = library_versions()
     healthy = all(found.startswith(_OK) for found in checks.values())
     verdict = "this installation can work" if healthy else "something needed is missing: see above"
     text = f"{table(list(checks.items()))}\n\n{table(list(versions.items()))}\n\n{verdict}"
-    emit("doctor", {"healthy": healthy, "checks": checks, "versions": versions}, text, as_json)
+    result: dict[str, Any] = {"healthy": healthy, "checks": checks, "versions": versions}
+    if warmed is not None:
+        result["warm"] = asdict(warmed)
+        text += f"\n\n{warmed.text}"
+    emit("doctor", result, text, as_json)
     if not healthy:
         raise typer.Exit(EnvironmentFault.exit_code)
 
@@ -78,6 +100,19 @@ def _clarabel() -> str:
     return "a program with a known answer is solved"
 
 
+def _cvxpy() -> str:
+    from importlib import import_module
+
+    cvxpy: Any = import_module("cvxpy")  # its types do not say what a problem's value is
+    x = cvxpy.Variable()
+    try:
+        found = cvxpy.Problem(cvxpy.Minimize(x), [x >= 1]).solve(solver="CLARABEL")
+    except cvxpy.SolverError as error:
+        raise EnvironmentFault("cvxpy", str(error), "a problem solved with Clarabel") from None
+    assert abs(found - 1.0) < 1e-6, f"min x over x >= 1 came out as {found}"
+    return f"cvxpy {cvxpy.__version__} solves with Clarabel"
+
+
 def _hdf5() -> str:
     import tempfile
     from pathlib import Path
@@ -125,6 +160,7 @@ _CHECKS = {
     "mu": _mu,
     "scipy": _riccati,
     "clarabel": _clarabel,
+    "cvxpy": _cvxpy,
     "h5py": _hdf5,
     "matplotlib": _figures,
     "recipes": _recipes,

@@ -41,6 +41,8 @@ _MACHINE_FAULTS = {
 # How the loader, numpy and the threading library say that memory is used up.
 _MORE = "more memory, a higher ulimit -v, or a smaller task"
 _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread", "out of memory")
+# How numba says that neither the package's folder nor the user's cache can be written.
+_NO_CACHE = "no locator available"
 
 # Python, numpy, scipy and h5py, with room for the work of a small command. Beneath this native libraries end the
 # process themselves, with exit code 1 and words of their own, before Python could say a word.
@@ -183,6 +185,9 @@ def _machine_fault(error: BaseException) -> EnvironmentFault | None:
     told = next((sign for sign in _NO_MEMORY if sign in said), None)
     if told and isinstance(error, (ImportError, OSError, RuntimeError)):
         return EnvironmentFault("robustlab", f"not enough memory ({told})", _MORE)
+    if isinstance(error, RuntimeError) and _NO_CACHE in words:
+        found, expected = f"compiled code cannot be kept ({words})", "a package folder or a home that can be written"
+        return EnvironmentFault("robustlab", found, expected, "export NUMBA_CACHE_DIR=/some/folder")
     if isinstance(error, ImportError) and error.name and error.name.split(".")[0] != "robustlab":
         return EnvironmentFault(
             "robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)"

@@ -83,10 +83,14 @@ def made_of(name: str, thing: Any) -> dict[str, str]:
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Name of the machine; the file is NAME.py.", show_default=False)],
+    name: Annotated[
+        str, typer.Argument(help="Name of the machine, or folder/name; the file is NAME.py.", show_default=False)
+    ],
     as_json: JsonOption = False,
 ) -> None:
-    """Write a small commented plant to start from, NAME.py in the working directory; never over a file.
+    """Write a small commented plant to start from, NAME.py in the working directory or in the folder before NAME.
+
+    A file that is there is never written over.
 
     Example: robustlab plant new mymachine && robustlab plant show mymachine.py:axis
     """

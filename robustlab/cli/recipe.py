@@ -52,7 +52,9 @@ def schema() -> None:
 def new(
     name: Annotated[
         str | None,
-        typer.Argument(help="Name of the recipe; the file is NAME.toml. With data: the file's, if left out."),
+        typer.Argument(
+            help="Name of the recipe, or folder/name; the file is NAME.toml. With data: the file's, if left out."
+        ),
     ] = None,
     data: Annotated[
         str | None, typer.Option("--from-data", help="A record of yours: the recipe reads it.", show_default=False)
@@ -73,7 +75,7 @@ def new(
     force: Annotated[bool, typer.Option("--force", help="Write over NAME.toml if it is there.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a small commented recipe to start from, NAME.toml in the working directory.
+    """Write a small commented recipe to start from, NAME.toml in the working directory or in the folder before NAME.
 
     With --from-data a recipe for a record of yours: times, inputs and outputs are recognised by names and units, what
     was guessed and what only you can know is marked DECIDE.
@@ -104,11 +106,10 @@ def _new_from_data(
     from robustlab.recipe.starters import recognised, record_recipe, stem_of, write_starter
 
     # Any file name makes a recipe's name: 03-run (a).csv is run-a.
-    stem = stem_of(
-        name or re.sub(r"[^A-Za-z0-9_]+", "-", Path(data).stem).lstrip("-_0123456789").rstrip("-") or "record"
-    )
+    name = name or re.sub(r"[^A-Za-z0-9_]+", "-", Path(data).stem).lstrip("-_0123456789").rstrip("-") or "record"
+    stem = stem_of(name)
     found = recognised(data, read_plant(plant, {}) if plant else None, clock, dt)
-    path = write_starter(stem, record_recipe(stem, data, found, plant or "", dt), force)
+    path = write_starter(name, record_recipe(stem, data, found, plant or "", dt), force)
     record = found.record
     rows = [(side, name, record.unit(name) or "?") for side in ("inputs", "outputs") for name in getattr(record, side)]
     lines = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import os
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -58,7 +59,7 @@ def axis(**given):
 
 
 def write_template(name: str) -> Path:
-    """Write ``NAME.py`` in the working directory; a file that is there stays.
+    """Write ``NAME.py`` in the working directory, or in the folder before the name; a file that is there stays.
 
     Raises
     ------
@@ -67,10 +68,11 @@ def write_template(name: str) -> Path:
     EnvironmentFault
         The file exists already, or cannot be written.
     """
-    stem = name.removesuffix(".py")
+    folder, last = os.path.split(name)
+    stem = last.removesuffix(".py")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", stem) or keyword.iskeyword(stem):
         raise UsageError(f"plant new {name}", "not a name", "letters, digits and _, with a letter first")
-    path = Path(f"{stem}.py")
+    path = Path(folder, f"{stem}.py")
     if path.exists() or path.is_symlink():
         raise EnvironmentFault(str(path), "exists already", "a new name")
     if find_spec(stem) is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -298,16 +299,16 @@ def _texts(texts: Sequence[str]) -> str:
 
 
 def write_starter(name: str, text: str = "", force: bool = False) -> Path:
-    """Write ``NAME.toml`` in the working directory: the example, or ``text``.
+    """Write ``NAME.toml`` in the working directory, or in the folder before the name: the example, or ``text``.
 
     Raises
     ------
     UsageError
         A name that a recipe cannot have.
     EnvironmentFault
-        The file exists already, and ``force`` is not given.
+        The file exists already, and ``force`` is not given; there is no such folder.
     """
-    path = Path(f"{stem_of(name)}.toml")
+    path = Path(os.path.dirname(name), f"{stem_of(name)}.toml")  # noqa: PTH120  a slash at the end is no name
     if path.exists() and not force:
         raise EnvironmentFault(str(path), "exists already", "a new name, or --force to write over it")
     content = text or STARTER.format(name=path.stem)
@@ -316,8 +317,8 @@ def write_starter(name: str, text: str = "", force: bool = False) -> Path:
 
 
 def stem_of(name: str) -> str:
-    """The recipe's name without ``.toml``; refused where a recipe cannot have it."""
-    stem = name.removesuffix(".toml")
+    """The recipe's name without folder and ``.toml``; refused where a recipe cannot have it."""
+    stem = os.path.basename(name).removesuffix(".toml")  # noqa: PTH119  empty after a slash at the end
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,59}", stem):
         raise UsageError(f"recipe new {name}", "not a name", "letters, digits, - and _, with a letter first")
     return stem

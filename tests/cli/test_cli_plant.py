@@ -381,7 +381,10 @@ def test_new_writes_a_plant_and_never_over_a_file(folder, capsys):
     assert (folder / "mymachine.py").read_text() == "kept"
     (folder / "gone.py").symlink_to("nowhere.py")
     assert told(capsys, "plant", "new", "gone")[0] == 5
+    (folder / "below").mkdir()
+    code, out, _ = told(capsys, "plant", "new", "below/other")
+    assert (code, out.splitlines()[0]) == (0, "below/other.py")
     before = set(folder.iterdir())
-    for name in ("class", "numpy", "a-b", "../up", "", "3d", "a" * 80, "a b"):
+    for name in ("class", "numpy", "a-b", "..", "below/", "", "3d", "a" * 80, "a b"):
         assert told(capsys, "plant", "new", name)[0] == 2, name
     assert set(folder.iterdir()) == before

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 
 import robustlab as rl
@@ -257,7 +256,14 @@ def test_a_new_recipe_checks_and_runs(recipe, capsys):
     capsys.readouterr()
     assert robustlab("recipe", "new", "mine") == 5
     assert "exists already" in capsys.readouterr().err
-    assert robustlab("recipe", "new", "../mine") == 2
+    (recipe / "below").mkdir()
+    assert robustlab("recipe", "new", "below/mine") == 0
+    assert robustlab("recipe", "check", "below/mine.toml") == 0
+    capsys.readouterr()
+    assert robustlab("recipe", "new", "nowhere/mine") == 5
+    assert "no such folder" in capsys.readouterr().err
+    for name in ("below/", "..", "below/a b"):
+        assert robustlab("recipe", "new", name) == 2, name
 
 
 def test_check_names_steps_and_files(recipe, capsys):
@@ -293,25 +299,6 @@ def test_report_writes_the_same_page_again(recipe, capsys):
     assert robustlab("report", "out/small") == 0
     assert page.read_bytes() == before
     assert robustlab("report", "nowhere") == 3
-
-
-def test_doctor_says_what_works(capsys):
-    assert robustlab("doctor", "--json") == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["healthy"]
-    assert data["versions"]["numpy"] == np.__version__
-    assert all(line.startswith("ok") for line in data["checks"].values())
-
-
-def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
-    from robustlab.cli import doctor
-
-    def missing() -> str:
-        raise ImportError("No module named 'h5py'")
-
-    monkeypatch.setitem(doctor._CHECKS, "h5py", missing)
-    assert robustlab("doctor") == 5
-    assert "missing: ImportError: No module named 'h5py'" in capsys.readouterr().out
 
 
 # --- steps that are given something else than they need ---------------------------------------------------------------

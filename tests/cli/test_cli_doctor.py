@@ -1,0 +1,129 @@
+"""``robustlab doctor``: what works, what is missing, and what ``--warm`` compiles and keeps."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numba import njit
+
+from robustlab.cli import warm
+from robustlab.cli.console import main_guard
+from robustlab.cli.main import run
+from robustlab.provenance import library_versions
+
+
+def robustlab(*words):
+    return main_guard(lambda: run(words))
+
+
+def in_shell(*words, **environment):
+    command = [sys.executable, "-m", "robustlab.cli.main", *words]
+    return subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
+
+
+def test_doctor_says_what_works(capsys):
+    assert robustlab("doctor", "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["healthy"]
+    assert data["versions"]["numpy"] == np.__version__
+    assert all(line.startswith("ok") for line in data["checks"].values())
+
+
+def test_doctor_tells_the_version_of_the_module_cvxpy_whichever_package_brought_it(capsys, monkeypatch):
+    from importlib import metadata
+
+    import cvxpy
+
+    robustlab("doctor", "--json")
+    data = json.loads(capsys.readouterr().out)
+    assert data["checks"]["cvxpy"] == f"ok: cvxpy {cvxpy.__version__} solves with Clarabel"
+    assert cvxpy.__version__ in data["versions"]["cvxpy"]
+
+    both = {"cvxpy": "1.9.3", "cvxpy-base": "1.8.2"}
+    monkeypatch.setattr(metadata, "version", lambda name: both.get(name, "7"))
+    assert library_versions()["cvxpy"] == "1.8.2 or 1.9.3"
+    monkeypatch.setattr(metadata, "version", lambda name: {"cvxpy": "1.7.0", "cvxpy-base": "1.7.0"}.get(name, "7"))
+    assert library_versions()["cvxpy"] == "1.7.0"
+
+
+def test_doctor_says_where_cvxpy_lacks_clarabel(capsys, monkeypatch):
+    import cvxpy
+
+    def unsolved(*_: object, **__: object) -> float:
+        raise cvxpy.SolverError("The solver CLARABEL is not installed.")
+
+    monkeypatch.setattr(cvxpy.Problem, "solve", unsolved)
+    assert robustlab("doctor") == 5
+    assert "missing: EnvironmentFault: cvxpy: The solver CLARABEL is not installed." in capsys.readouterr().out
+
+
+def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
+    from robustlab.cli import doctor
+
+    def missing() -> str:
+        raise ImportError("No module named 'h5py'")
+
+    monkeypatch.setitem(doctor._CHECKS, "h5py", missing)
+    assert robustlab("doctor") == 5
+    assert "missing: ImportError: No module named 'h5py'" in capsys.readouterr().out
+
+
+# --- warm ------------------------------------------------------------------------------------------------------------
+
+
+def test_warm_tells_times_place_and_what_was_left_out(capsys, monkeypatch, tmp_path):
+    used = []
+    parts = {"one": (2, lambda: used.append(1), ""), "two": (1, lambda: used.append(2), "no_such_library")}
+    monkeypatch.setattr(warm, "_PARTS", parts)
+    assert robustlab("doctor", "--warm", "--json", "--progress", "json") == 0
+    out, err = capsys.readouterr()
+    told = json.loads(out)["warm"]
+    assert used == [1]
+    assert list(told["seconds"]) == ["one"]
+    assert told["left_out"] == {"two": "needs no_such_library: pip install 'robustlab[no_such_library]'"}
+    steps = [json.loads(line)["progress"] for line in err.splitlines()]
+    assert next(step["text"] for step in steps if step["text"]) == "compiling: one"
+    assert steps[-1]["ended"]
+    assert robustlab("doctor", "--warm", "--progress", "none") == 0
+    out, err = capsys.readouterr()
+    assert "compiled code is kept in " in out
+    assert not err
+
+
+def test_warm_without_a_compiler_ends_with_5():
+    done = in_shell("doctor", "--warm", NUMBA_DISABLE_JIT="1")
+    assert done.returncode == 5
+    assert done.stderr == "error: doctor --warm: nothing is compiled, expected NUMBA_DISABLE_JIT unset\n"
+
+
+def test_no_place_for_compiled_code_is_one_line_and_5(capsys):
+    # A function of a file that is nowhere: numba finds no folder that it can write, and says it in its own words.
+    names: dict[str, object] = {}
+    exec(compile("def function(x):\n    return x\n", "/nowhere/at_all.py", "exec"), names)
+    assert main_guard(lambda: njit(cache=True)(names["function"])) == 5
+    first, hint = capsys.readouterr().err.splitlines()
+    assert first.startswith("error: robustlab: compiled code cannot be kept (cannot cache function 'function'")
+    assert "NUMBA_CACHE_DIR" in hint
+
+
+@pytest.mark.slow
+def test_what_warm_has_compiled_is_not_compiled_again(tmp_path):
+    def kept():
+        return {path.relative_to(tmp_path): path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nbc")}
+
+    place = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    first = in_shell("doctor", "--warm", "--json", **place)
+    assert first.returncode == 0, first.stderr
+    assert json.loads(first.stdout)["warm"]["cache"] == place["NUMBA_CACHE_DIR"]
+    after_first = kept()
+    assert {path.name.partition(".")[0] for path in after_first} > {"primal_dual_kernels", "motion_kernels"}
+    assert in_shell("doctor", "--warm", **place).returncode == 0
+    built = tmp_path / "motors.h5"
+    in_shell("uncertain", "build", "--plant", "dc-motor", "--tolerance", "Km=5%", "--out", str(built), **place)
+    assert in_shell("mu", str(built), "--gain", **place).returncode == 0
+    assert kept() == after_first
