@@ -35,7 +35,7 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["Verdict", "in_words", "junit_xml", "render", "verdict"]
+__all__ = ["Verdict", "found_in_words", "in_words", "junit_xml", "render", "verdict"]
 
 
 MAX_FIGURES = 2_500_000  # characters of all figures in the page: pictures first, then the curves of the first ones
@@ -128,7 +128,8 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
         return _template().render(
             r=readable,
             verdict=verdict(readable),
-            found=in_words,
+            found=found_in_words,
+            heading=heading,
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
             tone=tone,
@@ -172,6 +173,7 @@ def _with_optional_parts(result: Any) -> Any:
     """Parts that results of earlier versions lack, empty."""
     for requirement in result["requirements"]:
         requirement.setdefault("limits", None)
+        requirement.setdefault("unit", "")
     for step in result["steps"]:
         step.setdefault("story", [])
     return result
@@ -195,6 +197,20 @@ def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
     while digits < _DIGITS and abs(float(f"{value:.{digits}g}") - value) > 0.05 * nearest:
         digits += 1
     return f"{value:.{digits}g}" if abs(value) >= 10.0**6 or abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def heading(step: Mapping[str, Any]) -> str:
+    """The title of a step; where its recipe states none, its name as words."""
+    name = step["name"].replace("_", " ").replace("-", " ")
+    return step["title"] or name[:1].upper() + name[1:]
+
+
+def found_in_words(requirement: Mapping[str, Any]) -> str:
+    """What was found for a requirement with its unit, or why nothing was."""
+    value = requirement["value"]
+    shown = requirement["why_not"] or in_words(value, requirement.get("limits"))
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return f"{shown} {requirement.get('unit', '')}".rstrip() if is_number else shown
 
 
 def _paragraphs(text: str) -> list[str]:

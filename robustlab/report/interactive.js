@@ -22,6 +22,28 @@
     return apart > 0 && decimals <= 12 ? value.toFixed(Math.max(0, decimals)) : String(Number(value.toPrecision(4)));
   }
 
+  // Where a logarithmic axis has its ticks: powers of ten, below two of them 1, 2 and 5 of each, closer in as even steps.
+  function logarithmic(low, high) {
+    const decades = Math.log10(high / low), first = Math.floor(Math.log10(low)), found = [];
+    if (decades < 0.7) {
+      const step = 10 ** Math.floor(Math.log10((high - low) / 2));
+      for (let k = Math.ceil(low / step); k * step <= high && found.length < 30; k++) found.push(k * step);
+      return found;
+    }
+    const apart = Math.ceil(decades / 8), factors = decades < 2 ? [1, 2, 5] : [1];
+    for (let e = Math.ceil(first / apart) * apart - apart; e <= first + decades + 1; e += apart)
+      for (const f of factors) if (f * 10 ** e >= low * 0.999999 && f * 10 ** e <= high * 1.000001) found.push(f * 10 ** e);
+    return found;
+  }
+
+  // A tick of such an axis: 0.001 to 1000 in full, others as 10⁻⁶ or 2·10⁶.
+  function short(value) {
+    const exponent = Math.floor(Math.log10(value) + 1e-9), factor = Number((value / 10 ** exponent).toPrecision(4));
+    if (exponent >= -3 && exponent <= 3) return String(Number(value.toPrecision(5)));
+    const power = "10" + String(exponent).replace(/./g, (c) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[c] || "⁻");
+    return factor === 1 ? power : `${factor}·${power}`;
+  }
+
   // Value of a curve at x: on the line between two points as it is drawn; of bars and single points the nearest one.
   function reading(series, x, panel, span) {
     const { x: xs, y: ys } = series;
@@ -89,13 +111,20 @@
   function chart(panel, place) {
     const tables = panel.series.map((s) => [s.x, s.y]);
     const data = tables.length > 1 ? uPlot.join(tables, tables.map((t) => t.map(() => 1))) : tables[0];
-    const scale = (side, room) => ({
-      time: false, distr: side.log ? 3 : 1,
-      range: (_, low, high) => (low === null ? side.range : side.log ? [low, high] : [low - room * (high - low), high + room * (high - low)]),
+    // What is in sight: the range of the picture first, then what was dragged over; never that of the data.
+    const sight = { x: panel.x.range, y: panel.y.range };
+    const reset = (u) => u.batch(() => ["x", "y"].forEach((side) => {
+      const [min, max] = panel[side].range;
+      u.setScale(side, { min, max });
+    }));
+    let dragged = false;
+    const scale = (name) => ({
+      time: false, distr: panel[name].log ? 3 : 1, range: (_, low, high) => (dragged && name === "x" ? [low, high] : sight[name]),
     });
     const axis = (side, size) => ({
       label: side.label, stroke: "#444", grid: { stroke: "#e3e5e8", width: 1 }, ticks: { stroke: "#999", width: 1 }, size, labelSize: 22,
       font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif",
+      ...(side.log ? { splits: (_u, _k, low, high) => logarithmic(low, high), filter: (_, at) => at, values: (_, at) => at.map(short) } : {}),
     });
     const bands = [];
     const series = panel.series.map((s, k) => {
@@ -107,19 +136,17 @@
     });
     const width = Math.max(280, place.clientWidth - 16);
     const { list, show, clickable } = legend(panel);
-    const whole = { x: { min: panel.x.range[0], max: panel.x.range[1] }, y: { min: panel.y.range[0], max: panel.y.range[1] } };
-    const reset = (u) => u.batch(() => ["x", "y"].forEach((side) => u.setScale(side, whole[side])));
     if (panel.title) place.append(element("p", "panel-title", panel.title));
     const made = new uPlot({
       width, height: Math.round(Math.min(380, Math.max(240, 0.42 * width))), bands, pxAlign: 0,
-      scales: { x: scale(panel.x, 0), y: scale(panel.y, 0.05) },
+      scales: { x: scale("x"), y: scale("y") },
       axes: [axis(panel.x, 36), axis(panel.y, 60)],
       series: [{}, ...series],
       cursor: { drag: { x: true, y: true, uni: 25 }, points: { show: false }, bind: { dblclick: (u) => () => reset(u) } },
       legend: { show: false },
-      hooks: { setCursor: [(u) => show(u, u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)] },
+      hooks: { setScale: [(u, name) => { sight[name] = [u.scales[name].min, u.scales[name].max]; }], setCursor: [(u) => show(u, u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)] },
     }, data, place);
-    reset(made);
+    dragged = true;
     clickable(made);
     place.append(list);
   }

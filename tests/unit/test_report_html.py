@@ -15,11 +15,12 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
+from check_report import ID, Tags
 from robustlab.errors import InputError
 from robustlab.recipe.run import read_result
 from robustlab.report.curves import split
 from robustlab.report.figures import new_figure, save_figure
-from robustlab.report.html import in_words, render, verdict
+from robustlab.report.html import found_in_words, in_words, render, verdict
 
 REQUIREMENT = {
     "text": "fast enough",
@@ -194,6 +195,35 @@ def test_something_that_remains_is_amber():
 )
 def test_numbers_have_the_digits_that_their_limit_needs(value, limits, words):
     assert in_words(value, limits) == words
+
+
+@pytest.mark.parametrize(
+    ("requirement", "words"),
+    [
+        ({"value": 0.0533992819, "limits": [0.0518, 0.055], "unit": "N m"}, "0.0534 N m"),
+        ({"value": 3, "limits": [None, 4.0], "unit": "mm"}, "3 mm"),
+        ({"value": True, "limits": None, "unit": ""}, "yes"),
+        ({"value": "inf", "limits": [None, 1.0], "unit": "N"}, "inf"),
+        ({"value": None, "why_not": "step 'a' gave no number"}, "step 'a' gave no number"),
+        ({"value": 0.5}, "0.5"),  # of a run before requirements had units
+    ],
+)
+def test_what_was_found_has_its_unit(requirement, words):
+    assert found_in_words({**REQUIREMENT, **requirement}) == words
+
+
+def test_the_tags_are_closed_in_turn_and_names_come_once(folder):
+    assert Tags(render(changed(steps={"story": [{"label": "Where", "value": "v", "source": "s"}]}), folder)).faults == []
+
+
+def test_headings_and_captions_are_words(folder):
+    page = render(changed(steps={"title": "", "name": "set_before"}), folder)
+    assert ">1. Set before</h2>" in page
+    words = re.findall(r"<(?:h1|h2|figcaption|dt)[^>]*>([^<]*)<", page)
+    assert words
+    assert not [w for w in words if ID.fullmatch(w.strip())]
+    assert ID.fullmatch("gap-where-phi")
+    assert ID.fullmatch("12. set_before")
 
 
 def test_colour_is_never_the_only_mark(folder):
