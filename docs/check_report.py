@@ -175,7 +175,9 @@ def _without_scripts(browser: Any, address: str, text: str) -> list[str]:
         found = list(said)
         if page.query_selector_all("button"):
             found.append("there are buttons that do nothing")
-        lacking = page.eval_on_selector_all("figure img", "all => all.filter(e => !e.naturalWidth || !e.offsetHeight).length")
+        lacking = page.eval_on_selector_all(
+            "figure img", "all => all.filter(e => !e.naturalWidth || !e.offsetHeight).length"
+        )
         if lacking:
             found.append(f"{lacking} pictures are not shown")
         read = page.eval_on_selector_all("*", "all => all.map(e => e.localName)")

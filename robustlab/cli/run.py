@@ -76,8 +76,7 @@ def _text(result: RunResult) -> str:
 
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], found_in_words(q), q["condition"])
-        for q in data["requirements"]
+        ("met" if q["met"] else "NOT MET", q["text"], found_in_words(q), q["condition"]) for q in data["requirements"]
     ]
     doubtful = [
         f"no trustworthy number: step {s['name']}: {s['error'] or s['status']}"

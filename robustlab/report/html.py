@@ -6,8 +6,8 @@ carries a plotting library that small), inlined once.
 
 Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
 control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
-an image cannot run anything), their curves are packed JSON in an attribute, and the page's Content-Security-Policy forbids all
-but its own style, such images, and the one script by its hash.
+an image cannot run anything), their curves are packed JSON in an attribute, and the page's Content-Security-Policy
+forbids all but its own style, such images, and the one script by its hash.
 """
 
 from __future__ import annotations

@@ -144,9 +144,8 @@
       series: [{}, ...series],
       cursor: { drag: { x: true, y: true, uni: 25 }, points: { show: false }, bind: { dblclick: (u) => () => reset(u) } },
       legend: { show: false },
-      hooks: { setScale: [(u, name) => { sight[name] = [u.scales[name].min, u.scales[name].max]; }], setCursor: [(u) => show(u, u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)] },
+      hooks: { ready: [() => { dragged = true; }], setScale: [(u, name) => { sight[name] = [u.scales[name].min, u.scales[name].max]; }], setCursor: [(u) => show(u, u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)] },
     }, data, place);
-    dragged = true;
     clickable(made);
     place.append(list);
   }

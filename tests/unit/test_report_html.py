@@ -14,8 +14,8 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-
 from check_report import ID, Tags
+
 from robustlab.errors import InputError
 from robustlab.recipe.run import read_result
 from robustlab.report.curves import split
@@ -213,7 +213,9 @@ def test_what_was_found_has_its_unit(requirement, words):
 
 
 def test_the_tags_are_closed_in_turn_and_names_come_once(folder):
-    assert Tags(render(changed(steps={"story": [{"label": "Where", "value": "v", "source": "s"}]}), folder)).faults == []
+    assert (
+        Tags(render(changed(steps={"story": [{"label": "Where", "value": "v", "source": "s"}]}), folder)).faults == []
+    )
 
 
 def test_headings_and_captions_are_words(folder):
