@@ -50,7 +50,7 @@ def compact(svg: str) -> str:
     _unwrap(root)
     _name(root)
     _shared_styles(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
 def _shorten(element: ET.Element) -> None:
