@@ -2,7 +2,7 @@
 # make test-all    and those that take minutes
 # make lint types layers    the other checks                 make clean   remove what these made
 # make docs    build the site into out/docs; every warning is an error, every tutorial is executed
-# make check-docs    look at the built site in a browser, if there is one
+# make check-docs    look at the built site in a browser, if there is one; check-report: at the report of first-light
 # PYTHON=python3.12 make demo    another interpreter
 
 PYTHON ?= python3
@@ -18,7 +18,7 @@ DOCS_READY := $(VENV)/.ready-docs
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable
 COMPILE := $(BIN)/python -m compileall -q -q $(VENV)/lib || true
 
-.PHONY: demo test test-all lint types layers bench docs check-docs clean
+.PHONY: demo test test-all lint types layers bench docs check-docs check-report clean
 
 demo: $(READY)
 	$(BIN)/robustlab run first-light --out out/first-light
@@ -49,6 +49,10 @@ docs: $(DOCS_READY)
 
 check-docs: docs
 	$(BIN)/python docs/check_site.py out/docs
+
+check-report: $(DOCS_READY)
+	$(BIN)/robustlab run first-light --out out/first-light
+	$(BIN)/python docs/check_report.py out/first-light/report.html
 
 $(DOCS_READY): $(DEV_READY)
 	$(INSTALL) '.[docs]'

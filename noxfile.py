@@ -50,10 +50,12 @@ def tests(session: nox.Session) -> None:
 
 @nox.session
 def docs(session: nox.Session) -> None:
-    """The site, with its tutorials executed, and a look at it in the browser, if there is one."""
+    """The site, with its tutorials executed, and a look at it and at a report in the browser, if any."""
     session.install("-e", ".[docs]")
     session.run("sphinx-build", "--jobs", "2", "--fail-on-warning", "--keep-going", "docs", "out/docs")
     session.run("python", "docs/check_site.py", "out/docs", success_codes=[0, 5])
+    session.run("robustlab", "run", "first-light", "--out", "out/first-light")
+    session.run("python", "docs/check_report.py", "out/first-light/report.html", success_codes=[0, 5])
 
 
 @nox.session(python="3.11")

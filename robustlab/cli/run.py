@@ -72,12 +72,11 @@ def run(
 
 def _text(result: RunResult) -> str:
     """What became of each requirement, and the steps without a trustworthy number."""
-    from robustlab.report.html import in_words
+    from robustlab.report.html import found_in_words
 
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"], q["limits"]), q["condition"])
-        for q in data["requirements"]
+        ("met" if q["met"] else "NOT MET", q["text"], found_in_words(q), q["condition"]) for q in data["requirements"]
     ]
     doubtful = [
         f"no trustworthy number: step {s['name']}: {s['error'] or s['status']}"

@@ -42,6 +42,7 @@ class Judgement:
             "that": r.that,
             "condition": r.condition,
             "limits": r.limits,
+            "unit": r.unit,
             "value": self.value,
             "met": self.met,
             "why_not": self.why_not,

@@ -34,6 +34,9 @@ class Requirement(Strict):
     tolerance: Annotated[float, Field(ge=0)] | None = Field(
         None, description="Largest allowed difference from `equals`."
     )
+    unit: Annotated[str, Field(max_length=40)] = Field(
+        "", description="Unit of the number, shown beside it and its limits. It is a label: nothing is converted."
+    )
 
     @model_validator(mode="after")
     def _one_condition(self) -> Self:
@@ -46,11 +49,17 @@ class Requirement(Strict):
             raise PydanticCustomError("condition", "within is [low, high], and low is above high")
         if self.tolerance is not None and (isinstance(self.equals, (bool, str)) or self.equals is None):
             raise PydanticCustomError("condition", "tolerance belongs to an equals with a number")
+        if self.unit and self.limits is None:
+            raise PydanticCustomError("condition", "unit belongs to a condition with a number")
         return self
 
     @property
     def condition(self) -> str:
-        """The condition in words, for example ``at least 1``."""
+        """The condition in words, for example ``at least 1 rad/s``."""
+        return f"{self._bare_condition} {self.unit}".rstrip()
+
+    @property
+    def _bare_condition(self) -> str:
         if self.at_least is not None:
             return f"at least {self.at_least:.10g}"
         if self.at_most is not None:

@@ -18,15 +18,20 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from robustlab.arrays import Array
+from robustlab.report.drawn import corners_of
 
 __all__ = ["curves_of", "split", "with_curves"]
 
 MOST_POINTS = 5000  # of a figure
 FEWEST_POINTS = 100  # of a curve, however many there are
 MOST_OF_A_CURVE = 1000
+CHART = 2000.0  # pt; a chart is a third as wide, so that there is something to zoom into
+PER_POINT = ("x", "y", "widths")
 _PART = re.compile(r'<metadata id="curves">(.*?)</metadata>\n?', re.DOTALL)
 
 
@@ -65,14 +70,10 @@ def split(svg: str) -> tuple[str, str]:
 
 def _panel(axes: Axes, room: int) -> tuple[dict[str, Any], bool]:
     """One panel, and whether it holds all that is drawn."""
-    logs = [axis.get_scale() == "log" for axis in (axes.xaxis, axes.yaxis)]
     series: list[dict[str, Any]] = []
     whole = not (axes.images or axes.texts)
-    for line in axes.lines:
-        curve = _line(axes, line)
-        whole = whole and (curve is not None or _is_rule(axes, line))
-        if curve is not None:
-            series.append({**_look(line), **_points(*curve, logs, room)})
+    upright = [c for c in axes.containers if isinstance(c, BarContainer) and _stands_on_zero(c)]
+    series += [_bars(bars) for bars in upright]
     for collection in axes.collections:
         edges = _band(collection) if isinstance(collection, PolyCollection) else None
         whole = whole and edges is not None
@@ -80,22 +81,42 @@ def _panel(axes: Axes, room: int) -> tuple[dict[str, Any], bool]:
             colour, name = to_hex(tuple(np.asarray(collection.get_facecolor())[0])), _name(collection.get_label())
             for k, (x, y) in enumerate(edges):
                 look = {"label": f"{name or 'band'}, {('lower', 'upper')[k]}", "colour": colour, "width": 0.5}
-                series.append({**look, "band": k, **_points(x, y, logs, room)})
-    upright = [c for c in axes.containers if isinstance(c, BarContainer) and c.orientation == "vertical"]
-    for bars in upright:
-        centre = np.array([b.get_x() + 0.5 * b.get_width() for b in bars])
-        height = np.array([b.get_height() for b in bars])
-        look = {"label": _name(bars.get_label()), "colour": to_hex(bars[0].get_facecolor()), "width": 1, "bars": True}
-        series.append({**look, **_points(centre, height, logs, room)})
+                series.append({**look, "band": k, **_points(x, y, axes, room, joined=True)})
+    for line in axes.lines:
+        curve = _line(axes, line)
+        whole = whole and (curve is not None or _is_rule(axes, line))
+        if curve is not None:
+            look = _look(line)
+            joined = look["width"] > 0 and "points" not in look
+            series.append({**look, **_points(*curve, axes, room, joined)})
+    series = _together(series)
+    named = _names_in(axes.get_legend())
+    for one in series:
+        one["label"] = one["label"] or named.get(one["colour"][:7], "")
     whole = whole and len(axes.patches) == sum(len(bars) for bars in upright)
     sides = {
-        name: {"label": label, "log": log, "range": [float(f"{end:.7g}") for end in sorted(limits)]}
-        for name, label, log, limits in (
-            ("x", axes.get_xlabel() or _shared_label(axes), logs[0], axes.get_xlim()),
-            ("y", axes.get_ylabel(), logs[1], axes.get_ylim()),
+        name: {
+            "label": label,
+            "log": axis.get_scale() == "log",
+            "range": [float(f"{end:.7g}") for end in sorted(limits)],
+        }
+        for name, label, axis, limits in (
+            ("x", axes.get_xlabel() or _shared_label(axes), axes.xaxis, axes.get_xlim()),
+            ("y", axes.get_ylabel(), axes.yaxis, axes.get_ylim()),
         )
     }
     return {"title": axes.get_title(loc="left") or axes.get_title(), **sides, "series": series}, whole
+
+
+def _names_in(legend: Legend | None) -> dict[str, str]:
+    """Colour and text of the entries of a panel's legend, which may have been made by hand."""
+    found: dict[str, str] = {}
+    for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=True) if legend else ():
+        colour = handle.get_color() if isinstance(handle, Line2D) else None
+        colour = handle.get_facecolor() if isinstance(handle, Patch) else colour
+        if colour is not None:
+            found.setdefault(to_hex(colour), text.get_text())
+    return found
 
 
 def _shared_label(axes: Axes) -> str:
@@ -160,21 +181,71 @@ def _band(collection: PolyCollection) -> Sequence[tuple[Array, Array]] | None:
     return [(edge[:, 0], edge[:, 1]) for edge in edges]
 
 
-def _points(x: Array, y: Array, logs: Sequence[bool], room: int) -> dict[str, list[float | None]]:
-    """Rounded points: of a long curve the smallest and largest of each stretch; what cannot be drawn is a gap."""
-    if len(x) > room:
-        stretches = np.array_split(np.arange(len(x)), room // 2)
-        filled = np.nan_to_num(y)
-        ends = [sorted({int(s[filled[s].argmin()]), int(s[filled[s].argmax()])}) for s in stretches]
-        chosen = [k for pair in ends for k in pair]
-        x, y = x[chosen], y[chosen]
-    keep = (x > 0) if logs[0] else np.isfinite(x)
+def _stands_on_zero(bars: BarContainer) -> bool:
+    return bars.orientation == "vertical" and len(bars) > 0 and all(b.get_y() == 0 for b in bars)
+
+
+def _bars(bars: BarContainer) -> dict[str, Any]:
+    """Upright bars: their middles, heights and widths."""
+    return {
+        "label": _name(bars.get_label()),
+        "colour": to_hex(bars[0].get_facecolor(), keep_alpha=True),
+        "width": 0,
+        "x": [_rounded(b.get_x() + 0.5 * b.get_width(), 7) for b in bars],
+        "y": [_rounded(b.get_height(), 5) for b in bars],
+        "widths": [_rounded(b.get_width(), 5) for b in bars],
+    }
+
+
+def _together(series: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Single points, or bars, that look the same are one series, however they were drawn."""
+    kept: dict[Any, dict[str, Any]] = {}
+    for k, one in enumerate(series):
+        single = one["width"] == 0
+        look = tuple(str(item) for key, item in one.items() if key not in PER_POINT) if single else k
+        parts = kept.setdefault(look, {**one, **{key: [] for key in PER_POINT if key in one}})
+        for key in PER_POINT:
+            if key in one:
+                parts[key] = parts[key] + one[key]
+    for one in kept.values():
+        order = sorted(range(len(one["x"])), key=one["x"].__getitem__)
+        one.update({key: [one[key][i] for i in order] for key in PER_POINT if key in one})
+    return list(kept.values())
+
+
+def _points(x: Array, y: Array, axes: Axes, room: int, joined: bool) -> dict[str, list[float | None]]:
+    """Rounded points; what cannot be drawn is a gap.
+
+    A long curve that is joined by lines keeps the corners that a chart of `CHART` points shows; where these are too
+    many, the smallest and largest of each stretch.
+    """
+    logs = [axis.get_scale() == "log" for axis in (axes.xaxis, axes.yaxis)]
+    keep = np.isfinite(x) & ((x > 0) if logs[0] else True)
     x, y = x[keep], y[keep]
     drawn = np.isfinite(y) & ((y > 0) if logs[1] else True)
+    if joined and len(x) > FEWEST_POINTS and drawn.all():
+        chosen = corners_of(_in_chart(x, axes.get_xlim(), logs[0]), _in_chart(y, axes.get_ylim(), logs[1]))
+        x, y, drawn = x[chosen], y[chosen], drawn[chosen]
+    if len(x) > room:
+        stretches = np.array_split(np.arange(len(x)), room // 2)
+        filled = np.where(drawn, y, 0.0)
+        ends = [sorted({int(s[filled[s].argmin()]), int(s[filled[s].argmax()])}) for s in stretches]
+        chosen = [k for pair in ends for k in pair]
+        x, y, drawn = x[chosen], y[chosen], drawn[chosen]
     return {
-        "x": [float(f"{v:.7g}") for v in x],
-        "y": [float(f"{v:.5g}") if ok else None for v, ok in zip(y, drawn, strict=True)],
+        "x": [_rounded(v, 7) for v in x],
+        "y": [_rounded(v, 5) if ok else None for v, ok in zip(y, drawn, strict=True)],
     }
+
+
+def _in_chart(values: Array, limits: Sequence[float], log: bool) -> Array:
+    """Place of the values along an axis of `CHART` points."""
+    placed, ends = (np.log(v) if log else v for v in (values, np.asarray(limits)))
+    return CHART * (placed - ends[0]) / (ends[1] - ends[0])
+
+
+def _rounded(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")
 
 
 def _name(label: object) -> str:

@@ -90,8 +90,9 @@ def _share(percent: float) -> str:
 
 
 def caption(name: str) -> str:
-    """Caption of a figure of `discovery_figures`."""
-    return CAPTIONS[name.partition("-")[0]]
+    """Caption of a figure of `discovery_figures`; of one output it begins with the output's name."""
+    kind, _, output = name.partition("-")
+    return f"{output}: {CAPTIONS[kind][0].lower()}{CAPTIONS[kind][1:]}" if output else CAPTIONS[kind]
 
 
 def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:

@@ -79,7 +79,7 @@ _STYLE: dict[Any, Any] = {
     "axes.formatter.limits": (-4, 5),
     "text.parse_math": False,  # names come from files: a dollar sign in one is a dollar sign
     "svg.hashsalt": "robustlab",
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",  # texts stay texts: smaller, and a reader can search for them
     "path.simplify": True,
 }
 
@@ -269,7 +269,8 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Pa
 
 def _write_svg(figure: Figure, path: Path) -> None:
     from robustlab.report.curves import with_curves
+    from robustlab.report.drawn import compact
 
     text = StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "robustlab"})
-    path.write_text(with_curves(text.getvalue(), figure), encoding="utf-8")
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    path.write_text(with_curves(compact(text.getvalue()), figure), encoding="utf-8")

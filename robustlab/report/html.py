@@ -6,16 +6,18 @@ carries a plotting library that small), inlined once.
 
 Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
 control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
-an image cannot run anything), their curves are JSON in an attribute, and the page's Content-Security-Policy forbids all
-but its own style, such images, and the one script by its hash.
+an image cannot run anything), their curves are packed JSON in an attribute, and the page's Content-Security-Policy
+forbids all but its own style, such images, and the one script by its hash.
 """
 
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -24,6 +26,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
+from markupsafe import Markup
+
 from robustlab.errors import InputError, plain_text
 from robustlab.report.curves import split
 from robustlab.result import Status
@@ -31,10 +35,10 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["Verdict", "in_words", "junit_xml", "render", "verdict"]
+__all__ = ["Verdict", "found_in_words", "in_words", "junit_xml", "render", "verdict"]
 
 
-MAX_CURVES = 700_000  # characters of all curves in the page; later figures are pictures only
+MAX_FIGURES = 2_500_000  # characters of all figures in the page: pictures first, then the curves of the first ones
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
 _MEANING = {
@@ -50,6 +54,7 @@ _MEANING = {
 
 _MARKS = {"good": "✓", "warn": "!", "bad": "✗"}
 _DIGITS = 8  # at most, of a number beside its limit
+_NOT_PLAIN = re.compile(rb"[^ -~]|[%#&'\\]")
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,8 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
         return _template().render(
             r=readable,
             verdict=verdict(readable),
-            found=in_words,
+            found=found_in_words,
+            heading=heading,
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
             tone=tone,
@@ -167,6 +173,7 @@ def _with_optional_parts(result: Any) -> Any:
     """Parts that results of earlier versions lack, empty."""
     for requirement in result["requirements"]:
         requirement.setdefault("limits", None)
+        requirement.setdefault("unit", "")
     for step in result["steps"]:
         step.setdefault("story", [])
     return result
@@ -192,6 +199,20 @@ def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
     return f"{value:.{digits}g}" if abs(value) >= 10.0**6 or abs(value) < 10.0**digits else f"{value:.0f}"
 
 
+def heading(step: Mapping[str, Any]) -> str:
+    """The title of a step; where its recipe states none, its name as words."""
+    name = step["name"].replace("_", " ").replace("-", " ")
+    return step["title"] or name[:1].upper() + name[1:]
+
+
+def found_in_words(requirement: Mapping[str, Any]) -> str:
+    """What was found for a requirement with its unit, or why nothing was."""
+    value = requirement["value"]
+    shown = requirement["why_not"] or in_words(value, requirement.get("limits"))
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return f"{shown} {requirement.get('unit', '')}".rstrip() if is_number else shown
+
+
 def _paragraphs(text: str) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
@@ -210,25 +231,41 @@ def _pretty(numbers: Any) -> str:
 
 
 class _Pictures:
-    """Figures of a run, each read once: the picture as an address, and its curves as JSON while there is room."""
+    """Figures of a run, each read once: the picture as an address, and its curves, packed, while there is room."""
 
     def __init__(self, folder: Path, result: Mapping[str, Any]) -> None:
         stems = [f["stem"] for step in result["steps"] for f in step["figures"]]
-        self._parts = {stem: split(_svg(folder, stem)) for stem in stems}
-        room = MAX_CURVES
-        for stem, (svg, curves) in self._parts.items():
-            kept = curves if len(curves) <= room else ""
-            room -= len(kept)
-            self._parts[stem] = svg, kept
-        self.with_curves = any(curves for _, curves in self._parts.values())
+        parts = {stem: split(_svg(folder, stem)) for stem in stems}
+        room = MAX_FIGURES
+        self._images, self._curves = {}, {}
+        for kept, packed in (
+            (self._images, {stem: _address(svg) for stem, (svg, _) in parts.items()}),
+            (self._curves, {stem: _packed(curves) for stem, (_, curves) in parts.items() if curves}),
+        ):
+            for stem, text in packed.items():
+                if len(text) <= room and (kept is self._images or stem in self._images):
+                    kept[stem] = text
+                    room -= len(text)
+        self.with_curves = bool(self._curves)
 
-    def image(self, stem: str) -> str:
-        """The picture as a ``data:`` address."""
-        return "data:image/svg+xml;base64," + base64.b64encode(self._parts[stem][0].encode()).decode("ascii")
+    def image(self, stem: str) -> Markup | None:
+        """The picture as a ``data:`` address for an attribute in single quotes; None where there is no room for it."""
+        return self._images.get(stem)
 
     def curves(self, stem: str) -> str:
-        """The curves as JSON, without characters that change how other text is shown; empty where there are none."""
-        return plain_text(self._parts[stem][1])
+        """The curves as JSON, packed; empty where there are none."""
+        return self._curves.get(stem, "")
+
+
+def _address(svg: str) -> Markup:
+    """A picture as an address for an attribute in single quotes: what could end either is written as %xx."""
+    text = _NOT_PLAIN.sub(lambda found: b"%%%02X" % ord(found[0]), svg.encode()).decode("ascii")
+    return Markup(f"data:image/svg+xml,{text}")  # noqa: S704 - nothing in it can end the attribute
+
+
+def _packed(text: str) -> str:
+    """Text in a third of its characters: gzip (with no time in it), then base64."""
+    return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii") if text else ""
 
 
 def _svg(folder: Path, stem: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from robustlab.report.html import in_words
+from robustlab.report.html import found_in_words
 
 __all__ = ["Change", "RunComparison", "compare_runs"]
 
@@ -123,16 +123,16 @@ def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, toler
     if b is None:
         assert a is not None
         verdict, why = (WORSE, "was met and is no longer stated") if a["met"] else (GONE, "no longer stated")
-        return Change(what, _found(a), None, verdict, a["condition"], why)
+        return Change(what, found_in_words(a), None, verdict, a["condition"], why)
     if a is None:
-        return Change(what, None, _found(b), FRESH, b["condition"], "met" if b["met"] else "not met")
+        return Change(what, None, found_in_words(b), FRESH, b["condition"], "met" if b["met"] else "not met")
     condition = b["condition"] if a["condition"] == b["condition"] else f"{a['condition']} -> {b['condition']}"
     verdict, why = SAME, "met" if b["met"] else "not met"
     if a["met"] != b["met"]:
         verdict, why = (BETTER, "now met") if b["met"] else (WORSE, "was met, is not")
     elif a["condition"] == b["condition"]:
         verdict, why = _moved(a, b, tolerance, why)
-    return Change(what, _found(a), _found(b), verdict, condition, why)
+    return Change(what, found_in_words(a), found_in_words(b), verdict, condition, why)
 
 
 def _moved(a: Mapping[str, Any], b: Mapping[str, Any], tolerance: float, why: str) -> tuple[str, str]:
@@ -153,10 +153,6 @@ def _moved(a: Mapping[str, Any], b: Mapping[str, Any], tolerance: float, why: st
     if b["met"]:
         return (WORSE, "met, with less room") if step > 0 else (BETTER, "met, with more room")
     return (WORSE, "not met, and further off") if step > 0 else (BETTER, "not met, but nearer")
-
-
-def _found(requirement: Mapping[str, Any]) -> str:
-    return requirement["why_not"] or in_words(requirement["value"])
 
 
 # --- steps, numbers, settings ----------------------------------------------------------------------------------------

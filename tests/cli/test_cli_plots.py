@@ -1,6 +1,7 @@
 """``robustlab model plot`` and ``data plot``: figures from the shell."""
 
 import json
+import re
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -24,10 +25,10 @@ def robustlab(capsys, monkeypatch, tmp_path):
 
 
 def curves(path):
-    """Vertices of all curves of an SVG, as numbers (n, 2) each."""
+    """Vertices of all curves of an SVG, as numbers (n, 2) each: a place, then steps from there."""
     paths = [e.get("d", "") for e in ET.parse(path).iter("{http://www.w3.org/2000/svg}path")]
-    words = [p.replace("M", "").replace("L", "").split() for p in paths if set(p) <= set("ML0123456789.- \n")]
-    return [np.array(w, dtype=float).reshape(-1, 2) for w in words if len(w) >= 20]
+    steps = [re.findall(r"-?\d*\.?\d+", p) for p in paths if re.fullmatch(r"M[-.\d ]+l[-.\d ]+", p)]
+    return [np.cumsum(np.array(s, dtype=float).reshape(-1, 2), axis=0) for s in steps if len(s) >= 20]
 
 
 def test_a_step_response_is_drawn_as_it_is(robustlab, tmp_path):

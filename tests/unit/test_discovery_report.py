@@ -463,7 +463,9 @@ def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
     odd = replace(odd, free_run={"../x$": d.gaps["q"]})
     odd.series["free_run"]["outputs"]["../x$"] = odd.series["free_run"]["outputs"].pop("q")
     assert list(discovery_figures(odd)) == ["story", "run-output1", "stretch-output1", "posterior"]
-    assert all(caption(name) for name in discovery_figures(odd))
+    captions = [caption(name) for name in discovery_figures(odd)]
+    assert all(len(words.split()) > 5 for words in captions)
+    assert len(set(captions)) == len(captions)
 
 
 def test_missing_samples_do_not_stop_the_figures():

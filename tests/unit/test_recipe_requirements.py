@@ -111,7 +111,14 @@ def test_a_step_without_numbers_meets_nothing():
         ({"equals": 0.0}, "0"),
         ({"equals": True}, "yes"),
         ({"equals": "named"}, "'named'"),
+        ({"at_most": 0.001, "unit": "rad"}, "at most 0.001 rad"),
+        ({"equals": 779.1, "tolerance": 0.05, "unit": "rad/s"}, "779.1 ± 0.05 rad/s"),
     ],
 )
 def test_conditions_in_words(condition, words):
     assert Requirement(that="a.b", text="t", **condition).condition == words
+
+
+def test_a_unit_belongs_to_a_number():
+    with pytest.raises(ValueError, match="unit belongs to a condition with a number"):
+        Requirement(that="a.b", text="t", equals=True, unit="rad")

@@ -42,7 +42,44 @@ def test_a_band_has_both_edges_and_bars_their_heights():
     low, high = told["panels"][0]["series"]
     assert (low["y"], high["y"]) == ([0.0, 1.0, 0.5], [2.0, 3.0, 4.0])
     (rms,) = told["panels"][1]["series"]
-    assert (rms["x"], rms["y"]) == ([1.0, 2.0], [3.0, 4.0])
+    assert (rms["x"], rms["y"], rms["widths"]) == ([1.0, 2.0], [3.0, 4.0], [0.8, 0.8])
+
+
+def test_bars_and_points_drawn_one_by_one_are_one_series_with_the_name_in_the_legend():
+    figure, (axes,) = new_figure()
+    for k in range(3):
+        bars = axes.bar([k], [k + 1.0], width=0.5, color="#0072B2", alpha=0.5)
+        axes.plot([k], [0.1 * k], "o", color="#222222")
+    axes.legend([bars], ["rms forward"])
+    whole, panel = panel_of(figure)
+    assert whole
+    rms, means = panel["series"]
+    assert (rms["label"], rms["colour"], rms["y"]) == ("rms forward", "#0072b280", [1.0, 2.0, 3.0])
+    assert means["y"] == [0.0, 0.1, 0.2]
+
+
+def test_bars_that_stand_on_others_stay_in_the_picture():
+    figure, (axes,) = new_figure()
+    axes.plot([0.0, 1.0], [0.0, 1.0])
+    axes.bar([0.0, 1.0], [1.0, 1.0], bottom=[1.0, 2.0])
+    whole, panel = panel_of(figure)
+    assert not whole
+    assert len(panel["series"]) == 1
+
+
+def test_a_smooth_curve_is_told_by_its_corners_to_a_thousandth():
+    figure, (axes,) = new_figure()
+    t = np.linspace(0.0, 6.0, 20_000)
+    axes.plot(t, np.sin(t))
+    (series,) = panel_of(figure)[1]["series"]
+    assert len(series["x"]) < 400
+    assert np.abs(np.interp(t, series["x"], series["y"]) - np.sin(t)).max() < 1e-3 * 2
+
+
+def test_a_cloud_of_points_keeps_every_point():
+    figure, (axes,) = new_figure()
+    axes.plot(np.arange(500.0), np.zeros(500), "o")
+    assert len(panel_of(figure)[1]["series"][0]["x"]) == 500
 
 
 def test_a_long_curve_keeps_its_peaks():

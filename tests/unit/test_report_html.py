@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import base64
 import copy
+import gzip
 import hashlib
-import html
 import json
 import re
 import shutil
 from importlib import resources
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from check_report import ID, Tags
 
 from robustlab.errors import InputError
 from robustlab.recipe.run import read_result
+from robustlab.report.curves import split
 from robustlab.report.figures import new_figure, save_figure
-from robustlab.report.html import in_words, render, verdict
+from robustlab.report.html import found_in_words, in_words, render, verdict
 
 REQUIREMENT = {
     "text": "fast enough",
@@ -113,9 +116,12 @@ def test_the_page_has_everything_and_loads_nothing(folder):
     for part in ("ab12", "cd34", "numpy 2.0", "seed = 7", "name = 1", "m.h5"):
         assert part in page
     assert page.index("The requirement is met") < page.index("A step")
-    addresses = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'>)]+)', page)
-    assert all(address.startswith(("data:image/svg+xml;base64,", "#step-")) for address in addresses)
-    assert "http://" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
+    pictures = re.findall(r"src='data:image/svg\+xml,([^']*)'", page)
+    assert [unquote(p) for p in pictures] == [split((folder / "figures/a-y.svg").read_text(encoding="utf-8"))[0]]
+    rest = re.sub(r"src='data:image/svg\+xml,[^']*'", "", page)
+    addresses = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'>)]+)', rest)
+    assert addresses
+    assert all(address.startswith("#step-") for address in addresses)
     assert page.count("<script") == 1
     assert "default-src 'none'" in page
 
@@ -126,7 +132,7 @@ def test_the_one_script_is_the_one_that_the_policy_allows(folder):
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'" in page
     assert "Permission is hereby granted" in script  # the licence goes with every copy
-    assert not re.findall(r"https?://", re.sub(r"base64,[A-Za-z0-9+/=]+", "", page))
+    assert not re.findall(r"https?://", re.sub(r"src='[^']*'", "", page))
 
 
 def test_the_library_is_its_release_file_unchanged():
@@ -147,8 +153,8 @@ def test_the_curves_of_a_figure_are_beside_it_and_a_hostile_name_stays_text(tmp_
     save_figure(figure, tmp_path / "figures", "a-y")
     page = render(RESULT, tmp_path)
     assert "alert(1)</script>" not in page
-    (told,) = re.findall(r'data-curves="([^"]*)"', page)
-    (panel,) = json.loads(html.unescape(told))["panels"]
+    (packed,) = re.findall(r'data-curves="([^"]*)"', page)
+    (panel,) = json.loads(gzip.decompress(base64.b64decode(packed)))["panels"]
     (series,) = panel["series"]
     assert (series["x"], series["y"]) == ([0.0, 1.0, 2.0], [1.0, 4.0, 9.0])
     assert series["label"] == '"><script>alert(1)</script>]]>'
@@ -156,16 +162,20 @@ def test_the_curves_of_a_figure_are_beside_it_and_a_hostile_name_stays_text(tmp_
 
 def test_a_long_report_keeps_its_size(tmp_path):
     figure, (axes,) = new_figure()
-    t = np.linspace(0, 1, 3000)
+    t, noise = np.linspace(0, 1, 3000), np.random.default_rng(1).normal(size=(6, 3000))
     for k in range(6):
-        axes.plot(t, np.sin((10 + k) * t))
+        axes.plot(t, noise[k])
     svg, _ = save_figure(figure, tmp_path / "figures", "a-0")
-    for k in range(1, 30):
+    for k in range(1, 40):
         shutil.copy(svg, tmp_path / f"figures/a-{k}.svg")
-    figures = [{"stem": f"a-{k}", "caption": "Long curves."} for k in range(30)]
-    page = render(changed(steps={"figures": figures}), tmp_path)
-    assert len(page.encode()) < 3e6
-    assert 5 <= page.count("data-curves") < 30  # the first ones can be zoomed, the last ones are pictures
+    figures = [{"stem": f"a-{k}", "caption": "Long curves."} for k in range(40)]
+    for kept in (40, 20):
+        page = render(changed(steps={"figures": figures[:kept]}), tmp_path)
+        assert len(page.encode()) < 3e6
+        pictures = page.count("<img")
+        assert pictures + page.count("No room in this page") == kept
+        assert pictures >= 20
+    assert 5 <= page.count("data-curves=") < 20  # the first ones can be zoomed, the last ones are pictures
 
 
 def test_something_that_remains_is_amber():
@@ -185,6 +195,37 @@ def test_something_that_remains_is_amber():
 )
 def test_numbers_have_the_digits_that_their_limit_needs(value, limits, words):
     assert in_words(value, limits) == words
+
+
+@pytest.mark.parametrize(
+    ("requirement", "words"),
+    [
+        ({"value": 0.0533992819, "limits": [0.0518, 0.055], "unit": "N m"}, "0.0534 N m"),
+        ({"value": 3, "limits": [None, 4.0], "unit": "mm"}, "3 mm"),
+        ({"value": True, "limits": None, "unit": ""}, "yes"),
+        ({"value": "inf", "limits": [None, 1.0], "unit": "N"}, "inf"),
+        ({"value": None, "why_not": "step 'a' gave no number"}, "step 'a' gave no number"),
+        ({"value": 0.5}, "0.5"),  # of a run before requirements had units
+    ],
+)
+def test_what_was_found_has_its_unit(requirement, words):
+    assert found_in_words({**REQUIREMENT, **requirement}) == words
+
+
+def test_the_tags_are_closed_in_turn_and_names_come_once(folder):
+    assert (
+        Tags(render(changed(steps={"story": [{"label": "Where", "value": "v", "source": "s"}]}), folder)).faults == []
+    )
+
+
+def test_headings_and_captions_are_words(folder):
+    page = render(changed(steps={"title": "", "name": "set_before"}), folder)
+    assert ">1. Set before</h2>" in page
+    words = re.findall(r"<(?:h1|h2|figcaption|dt)[^>]*>([^<]*)<", page)
+    assert words
+    assert not [w for w in words if ID.fullmatch(w.strip())]
+    assert ID.fullmatch("gap-where-phi")
+    assert ID.fullmatch("12. set_before")
 
 
 def test_colour_is_never_the_only_mark(folder):

@@ -314,7 +314,7 @@ class SimulateControlStep(Step):
         unit, amplitude = self.unit or units[self.controlled[0]], quantity(self.amplitude, units[self.controlled[0]])
         panels = [TimePanel(f"error of {self.controlled[0]} [{unit}]", errors)]
         panels += [TimePanel(f"{n} [{units[n]}]", efforts[n], limit) for n, limit in self.limits.items()]
-        words = ", ".join(self.effects) or "no further effect"
+        words = " and ".join(e.replace("-", " ").replace("@", " at ") for e in self.effects) or "no further effect"
         work.draw(runs_figure(t[::fine], panels), "runs", f"A sine is followed; nominal parameters, with {words}.")
         header = ["controller", "order", f"error [{unit}]", f"of the worst member [{unit}]"]
         header += [f"largest {n} [{units[n]}]" for n in self.limits]
