@@ -134,7 +134,7 @@ def robust_gain(
     >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> found = robust_gain(UncertainModel(M, [RealScalar("pole")]), 4.0)  # 1 / (s + 1 + delta / 2): 1 / (1 - k / 2)
     >>> round(found.lower, 2), round(found.upper, 2)
-    (1.5, 1.5)
+    (1.49, 1.5)
     """
     check_nominal(uncertain, "robust_gain")
     if not (np.isfinite(level) and level > 0 and tolerance > 0):

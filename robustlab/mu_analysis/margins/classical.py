@@ -194,7 +194,7 @@ def classical_margins(
     Examples
     --------
     >>> L = StateSpaceModel([[0, 1, 0], [0, 0, 1], [0, -2, -3]], [[0], [0], [1]], [[3, 0, 0]], [[0]])
-    >>> margin = classical_margins(L).channels["y"]  # 3 / (s (s + 1) (s + 2))
+    >>> margin = classical_margins(L).channels["y1"]  # 3 / (s (s + 1) (s + 2))
     >>> round(margin.gain_margin[1], 9), round(margin.phase_crossings[0].frequency ** 2, 9)
     (2.0, 2.0)
     """
