@@ -18,11 +18,14 @@ from robustlab.identification.validation import FrequencyData as FrequencyData
 from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import DataCover as DataCover
 from robustlab.identification.validation.data_cover import data_cover as data_cover
+from robustlab.invariant_zeros import zeros as zeros
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis import robust_stability as robust_stability
 from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
+from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
+from robustlab.mu_analysis.margins.classical import classical_margins as classical_margins
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
@@ -139,13 +142,16 @@ __all__ = [
     "robust_stability",
     "robust_performance",
     "worst_case_gain",
+    "robust_gain",
     "small_gain",
+    "classical_margins",
     "disk_margin",
     "worst_case_disk_margin",
     "gap",
     "nu_gap",
     "coprime_margin",
     "hinf_norm",
+    "zeros",
     "controllability",
     "observability",
     "frequency_response",

@@ -16,6 +16,7 @@ from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grou
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
+    from robustlab.mu_analysis.margins.classical import ClassicalMargins
     from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
     from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
     from robustlab.uncertainty.distances.gap_metric import GapMetric
@@ -35,6 +36,9 @@ class LoopOptions:
         str | None,
         typer.Option("--controller", "-k", help="File with the controller; left out: unity.", show_default=False),
     ] = None
+    classical: Annotated[
+        bool, typer.Option("--classical", help="Gain, phase and delay margin of each loop alone, with all crossings.")
+    ] = False
     at: Annotated[
         str,
         typer.Option(
@@ -66,6 +70,7 @@ def margins(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
+    from robustlab.mu_analysis.margins.classical import classical_margins
     from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
     from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
     from robustlab.storage import load
@@ -77,8 +82,13 @@ def margins(
     k = None if loop.controller is None else load(loop.controller, transpose=transpose)
     sign = _sign(loop.feedback, k)
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
-    if isinstance(thing, UncertainModel):
-        result: Any = worst_case_disk_margin(thing, k, **options, **vars(effort))
+    if loop.classical:
+        if isinstance(thing, UncertainModel):
+            raise UsageError("--classical", "an uncertain plant", "one model", "uncertain sample writes members")
+        result: Any = classical_margins(thing, k, at=options["at"], sign=sign)
+        text = _classical_text(result)
+    elif isinstance(thing, UncertainModel):
+        result = worst_case_disk_margin(thing, k, **options, **vars(effort))
         text = _worst_text(result)
     else:
         result = disk_margin(thing, k, **options, **vars(effort))
@@ -86,7 +96,8 @@ def margins(
     output.keep(result)
     word = "negative" if sign < 0 else "positive"
     where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
-    head = f"disk margins at the {where}, {word} feedback, skew {loop.skew:g}"
+    kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
+    head = f"{kind} margins at the {where}, {word} feedback{skew}"
     emit("model margins", {**result.to_json(), "feedback": word}, f"{head}\n{text}", output.as_json)
     require_trust(result.status)
 
@@ -112,6 +123,28 @@ def _text(margins: DiskMargins) -> str:
         lines += ["", f"worst factors at {_frequency(worst)}:"]
         lines.append(table([(name, _polar(f)) for name, f in worst.factor.items()], ("loop", "factor")))
     return "\n".join([*lines, *(f"note: {text}" for text in notes)])
+
+
+def _classical_text(margins: ClassicalMargins) -> str:
+    rows = []
+    crossings = []
+    for name, margin in margins.channels.items():
+        if margin.gain_margin is None or margin.phase_margin is None or margin.delay_margin is None:
+            rows.append((name, "unstable", "", "", str(margin.status)))
+        else:
+            low, high = margin.gain_margin
+            phase, delay = margin.phase_margin, margin.delay_margin
+            said = _degrees(phase) if math.isfinite(phase) else "inf"
+            rows.append((name, f"{_gain(low)} .. {_gain(high)}", said, f"{delay:.4g} s", str(margin.status)))
+        for c in margin.gain_crossings:
+            said = f"{_degrees(c.lag)} or {c.delay:.4g} s of lag to -1"
+            crossings.append((name, f"{c.frequency:.6g} rad/s", "|L| = 1", said))
+        for c in margin.phase_crossings:
+            crossings.append((name, f"{c.frequency:.6g} rad/s", "L < 0", f"factor {_gain(c.factor)} to -1"))
+    lines = [table(rows, ("loop", "gain", "phase", "delay", "status"))]
+    if crossings:
+        lines += ["", "crossings:", table(crossings, ("loop", "at", "where", "distance"))]
+    return "\n".join(lines)
 
 
 def _worst_text(margin: WorstCaseDiskMargin) -> str:

@@ -15,6 +15,7 @@ from robustlab.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
+    from robustlab.mu_analysis.axis.robust_gain import RobustGain
     from robustlab.uncertainty.lft import UncertainModel
 
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_completion=False)
@@ -42,19 +43,26 @@ class QuestionOptions:
     performance: Annotated[
         bool, typer.Option("--performance", help="Robust performance margin of weighted inputs and outputs instead.")
     ] = False
+    level: Annotated[
+        float | None,
+        typer.Option(help="How much of the set keeps the gain below this level, instead.", show_default=False),
+    ] = None
     inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None
 
     def check(self, voices: VoiceOptions) -> None:
         """Refuse what does not belong together."""
-        if voices.certify and (self.gain or self.performance):
-            raise UsageError("mu", "--certify with --gain or --performance", "the stability margin")
-        if voices.cross_check and self.performance:
-            raise UsageError("mu", "--cross-check with --performance", "the stability margin, or --gain")
-        if self.gain and self.performance:
-            raise UsageError("mu", "--gain and --performance", "one of them")
-        if (self.inputs or self.outputs) and not (self.gain or self.performance):
-            raise UsageError("mu", "--inputs or --outputs without --gain or --performance", "one of these, too")
+        asked = [f"--{name}" for name in ("gain", "performance", "level") if getattr(self, name) not in (False, None)]
+        if voices.certify and asked:
+            raise UsageError("mu", f"--certify with {asked[0]}", "the stability margin")
+        if voices.cross_check and (self.performance or self.level is not None):
+            raise UsageError("mu", f"--cross-check with {asked[-1]}", "the stability margin, or --gain")
+        if len(asked) > 1:
+            raise UsageError("mu", " and ".join(asked), "one of them")
+        if (self.inputs or self.outputs) and not asked:
+            raise UsageError(
+                "mu", "--inputs or --outputs without --gain, --performance or --level", "one of these, too"
+            )
 
 
 @dataclass(frozen=True)
@@ -109,6 +117,9 @@ def mu(
         if question.gain:
             del options["accuracy"]
             result, text = _worst_gain(uncertain, options, shown)
+        elif question.level is not None:
+            del options["accuracy"]
+            result, text = _robust_gain(uncertain, question.level, options, shown)
         else:
             result, text = _margin(uncertain, question.performance, options, shown)
     more: dict[str, Any] = {}
@@ -192,6 +203,25 @@ def _worst_gain(uncertain: UncertainModel, options: dict[str, Any], shown: Shown
         lines += ["", "worst Delta found:", *_delta_lines(worst.delta, worst.physical, {})]
     lines += _tail(worst, "gain at most", shown.intervals)
     return worst, "\n".join(lines)
+
+
+def _robust_gain(
+    uncertain: UncertainModel, level: float, options: dict[str, Any], shown: ShownOptions
+) -> tuple[RobustGain, str]:
+    from robustlab.mu_analysis.axis.robust_gain import robust_gain
+
+    if shown.intervals or shown.figure is not None:
+        raise UsageError("mu", "--intervals or --figure with --level", "--gain for the intervals of a worst-case gain")
+    found = robust_gain(uncertain, level, **options)
+    lines = [
+        f"robust gain margin  {found.lower:.6g} .. {found.upper:.6g}  ({found.status})",
+        f"gain below          {level:g}",
+    ]
+    if found.frequency is not None:
+        lines += [f"reached at          {found.frequency:.6g} rad/s"]
+    if found.delta:
+        lines += ["", "member that reaches it:", *_delta_lines(found.delta, found.physical, {})]
+    return found, "\n".join(lines)
 
 
 def _delta_lines(delta: Any, physical: Any, shares: Any) -> list[str]:

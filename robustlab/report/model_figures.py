@@ -19,6 +19,7 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.dynamics import simulate
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
+from robustlab.invariant_zeros import transmission_zeros
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -30,7 +31,6 @@ from robustlab.report.figures import (
     plain_label,
 )
 from robustlab.statespace import Signal, StateSpaceModel, as_model
-from robustlab.synthesis.problem.performance_limits import transmission_zeros
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.ensemble import default_clock
@@ -149,7 +149,7 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Poles and transmission zeros in the complex plane; of an uncertain model the members' poles around them."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = drawn.nominal
-    zeros = transmission_zeros(model) if model.n_states and model.n_inputs and model.n_outputs else np.zeros(0)
+    zeros = transmission_zeros(model)
     clouds = [m.poles() for m in drawn.members]
     return poles_figure(model.poles(), zeros, model.dt, np.concatenate(clouds) if clouds else None)
 

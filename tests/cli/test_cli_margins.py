@@ -95,3 +95,14 @@ def test_the_real_command(tmp_path):
     words = [sys.executable, "-m", "robustlab.cli.main", "model", "gap", "a.h5", "b.h5"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "nu-gap  0.002" in done.stdout
+
+
+def test_classical_margins_print_every_crossing(run):
+    rl.save("L.h5", rl.StateSpaceModel([[0, 1, 0], [0, 0, 1], [0, -2, -3]], [[0], [0], [1]], [[3, 0, 0]], [[0]]))
+    out = run("margins", "L.h5", "--classical")
+    assert "0.3608 s" in out
+    assert "1.41421 rad/s" in out
+    told = json.loads(run("margins", "L.h5", "--classical", "--json"))
+    assert told["channels"]["y1"]["gain_margin"][1] == pytest.approx(2)
+    assert "unstable" in run("margins", "unstable.h5", "--classical", "--feedback", "positive")
+    assert "--classical" in run("margins", "uncertain.h5", "--classical", code=2)

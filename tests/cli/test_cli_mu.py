@@ -155,3 +155,16 @@ def test_slicot_that_contradicts_ends_in_exit_code_4(model_file, capsys, monkeyp
     assert call(model_file, "--cross-check") == 4
     assert "contradicts" in capsys.readouterr().out
     assert call(model_file, "--performance", "--cross-check") == 2
+
+
+def test_level_asks_how_much_of_the_set_keeps_it(model_file, capsys):
+    """1 / (s + 1 + 0.2 delta): the gain of the set times k is 1 / (1 - 0.2 k), below 2 up to k = 2.5."""
+    assert call(model_file, "--level", "2", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["lower"] <= 2.5 * (1 + 1e-6)
+    assert told["upper"] >= 2.5 * (1 - 1e-6)
+    assert call(model_file, "--level", "2") == 0
+    assert "robust gain margin" in capsys.readouterr().out
+    assert call(model_file, "--level", "2", "--gain") == 2
+    assert call(model_file, "--level", "2", "--cross-check") == 2
+    assert call(model_file, "--level", "-4") == 3

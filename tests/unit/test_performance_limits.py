@@ -7,10 +7,11 @@ import pytest
 
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
+from robustlab.invariant_zeros import transmission_zeros
 from robustlab.statespace import StateSpaceModel, series
 from robustlab.synthesis.h2.state_feedback import lqg
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.problem.performance_limits import performance_limits, transmission_zeros
+from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.synthesis.specifications.loop_functions import loop_functions
 from robustlab.synthesis.specifications.weight_design import performance_weight
 

@@ -75,3 +75,61 @@ class RobustStabilityStep(Step):
         stable = "proved stable for every Δ of the set" if margin.lower > 1 else "not proved stable over the whole set"
         scale = "A margin of 1 means the set as stated; at 2 every range could be twice as wide."
         return Outcome(None, f"{self.of}: {stable}.", numbers, tuple(facts), margin.status, (scale, *margin.notes))
+
+
+@step
+class RobustGainStep(Step):
+    """How much of the set keeps every member's gain below a level."""
+
+    do: Literal["robust-gain"]
+    of: ToUncertain
+    level: float = Field(gt=0, description="The gain, in the unit of the outputs over that of the inputs.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the proof.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def run(self, work: Workspace) -> Outcome:
+        """Robust gain margin: the part of the set whose members keep the level."""
+        uncertain = work.uncertain(self.of)
+        found = rl.robust_gain(uncertain, self.level, effort=self.effort, time_limit=self.time_limit, seed=work.seed)
+        work.keep(found)
+        numbers = picked(found, "lower", "upper", "level", "frequency", "delta")
+        facts = [
+            Fact("Margin, proved from below", f"{quantity(found.lower)}: no member of a smaller set reaches the level"),
+            Fact("Margin, attained from above", quantity(found.upper)),
+            *(Fact(f"Critical {name}", quantity(value, unit)) for name, (value, unit) in found.physical.items()),
+        ]
+        kept = "proved for the whole set" if found.lower >= 1 else "not proved for the whole set"
+        text = f"{self.of}: a gain below {quantity(self.level)} is {kept}."
+        return Outcome(None, text, numbers, tuple(facts), found.status)
+
+
+@step
+class ClassicalMarginsStep(Step):
+    """Gain, phase and delay margin of each loop alone."""
+
+    do: Literal["classical-margins"]
+    of: ToModel = Field(description="The open loop, square.")
+    sign: Literal[-1, 1] = Field(-1, description="-1 for negative feedback, 1 for positive.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """Least margins of the loops, each with the others closed."""
+        found = rl.classical_margins(work.values[self.of], sign=self.sign)
+        work.keep(found)
+        margins = [m for m in found.channels.values() if m.gain_margin is not None]
+        stable = len(margins) == len(found.channels)
+        numbers: dict[str, object] = {"stable": stable}
+        facts = [Fact("Closed loop", "stable" if stable else "unstable")]
+        if stable:
+            numbers["gain_high"] = min(m.gain_margin[1] for m in margins if m.gain_margin)
+            numbers["gain_low"] = max(m.gain_margin[0] for m in margins if m.gain_margin)
+            numbers["phase"] = min(m.phase_margin for m in margins if m.phase_margin is not None)
+            numbers["delay"] = min(m.delay_margin for m in margins if m.delay_margin is not None)
+            facts += [
+                Fact("Gain may rise", f"{quantity(numbers['gain_high'])} times"),
+                Fact("Gain may fall", f"to {quantity(numbers['gain_low'])} of it"),
+                Fact("Phase may change", quantity(numbers["phase"], "rad")),
+                Fact("Delay may grow", quantity(numbers["delay"], "s")),
+            ]
+        return Outcome(
+            None, f"Classical margins of {self.of}, one loop at a time.", numbers, tuple(facts), found.status
+        )

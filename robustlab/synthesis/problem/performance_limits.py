@@ -12,6 +12,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, RobustlabError, told_as
+from robustlab.invariant_zeros import transmission_zeros
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
 from robustlab.shown import Facts, Shown, listed, number
@@ -26,12 +27,9 @@ __all__ = [
     "limits_in_words",
     "limits_of",
     "performance_limits",
-    "transmission_zeros",
 ]
 
 
-# A zero of the pencil counts where G loses rank there by this much, relative to its size nearby.
-RANK_LOSS = 1e-7
 # Zeros and poles this close to the boundary, relative to the largest, count as on it and bind nothing.
 BOUNDARY = 1e-9
 # Beyond this multiple of the largest pole a zero is one at infinity.
@@ -291,42 +289,6 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
 # --- zeros and poles --------------------------------------------------------------------------------------------------
 
 
-def transmission_zeros(G: Any) -> AnyArray:
-    """Finite invariant zeros of a model, shape (n_zeros,): where ``[A - s I, B; C, D]`` loses rank.
-
-    Generalised eigenvalues of the system pencil; of a non-square model those of two random square ones, as far as G
-    itself loses rank there.
-    """
-    g = as_model(G, "transmission_zeros")
-    if not g.n_states or not g.n_inputs or not g.n_outputs:
-        return np.zeros(0, dtype=complex)
-    found = _pencil_zeros(g.A, g.B, g.C, g.D)
-    if g.n_inputs != g.n_outputs:
-        found = found[[_loses_rank(g, s) for s in found]]
-    return found
-
-
-def _pencil_zeros(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> AnyArray:
-    """Zeros of a square system; a non-square one is squared by random combinations of its larger side."""
-    from scipy.linalg import eig
-
-    p, m = D.shape
-    rng = np.random.default_rng(0)
-    if m > p:
-        mix = rng.standard_normal((m, p))
-        B, D = B @ mix, D @ mix
-    elif p > m:
-        mix = rng.standard_normal((m, p))
-        C, D = mix @ C, mix @ D
-    size, pencil, mass = _pencil(A, B, C, D)
-    with np.errstate(all="ignore"):
-        pairs: Any = eig(pencil, mass, right=False, homogeneous_eigvals=True)
-    alpha, beta = pairs
-    finite = np.abs(beta) > np.abs(alpha) / FAR
-    zeros = size * alpha[finite] / beta[finite]
-    return zeros[np.isfinite(zeros)]
-
-
 def _pencil(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> tuple[float, AnyArray, AnyArray]:
     """Size of A, and the system pencil in that unit of frequency with input and output of size one."""
     n, k = len(A), D.shape[0]
@@ -339,12 +301,6 @@ def _pencil(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> tuple[float, 
 
 def _rosenbrock(g: StateSpaceModel, s: complex) -> AnyArray:
     return np.block([[g.A - s * np.eye(g.n_states), g.B], [g.C, g.D]])
-
-
-def _loses_rank(g: StateSpaceModel, s: complex) -> bool:
-    at = np.linalg.svd(_rosenbrock(g, s), compute_uv=False)
-    beside = np.linalg.svd(_rosenbrock(g, s * (1.1 + 0.1j) + 0.1j * np.abs(g.A).max()), compute_uv=False)
-    return bool(at[-1] / at[0] < RANK_LOSS * max(beside[-1] / beside[0], 1e-12) / 1e-2)
 
 
 def _outside(values: AnyArray, discrete: bool) -> Mask:

@@ -24,6 +24,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
+from robustlab.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
 
@@ -34,8 +35,6 @@ METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impuls
 
 # Two sampled modes closer than this, relative to their modulus, are one mode to a controller in floating point.
 MERGED = 1e-6
-# A zero of the pencil beyond this multiple of the largest pole or other zero's scale is one at infinity.
-INFINITE_ZERO = 1e7
 # The poles and zeros of a matched model must give back its response to this accuracy.
 MATCHED = 1e-6
 
@@ -142,7 +141,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
         raise InputError("discretise", found, "one of each", "take 'tustin' for several channels")
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
-    poles, zeros = m.poles(), _finite_zeros(m)
+    poles, zeros = m.poles(), transmission_zeros(m)
     # On the positive real axis, right of all poles: finite and real.
     s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
     gain = _value(m, s) * np.prod(s - poles) / np.prod(s - zeros)
@@ -164,22 +163,6 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
 
 def _value(m: StateSpaceModel, s: float) -> float:
     return float((m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0])
-
-
-def _finite_zeros(m: StateSpaceModel) -> AnyArray:
-    """Invariant zeros of a model with one input and one output."""
-    from scipy.linalg import eigvals, matrix_balance
-
-    n = m.n_states
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        _, (scale, _) = matrix_balance(m.A, permute=False, separate=True)
-    a, b, c = m.A / scale[:, None] * scale, m.B / scale[:, None], m.C * scale
-    rate, into, out = max(float(np.linalg.norm(a, 2)), 1e-300), np.linalg.norm(b), np.linalg.norm(c)
-    pencil = np.block([[a / rate, b / into], [c / out, m.D * rate / into / out]])
-    found = eigvals(pencil, np.diag(np.append(np.ones(n), 0.0)), homogeneous_eigvals=True)
-    alpha, beta = np.asarray(found[0]), np.asarray(found[1])
-    finite = np.abs(beta) * INFINITE_ZERO > np.abs(alpha)
-    return alpha[finite] / beta[finite] * rate
 
 
 def _from_roots(zeros: AnyArray, poles: AnyArray, gain: float) -> StateSpaceModel:

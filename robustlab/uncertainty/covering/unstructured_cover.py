@@ -44,6 +44,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.frequency import frequency_response
+from robustlab.invariant_zeros import transmission_zeros
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
@@ -394,7 +395,7 @@ def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) ->
 def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], points: int) -> Array:
     """Frequencies of all models' dynamics, dense about their resonances and anti-resonances."""
     dt = models[0].dt
-    found = np.concatenate([x for m in (*models, *others) for x in (m.poles(), _zeros(m))])
+    found = np.concatenate([x for m in (*models, *others) for x in (m.poles(), transmission_zeros(m))])
     if dt:
         found = np.log(found[np.abs(found) > 1e-12]) / dt
     size = np.abs(found)
@@ -418,24 +419,6 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
 # --- are the errors stable? ------------------------------------------------------------------------------------------
 
 
-def _zeros(model: StateSpaceModel) -> NDArray[np.complex128]:
-    """Finite transmission zeros of a square model; those of no other model are asked for."""
-    from scipy.linalg import eigvals
-
-    n, m = model.n_states, model.n_inputs
-    if not n or m != model.n_outputs:
-        return np.zeros(0, dtype=np.complex128)
-    scale = np.abs(model.A).max(initial=0.0) or 1.0
-    b, c = model.B / (np.abs(model.B).max(initial=0.0) or 1.0), model.C / (np.abs(model.C).max(initial=0.0) or 1.0)
-    d = model.D / ((np.abs(model.B).max(initial=0.0) or 1.0) * (np.abs(model.C).max(initial=0.0) or 1.0) / scale)
-    pencil = np.block([[model.A / scale, b], [c, d]])
-    mass = np.zeros((n + m, n + m))
-    mass[:n, :n] = np.eye(n)
-    found = eigvals(pencil, mass, homogeneous_eigvals=True)
-    finite = np.abs(found[1]) > 1e-9 * np.abs(found[0])
-    return np.asarray(scale * found[0][finite] / found[1][finite], dtype=np.complex128)
-
-
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
     """Every error is analytic in the closed unstable region.
 
@@ -449,8 +432,8 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
         if model is centre:
             continue
         above, below = (centre, model) if inverse else (model, centre)  # numerator and denominator of the error
-        parts = [above.poles()] if form != "inverse-additive" else [_zeros(centre)]
-        parts.append(centre.poles() if form == "additive" else _zeros(below))
+        parts = [above.poles()] if form != "inverse-additive" else [transmission_zeros(centre)]
+        parts.append(centre.poles() if form == "additive" else transmission_zeros(below))
         singular = np.concatenate(parts)
         bad = _pole_that_stays(model, centre, form, singular)
         if bad is not None:

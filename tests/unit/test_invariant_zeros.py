@@ -1,0 +1,109 @@
+"""Zeros of models, against closed forms, the pencil itself, and models whose zeros are put there."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.statespace import StateSpaceModel, series
+
+
+def random_model(seed, n=4, m=2, p=2, direct=False):
+    rng = np.random.default_rng(seed)
+    D = rng.normal(size=(p, m)) if direct else np.zeros((p, m))
+    return StateSpaceModel(rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n)), D)
+
+
+def pencil(model, s):
+    return np.block([[model.A - s * np.eye(model.n_states), model.B], [model.C, model.D]])
+
+
+def matched(found, wanted):
+    """Largest distance of two sets of numbers, each to its nearest partner."""
+    found, rest, worst = list(found), list(wanted), 0.0
+    assert len(found) == len(rest)
+    for z in found:
+        k = int(np.argmin([abs(z - w) for w in rest]))
+        worst = max(worst, abs(z - rest.pop(k)))
+    return worst
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 8), st.integers(1, 3), st.booleans())
+def test_zeros_of_square_models_make_the_pencil_singular(seed, n, m, direct):
+    G = random_model(seed, n, m, m, direct)
+    found = rl.zeros(G)
+    assert found.status == "converged"
+    assert found.normal_rank == m or n < m
+    for k, z in enumerate(found.values):
+        P = pencil(G, z)
+        assert np.linalg.svd(P, compute_uv=False)[-1] <= 1e-8 * np.linalg.norm(P, 2)
+        if found.kinds[k] == "transmission":
+            response = G.C @ np.linalg.solve(z * np.eye(n) - G.A, G.B.astype(complex)) + G.D
+            size = np.linalg.norm(response, 2) + 1e-3
+            assert np.linalg.norm(response @ found.input_directions[:, k]) <= 1e-5 * size
+            assert np.linalg.norm(found.output_directions[:, k].conj() @ response) <= 1e-5 * size
+
+
+def test_generic_models_have_as_many_zeros_as_the_theory_says():
+    """n - m where C B has full rank; n where D has; none where the model is not square."""
+    assert len(rl.zeros(random_model(1, 6, 2, 2))) == 4
+    assert len(rl.zeros(random_model(1, 6, 2, 2, direct=True))) == 6
+    assert len(rl.zeros(random_model(1, 6, 2, 3))) == 0
+    assert len(rl.zeros(random_model(1, 6, 3, 2))) == 0
+
+
+def test_zeros_put_in_series_are_found_in_any_shape():
+    factor = StateSpaceModel([[-2.0]], [[1.0]], [[-4.0]], [[1.0]])  # (s - 2)/(s + 2)
+    wide = series(random_model(3, 3, 3, 1), factor)
+    tall = series(factor, random_model(4, 3, 1, 3))
+    for model in (wide, tall):
+        found = rl.zeros(model)
+        assert matched(found.values, [2.0]) < 1e-8
+        assert found.kinds == ("transmission",)
+    # A direction that is not one: of the inputs of a wide model, of the outputs of a tall one.
+    assert np.isnan(rl.zeros(wide).input_directions).all()
+    assert np.isfinite(rl.zeros(wide).output_directions).all()
+    assert np.isnan(rl.zeros(tall).output_directions).all()
+
+
+def test_a_double_zero_and_zeros_far_apart():
+    A = np.diag([1.0, -3.0, -4.0])
+    twice = StateSpaceModel(A, np.ones((3, 1)), [[1 / 20, -25 / 4, 36 / 5]], [[0.0]])  # (s - 2)^2 / ...
+    assert matched(rl.zeros(twice).values, [2.0, 2.0]) < 1e-6
+    poles = np.array([-1.0, -1e4, -1e8])
+    at = np.array([-1e-3, -1e6])
+    residues = [np.prod(p - at) / np.prod(p - np.delete(poles, k)) for k, p in enumerate(poles)]
+    spread = StateSpaceModel(np.diag(poles), np.ones((3, 1)), [residues], [[0.0]])
+    found = np.sort(rl.zeros(spread).values.real)
+    np.testing.assert_allclose(found, [-1e6, -1e-3], rtol=1e-5)
+
+
+def test_hidden_modes_are_told_by_their_kind():
+    """Poles -1 (both), -2 (seen, not moved), -3 (moved, not seen), -4 (neither)."""
+    A = np.diag([-1.0, -2.0, -3.0, -4.0])
+    model = StateSpaceModel(A, [[1.0], [0.0], [1.0], [0.0]], [[1.0, 1.0, 0.0, 0.0]], [[0.0]])
+    found = rl.zeros(model)
+    kinds = dict(zip(found.values.real.round(9), found.kinds, strict=True))
+    assert kinds == {-2.0: "input-decoupling", -3.0: "output-decoupling", -4.0: "input-output-decoupling"}
+
+
+def test_units_and_time_scale_change_nothing():
+    G = random_model(5, 5, 2, 2)
+    scale = 10.0 ** np.array([6, -4, 0, 3, -7])
+    scaled = StateSpaceModel(1e5 * G.A * scale[:, None] / scale, G.B * scale[:, None] * 1e-3, 1e9 * G.C / scale, G.D)
+    assert matched(rl.zeros(scaled).values / 1e5, rl.zeros(G).values) < 1e-7
+
+
+def test_edges():
+    assert len(rl.zeros(StateSpaceModel([], [], [], [[1.0, 2.0]]))) == 0
+    assert rl.zeros(StateSpaceModel([], [], [], [[1.0, 2.0], [2.0, 4.0]])).normal_rank == 1
+    nothing = StateSpaceModel([[-1.0]], [[0.0]], [[0.0]], [[0.0]])
+    found = rl.zeros(nothing)
+    assert (found.normal_rank, found.kinds) == (0, ("input-output-decoupling",))
+    assert "none" in repr(rl.zeros(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])))
+    with pytest.raises(rl.InputError, match="zeros"):
+        rl.zeros("a model")
+    huge = StateSpaceModel([[-1e200]], [[1.0]], [[-2e200]], [[1.0]])
+    assert rl.zeros(huge).values[0].real == pytest.approx(1e200, rel=1e-12)
