@@ -115,23 +115,23 @@ def _osborne(norms: Array) -> Array:
     with np.errstate(divide="ignore"):
         log = np.log2(norms)
     np.fill_diagonal(log, -np.inf)
-    e = _compiled_osborne()(log, 100, 0.01)
+    e = np.zeros(n)
+    _compiled_osborne()(log, e, 100, 0.01)
     return np.round(e - np.round(e.mean()))
 
 
 @cache
-def _compiled_osborne() -> Callable[[Array, int, float], Array]:
+def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
     """Osborne's iteration; compiled here, so that numba is imported where it is used only."""
     import numba as nb
 
     @nb.njit(cache=True, error_model="numpy")
-    def osborne(log: Array, sweeps: int, tol: float) -> Array:
-        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about the same norm.
+    def osborne(log: Array, e: Array, sweeps: int, tol: float) -> None:
+        """Exponents e (zeros at first) such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm.
 
         The norms come as logarithms to base 2 (-inf on the diagonal): their squares span more decades than floats do.
         """
         n = len(log)
-        e = np.zeros(n)
         for _ in range(sweeps):
             largest = 0.0
             for i in range(n):
@@ -148,6 +148,5 @@ def _compiled_osborne() -> Callable[[Array, int, float], Array]:
                 largest = max(largest, abs(step))
             if largest < tol:
                 break
-        return e
 
     return osborne
