@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices
+from robustlab.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["Component", "balancing_exponents", "block_norms", "components", "entries", "expand"]
@@ -68,8 +69,6 @@ def entries(blocks: Sequence[Block], members: Sequence[int] | Indices) -> tuple[
 
 def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     """The strongly connected components of M in the order in which signals pass through them, each balanced."""
-    from scipy.sparse.csgraph import connected_components
-
     if not blocks:
         return []
     norms = block_norms(M, blocks)
@@ -78,7 +77,8 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
         w, z = expand(blocks, exponents)
         matrix = M * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         return [Component(tuple(range(len(blocks))), 0, exponents, matrix)]
-    count, labels = connected_components(norms > 0, directed=True, connection="strong")
+    labels = strong_components(norms > 0)
+    count = int(labels.max()) + 1
     groups = [np.flatnonzero(labels == c) for c in range(count)]
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
     drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
