@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
+from robustlab.structural import strong_components
 
 __all__ = ["balanced", "balancing_scale", "closed_response", "is_singular", "upper_lft"]
 
@@ -30,13 +31,11 @@ def is_singular(product: ArrayLike) -> bool:
     Its determinant is that of its strongly connected parts: entries on no cycle do not count, however large they are.
     Nor must the units of the channels decide: each part is balanced first (a similarity by powers of two).
     """
-    from scipy.sparse.csgraph import connected_components
-
     matrix = np.asarray(product)
     if not matrix.any():
         return False
-    count, label = connected_components(matrix != 0, directed=True, connection="strong")
-    for k in range(count):
+    label = strong_components(matrix != 0)
+    for k in range(int(label.max()) + 1):
         part = np.flatnonzero(label == k)
         inner = matrix[part[:, None], part]
         if inner.any() and not np.linalg.cond(np.eye(len(part)) - balanced(inner)) <= ILL_POSED:

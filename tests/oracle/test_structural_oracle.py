@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import connected_components
 
 import robustlab as rl
-from robustlab.structural import controllability_matrix, observability_matrix
+from robustlab.structural import controllability_matrix, observability_matrix, strong_components
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -39,3 +40,21 @@ def test_hidden_modes_are_cancelled_in_the_transfer_function(seed):
     for pole in np.linalg.eigvals(a):
         smallest = np.linalg.svd(np.hstack([a - pole * np.eye(n), b]), compute_uv=False)[-1]
         assert (min(abs(pole - m) for m in modes) < 1e-8) == (smallest < 1e-10)
+
+
+@pytest.mark.parametrize("density", [0.05, 0.15, 0.4])
+def test_strong_components_are_those_of_scipy(density):
+    rng = np.random.default_rng(5)
+    for n in (1, 2, 5, 30):
+        acts = rng.random((n, n)) < density
+        count, labels = connected_components(acts, directed=True, connection="strong")
+        found = strong_components(acts)
+        assert sorted(set(found)) == list(range(count))
+        assert ((found[:, None] == found) == (labels[:, None] == labels)).all()
+
+
+def test_a_long_cycle_is_one_component_and_a_chain_none():
+    chain = np.eye(200, k=1, dtype=bool)
+    assert (strong_components(chain) == np.arange(200)).all()
+    chain[-1, 0] = True
+    assert not strong_components(chain).any()

@@ -11,6 +11,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_exponents, balancing_factors
 from robustlab.statespace import StateSpaceModel
+from robustlab.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -119,8 +120,6 @@ def typical_speed(model: StateSpaceModel) -> float:
 
 def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
     """Blocks that act on each other in a cycle, by the zero pattern of A, B, C, D; others have mu = 0."""
-    from scipy.sparse.csgraph import connected_components
-
     n = model.n_states
     slices = block_slices(blocks)
     pick_w = np.zeros((model.n_inputs, len(blocks)))
@@ -133,7 +132,7 @@ def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDAr
         np.block([[model.A != 0, (model.B != 0) @ pick_w], [pick_z @ (model.C != 0), pick_z @ (model.D != 0) @ pick_w]])
         > 0
     )
-    _, labels = connected_components(acts, directed=True, connection="strong")
+    labels = strong_components(acts)
     groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
     return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]
 

@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices
+from robustlab.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["Component", "balancing_exponents", "block_norms", "components", "entries", "expand"]
@@ -68,8 +69,6 @@ def entries(blocks: Sequence[Block], members: Sequence[int] | Indices) -> tuple[
 
 def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     """The strongly connected components of M in the order in which signals pass through them, each balanced."""
-    from scipy.sparse.csgraph import connected_components
-
     if not blocks:
         return []
     norms = block_norms(M, blocks)
@@ -78,7 +77,8 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
         w, z = expand(blocks, exponents)
         matrix = M * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         return [Component(tuple(range(len(blocks))), 0, exponents, matrix)]
-    count, labels = connected_components(norms > 0, directed=True, connection="strong")
+    labels = strong_components(norms > 0)
+    count = int(labels.max()) + 1
     groups = [np.flatnonzero(labels == c) for c in range(count)]
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
     drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
@@ -115,23 +115,23 @@ def _osborne(norms: Array) -> Array:
     with np.errstate(divide="ignore"):
         log = np.log2(norms)
     np.fill_diagonal(log, -np.inf)
-    e = _compiled_osborne()(log, 100, 0.01)
+    e = np.zeros(n)
+    _compiled_osborne()(log, e, 100, 0.01)
     return np.round(e - np.round(e.mean()))
 
 
 @cache
-def _compiled_osborne() -> Callable[[Array, int, float], Array]:
+def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
     """Osborne's iteration; compiled here, so that numba is imported where it is used only."""
     import numba as nb
 
     @nb.njit(cache=True, error_model="numpy")
-    def osborne(log: Array, sweeps: int, tol: float) -> Array:
-        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about the same norm.
+    def osborne(log: Array, e: Array, sweeps: int, tol: float) -> None:
+        """Exponents e (zeros at first) such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm.
 
         The norms come as logarithms to base 2 (-inf on the diagonal): their squares span more decades than floats do.
         """
         n = len(log)
-        e = np.zeros(n)
         for _ in range(sweeps):
             largest = 0.0
             for i in range(n):
@@ -148,6 +148,5 @@ def _compiled_osborne() -> Callable[[Array, int, float], Array]:
                 largest = max(largest, abs(step))
             if largest < tol:
                 break
-        return e
 
     return osborne

@@ -27,8 +27,6 @@ Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Lin
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
@@ -58,15 +56,22 @@ def primal_dual(
         ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid, another
         method may find a better one.
     """
-    from robustlab.mu_analysis.matrix.primal_dual_kernels import descend
+    from robustlab.mu_analysis.matrix import primal_dual_kernels as kernels
 
     scale, goal = _scale_and_goal(M, target)
-    eye = np.broadcast_to(np.eye(space.q, dtype=complex), (len(M), space.q, space.q))
-    tall = np.concatenate([eye, M / scale[:, None, None]], axis=1)
-    pattern = _pattern(space)
-    x, settled = np.empty((len(M), space.size)), np.empty(len(M), dtype=bool)
+    entries, trace, orders = _sparse_map(space)
+    n, size = space.q + space.p, space.size
+    W, J = np.empty((kernels.MATRICES, 2 * space.q, space.q), dtype=complex), np.empty((2, n, n), dtype=complex)
+    H, V = np.empty((size, size)), np.empty((kernels.VECTORS, max(size, n)))
+    c = np.stack([space.coefficients, space.coefficients])
+    x, settled = np.empty((len(M), size)), np.empty(len(M), dtype=bool)
     for k in range(len(M)):
-        x[k], settled[k] = descend(space.identity.copy(), TUNING.start, tall[k], pattern, tol, goal[k], max_steps)
+        W[:], V[:] = 0.0, 0.0
+        V[kernels.AT, :size], V[kernels.TRACE, :size] = space.identity, trace
+        V[kernels.SHORT, :size] = kernels.SHORT_G * space.scales_with_m
+        m = M[k] / scale[k]
+        settled[k] = kernels.descend(W, J, H, V, m, c, entries, orders, TUNING.start, tol, goal[k], max_steps)
+        x[k] = V[kernels.BEST, :size]
     return _in_own_unit(x, space, scale), settled
 
 
@@ -96,29 +101,20 @@ def _in_own_unit(x: Array, space: ScalingSpace, scale: Array) -> Array:
     return np.where(space.scales_with_m, x * scale[:, None], x)
 
 
-class Pattern(NamedTuple):
-    """The entries of the sparse E(x) of `ScalingSpace`, as the compiled code reads them."""
-
-    rows: Indices
-    cols: Indices
-    coefficients: ComplexArray
-    first: Indices  # (size + 1,) where each parameter's entries begin
-    owner: Indices  # (size,) diagonal block of D_w that a parameter belongs to; -1 for those of G
-    trace: Array  # (size,) gradient of the trace of D_w
-    blocks: Indices  # where each diagonal block of D_w begins, and its order last
-
-
-def _pattern(space: ScalingSpace) -> Pattern:
-    """The sparse linear map x -> E(x) of these scalings."""
-    in_w = space.in_w[space.first] > 0
-    owner = np.where(in_w, space.block_of, -1)
-    diagonal = (space.in_w > 0) & (space.rows == space.cols)
-    trace = np.add.reduceat(diagonal.astype(float), space.first)
+def _sparse_map(space: ScalingSpace) -> tuple[Indices, Array, Indices]:
+    """The entries of the sparse E(x) as the compiled code reads them, the gradient of tr D_w, and orders of blocks."""
     # D_w of a full block is a multiple of the identity: diagonal blocks of order one.
-    sizes = [[1] * b.rows if b.d_order == 1 else [b.rows] for b in space.blocks]
-    corners = np.cumsum([0, *(size for part in sizes for size in part)])
-    first = np.append(space.first, len(space.rows))
-    return Pattern(space.rows, space.cols, space.coefficients, first, owner, trace, corners)
+    orders = np.concatenate([[1] * b.rows if b.d_order == 1 else [b.rows] for b in space.blocks])
+    low = np.repeat(np.cumsum(orders) - orders, orders)  # where the block begins that a row of D_w lies in
+    parameter = np.repeat(np.arange(space.size), np.diff(space.first, append=len(space.rows)))
+    in_w = np.flatnonzero(space.in_w)
+    of_block = low[space.rows[in_w]]
+    place, begin = np.full((2, len(parameter)), -1)
+    place[in_w] = space.cols[in_w] - of_block
+    _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
+    begin[in_w] = in_w[first][block]
+    trace = np.bincount(parameter, (space.in_w > 0) & (space.rows == space.cols)).astype(float)
+    return np.stack([space.rows, space.cols, parameter, place, begin]), trace, np.append(space.q, orders)
 
 
 class _Path:

@@ -5,338 +5,297 @@ Importing this module imports numba. The matrices have order 2 to 100: too small
 loops are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out,
 the bound is that of `certificate.certified_level`.
 
+Nothing is allocated here, few kinds of arrays are handed on, and no kernel is called from more levels than needed:
+these are what numba takes its time for, and the first bound of an installation waits for it. The arrays are
+
+W
+    ``(10, 2 q, q)``: in each matrix a block-diagonal one, a first block of order q and below it the smaller ones of
+    ``orders``, each beginning in column 0. So F stands above ``S = D_w``, and Z, the dual of F, above Y, that of S.
+J
+    ``(2, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
+H
+    Newton matrix, then its Cholesky factor.
+V
+    Real vectors: an element for each parameter (in ACROSS and BACK for each row of E), then zeros.
+M
+    The matrix (p, q).
+c
+    Coefficients of the entries of the sparse E(x); in row 1 those of D_w times t.
+entries
+    For each entry of E, in the order of the parameters: row, column, parameter; for those of D_w the column in its
+    block of S, and the first entry that lies in this block (-1 for all others).
+
+Matrices of W and vectors of V go by their index: ``product(W, A, P, DX, orders)`` is ``A = P dX``.
+
 All of it is one file because numba's cache asks for changes in the file of the function that is called, no other.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import Any
 
 import numba as nb
 import numpy as np
 
 FAST = {"contract", "reassoc", "nsz"}  # sums in any order; NaN and infinity keep their meaning: tests need it
-ENTRY: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": FAST}
-# The others are called from compiled code only: without entrances from Python they compile in half the time. For the
-# same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
+ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": FAST}
+# The others are called from compiled code only: without entrances from Python they compile in half the time. The cache
+# holds `descend` with all of them in it.
 INSIDE: dict[str, Any] = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Parts of `descend` with one caller: a kernel of their own would optimise once more what they call.
+PART: dict[str, Any] = INSIDE | {"inline": "always"}
+
+# Indices are integers of numpy: for one of Python numba makes a type of its own, and a kernel for each of them.
+MATRICES, VECTORS = 10, 13
+# (F, S), its inverse (P, T), the duals (Z, Y); the steps of the first and the third; D_w in the place of F, and its
+# step there times that of t; terms of second order in the dual; room for products.
+X, P, Z, DX, DZ, D, BEND, SECOND, A, B = np.arange(MATRICES)
+# x, its step, the best x; gradient of the trace of D_w; weight of |x|^2 beside the barrier; downward slope of the
+# barrier; border of H, and the solutions for it and for the trace; terms of second order; scaling of H; two of sums.
+AT, STEP, BEST, TRACE, SHORT, DOWN, BORDER, BY_BORDER, BY_TRACE, BENT, SCALE, ACROSS, BACK = np.arange(VECTORS)
+ROW, COL, OF, PLACE, BEGIN = np.arange(5)  # in entries
+AT_P, AT_Z = np.arange(2)  # in J: of P, and of Z or a product
 
 # Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
 SHORT_G = 1e-4
 
 
-class Point(NamedTuple):
-    """F and ``S = D_w`` at one x and t, and their inverses P and T."""
-
-    F: np.ndarray
-    S: np.ndarray
-    P: np.ndarray
-    T: np.ndarray
-
-
-class System(NamedTuple):
-    """Newton system: factor H of the part of x, borders b and its solutions, and the 2 x 2 Schur complement."""
-
-    H: np.ndarray
-    scale: np.ndarray
-    b: np.ndarray
-    Hb: np.ndarray
-    Hc: np.ndarray
-    tt: float
-    tc: float
-    cc: float
-    centring: np.ndarray
-    centring_t: float
-
-
-class Second(NamedTuple):
-    """Products of two steps, which a Newton step leaves out and the corrector puts back."""
-
-    bend: np.ndarray  # dt dD_w, in F
-    twist: np.ndarray  # dF dZ
-    twist_d: np.ndarray  # T dS dY
-    push: np.ndarray  # dt <dZ, D_i>
-    push_t: float  # <dZ, dD_w>
-
-
-class Direction(NamedTuple):
-    """Change of all unknowns, and of F to first order."""
-
-    dx: np.ndarray
-    dt: float
-    dF: np.ndarray
-    dS: np.ndarray
-    dZ: np.ndarray
-    dY: np.ndarray
+@nb.njit(**INSIDE)
+def combine(W, out, a, x, b, y):
+    """``a X + b Y``."""
+    for i in range(W.shape[1]):
+        for j in range(W.shape[2]):
+            W[out, i, j] = a * W[x, i, j] + b * W[y, i, j]
 
 
 @nb.njit(**INSIDE)
-def product(A, B):
-    """``A B``."""
-    n, inner = A.shape
-    C = np.zeros((n, B.shape[1]), dtype=np.complex128)
-    for i in range(n):
-        for k in range(inner):
-            a = A[i, k]
-            for j in range(B.shape[1]):
-                C[i, j] += a * B[k, j]
-    return C
+def product(W, out, x, y, orders):
+    """``X Y``."""
+    top = 0
+    for m in orders:
+        for i in range(m):
+            for j in range(m):
+                W[out, top + i, j] = 0.0
+            for k in range(m):
+                a = W[x, top + i, k]
+                for j in range(m):
+                    W[out, top + i, j] += a * W[y, top + k, j]
+        top += m
 
 
 @nb.njit(**INSIDE)
-def along(X, a, Y):
-    """``X + a Y``."""
-    C = np.empty(X.shape, dtype=np.complex128)
-    for i in range(X.shape[0]):
-        for j in range(X.shape[1]):
-            C[i, j] = X[i, j] + a * Y[i, j]
-    return C
-
-
-@nb.njit(**INSIDE)
-def dot(x, y):
-    """Scalar product."""
-    total = 0.0
-    for i in range(len(x)):
-        total += x[i] * y[i]
-    return total
-
-
-@nb.njit(**INSIDE)
-def shift(x, a, y):
-    """``x += a y`` in place."""
-    for i in range(len(x)):
-        x[i] += a * y[i]
-
-
-@nb.njit(**INSIDE)
-def symmetrise(X):
+def symmetrise(W, x, orders):
     """Replace X by its Hermitian part."""
-    for i in range(len(X)):
-        X[i, i] = X[i, i].real
-        for j in range(i):
-            value = 0.5 * (X[i, j] + np.conj(X[j, i]))
-            X[i, j] = value
-            X[j, i] = np.conj(value)
-    return X
+    top = 0
+    for m in orders:
+        for i in range(m):
+            for j in range(i + 1):
+                value = 0.5 * (W[x, top + i, j] + W[x, top + j, i].conjugate())
+                W[x, top + i, j] = value
+                W[x, top + j, i] = value.conjugate()
+        top += m
 
 
 @nb.njit(**INSIDE)
-def inner(X, Y):
+def inner(W, x, y):
     """``tr(X Y)`` of Hermitian matrices."""
     total = 0.0
-    for i in range(len(X)):
-        for j in range(len(X)):
-            total += X[i, j].real * Y[i, j].real + X[i, j].imag * Y[i, j].imag
+    for i in range(W.shape[1]):
+        for j in range(W.shape[2]):
+            total += W[x, i, j].real * W[y, i, j].real + W[x, i, j].imag * W[y, i, j].imag
     return total
 
 
 @nb.njit(**INSIDE)
-def factor(X, blocks, L):
-    """Cholesky factor of each diagonal block into L; its log-determinant, or NaN where X is not positive definite."""
-    log = 0.0
-    for b in range(len(blocks) - 1):
-        low, high = blocks[b], blocks[b + 1]
-        for i in range(low, high):
-            for j in range(low, i + 1):
-                value = X[i, j]
-                for k in range(low, j):
-                    value -= L[i, k] * np.conj(L[j, k])
+def raise_small(W, out, a, x, orders):
+    """The smaller blocks of X, times a, where they stand in a matrix of order q."""
+    q, low = W.shape[2], 0
+    for m in orders[1:]:
+        for i in range(m):
+            for j in range(m):
+                W[out, low + i, low + j] = a * W[x, q + low + i, j]
+        low += m
+
+
+@nb.njit(**INSIDE)
+def lower_large(W, out, a, x, orders):
+    """The adjoint: to the smaller blocks what stands in their places in the first block of X, times a, is added."""
+    q, low = W.shape[2], 0
+    for m in orders[1:]:
+        for i in range(m):
+            for j in range(m):
+                W[out, q + low + i, j] += a * W[x, low + i, low + j]
+        low += m
+
+
+@nb.njit(**INSIDE)
+def factor(W, x, orders):
+    """Cholesky factor of X in its place; False where X is not positive definite."""
+    top = 0
+    for m in orders:
+        for i in range(m):
+            for j in range(i + 1):
+                value = W[x, top + i, j]
+                for k in range(j):
+                    value -= W[x, top + i, k] * W[x, top + j, k].conjugate()
                 if j < i:
-                    L[i, j] = value * (1 / L[j, j].real)
-                elif value.real > 1e-15 * X[i, i].real and value.real < np.inf:
-                    L[i, i] = np.sqrt(value.real)
-                    log += np.log(value.real)
+                    W[x, top + i, j] = value * (1 / W[x, top + j, j].real)
+                elif value.real > 1e-15 * W[x, top + i, i].real and value.real < np.inf:
+                    W[x, top + i, i] = math.sqrt(value.real)
                 else:
-                    return np.nan
-    return log
+                    return False
+        top += m
+    return True
 
 
 @nb.njit(**INSIDE)
-def inverse(L, blocks):
-    """``(L L^*)^-1`` for a block-diagonal Cholesky factor."""
-    n = len(L)
-    R = np.zeros((n, n), dtype=np.complex128)
-    P = np.zeros((n, n), dtype=np.complex128)
-    for b in range(len(blocks) - 1):
-        low, high = blocks[b], blocks[b + 1]
-        for i in range(low, high):
-            for k in range(low, i):
-                a = L[i, k]
-                for j in range(low, k + 1):
-                    R[i, j] -= a * R[k, j]
-            R[i, i] = 1.0
-            for j in range(low, i + 1):
-                R[i, j] *= 1 / L[i, i].real
-        for k in range(low, high):
-            for i in range(low, k + 1):
-                a = np.conj(R[k, i])
-                for j in range(low, i + 1):
-                    P[i, j] += a * R[k, j]
-        for i in range(low, high):
-            for j in range(low, i):
-                P[j, i] = np.conj(P[i, j])
-    return P
+def inverse(W, out, x, room, orders):
+    """``(L L^*)^-1`` for the Cholesky factor L in X; room receives the inverse of L."""
+    top = 0
+    for m in orders:
+        for i in range(m):
+            for j in range(m):
+                W[room, top + i, j] = W[out, top + i, j] = 0.0
+            for k in range(i):
+                a = W[x, top + i, k]
+                for j in range(k + 1):
+                    W[room, top + i, j] -= a * W[room, top + k, j]
+            W[room, top + i, i] = 1.0
+            for j in range(i + 1):
+                W[room, top + i, j] *= 1 / W[x, top + i, i].real
+        for k in range(m):
+            for i in range(k + 1):
+                a = W[room, top + k, i].conjugate()
+                for j in range(i + 1):
+                    W[out, top + i, j] += a * W[room, top + k, j]
+        for i in range(m):
+            for j in range(i):
+                W[out, top + j, i] = W[out, top + i, j].conjugate()
+        top += m
 
 
 @nb.njit(**INSIDE)
-def block_product(A, B, blocks):
-    """``A B`` of block-diagonal matrices."""
-    C = np.zeros_like(A)
-    for b in range(len(blocks) - 1):
-        for i in range(blocks[b], blocks[b + 1]):
-            for k in range(blocks[b], blocks[b + 1]):
-                a = A[i, k]
-                for j in range(blocks[b], blocks[b + 1]):
-                    C[i, j] += a * B[k, j]
-    return C
-
-
-@nb.njit(**INSIDE)
-def form(x, t, tall, pattern):
-    """``U E(x) U^*``, the entries of D_w times t; ``tall`` is ``U^* = [I; M]``."""
-    q = tall.shape[1]
-    B = np.zeros((len(tall), q), dtype=np.complex128)
-    for i in range(len(x)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            a = pattern.coefficients[e] * x[i]
-            row, col = pattern.rows[e], pattern.cols[e]
-            if row < q and col < q:
-                B[row, col] += a * t
-            else:
-                for j in range(q):
-                    B[row, j] += a * tall[col, j]
-    lower = np.zeros((q, q), dtype=np.complex128)  # M^* times the rows of z
-    for k in range(q, len(tall)):
-        for i in range(q):
-            a = np.conj(tall[k, i])
+def form(W, out, J, V, x, M, c, entries):
+    """``U E(x) U^*``, and ``D_w(x)``."""
+    p, q = M.shape
+    for i in range(2 * q):
+        for j in range(q):
+            W[out, i, j] = 0.0
+    for i in range(q + p):
+        for j in range(q):
+            J[1, i, j] = 0.0
+    for e in range(c.shape[1]):
+        row, col, value = entries[ROW, e], entries[COL, e], V[x, entries[OF, e]]
+        if col < q:
+            J[1, row, col] += value * c[1, e]
+        else:
             for j in range(q):
-                lower[i, j] += a * B[k, j]
-    return symmetrise(along(B[:q], 1.0, lower))
-
-
-@nb.njit(**INSIDE)
-def d_form(x, pattern):
-    """``D_w(x)``."""
-    q = pattern.blocks[-1]
-    W = np.zeros((q, q), dtype=np.complex128)
-    for i in range(len(x)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            if pattern.rows[e] < q and pattern.cols[e] < q:
-                W[pattern.rows[e], pattern.cols[e]] += pattern.coefficients[e] * x[i]
-    return W
-
-
-@nb.njit(**INSIDE)
-def sandwich(X, tall):
-    """``U^* X U``."""
-    n, q = tall.shape
-    W = np.empty((n, n), dtype=np.complex128)
+                J[1, row, j] += value * c[1, e] * M[col - q, j]
+        if entries[BEGIN, e] >= 0:
+            W[out, q + row, entries[PLACE, e]] += value * c[0, e]
     for i in range(q):
         for j in range(q):
-            W[i, j] = X[i, j]
-    J = product(tall[q:], X)
-    for i in range(n - q):
+            W[out, i, j] = J[1, i, j]
+    for k in range(p):
+        for i in range(q):
+            a = M[k, i].conjugate()
+            for j in range(q):
+                W[out, i, j] += a * J[1, q + k, j]
+
+
+@nb.njit(**INSIDE)
+def sandwich(W, x, J, out, M):
+    """``U^* X U`` of the first block of X."""
+    p, q = M.shape
+    for i in range(q):
         for j in range(q):
-            W[q + i, j] = J[i, j]
-            W[j, q + i] = np.conj(J[i, j])
-    for i in range(n - q):
-        for j in range(i + 1):
+            J[out, i, j] = W[x, i, j]
+    for i in range(q, q + p):
+        for j in range(q):
+            J[out, i, j] = 0.0
+        for k in range(q):
+            for j in range(q):
+                J[out, i, j] += M[i - q, k] * W[x, k, j]
+        for j in range(q):
+            J[out, j, i] = J[out, i, j].conjugate()
+        for j in range(q, i + 1):
             value = 0j
             for k in range(q):
-                value += J[i, k] * np.conj(tall[q + j, k])
-            W[q + i, q + j] = value
-            W[q + j, q + i] = np.conj(value)
-    return W
+                value += J[out, i, k] * M[j - q, k].conjugate()
+            J[out, i, j] = value
+            J[out, j, i] = value.conjugate()
 
 
 @nb.njit(**INSIDE)
-def traces(W, t, pattern):
-    """``tr(F_i X)`` of each parameter, from ``W = U^* X U``; the entries of D_w times t."""
-    q = pattern.blocks[-1]
-    out = np.zeros(len(pattern.trace))
-    for i in range(len(out)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            row, col = pattern.rows[e], pattern.cols[e]
-            out[i] += (pattern.coefficients[e] * W[col, row]).real * (t if row < q and col < q else 1.0)
-    return out
+def traces(W, x, J, at, V, out, c, entries):
+    """``tr(F_i X) + tr(D_i Y)`` of each parameter, from ``U^* X U`` in J and Y in the smaller blocks of X."""
+    q = W.shape[2]
+    for i in range(V.shape[1]):
+        V[out, i] = 0.0
+    for e in range(c.shape[1]):
+        row, col = entries[ROW, e], entries[COL, e]
+        value = c[1, e] * J[at, col, row]
+        if entries[BEGIN, e] >= 0:
+            value += c[0, e] * W[x, q + col, row - col + entries[PLACE, e]]
+        V[out, entries[OF, e]] += value.real
 
 
 @nb.njit(**INSIDE)
-def d_traces(X, pattern):
-    """``tr(D_i X)`` of each parameter."""
-    q = pattern.blocks[-1]
-    out = np.zeros(len(pattern.trace))
-    for i in range(len(out)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            if pattern.rows[e] < q and pattern.cols[e] < q:
-                out[i] += (pattern.coefficients[e] * X[pattern.cols[e], pattern.rows[e]]).real
-    return out
-
-
-@nb.njit(**INSIDE)
-def curvature(V, W, t, T, Y, pattern, short):
-    """``Re tr(F_i P F_j Z) + Re tr(D_i T D_j Y)`` from ``V = U^* P U`` and ``W = U^* Z U``; lower half.
-
-    With the curvature of ``short |G|^2 / 2``.
-    """
-    n, q = len(pattern.trace), pattern.blocks[-1]
-    rows, cols, first, owner = pattern.rows, pattern.cols, pattern.first, pattern.owner
-    c = np.empty(len(rows), dtype=np.complex128)
-    for e in range(len(c)):
-        c[e] = pattern.coefficients[e] * (t if rows[e] < q and cols[e] < q else 1.0)
-    H = np.zeros((n, n))
-    for i in range(n):
+def curvature(W, J, H, c, entries):
+    """``Re tr(F_i P F_j Z) + Re tr(D_i T D_j Y)`` from ``U^* P U`` and ``U^* Z U`` in J; lower half."""
+    q, end = W.shape[2], 0
+    for i in range(len(H)):
         for j in range(i + 1):
-            total = 0.0
-            for e in range(first[i], first[i + 1]):
-                row, col, a = rows[e], cols[e], c[e]
-                for f in range(first[j], first[j + 1]):
-                    total += (a * V[col, rows[f]] * (c[f] * W[cols[f], row])).real
-            if owner[i] >= 0 and owner[i] == owner[j]:
-                for e in range(first[i], first[i + 1]):
-                    for f in range(first[j], first[j + 1]):
-                        if rows[e] < q and rows[f] < q:
-                            a = pattern.coefficients[e] * T[cols[e], rows[f]]
-                            total += (a * pattern.coefficients[f] * Y[cols[f], rows[e]]).real
-            H[i, j] = total
-        if owner[i] < 0:
-            H[i, i] += short
-    return H
+            H[i, j] = 0.0
+    for e in range(c.shape[1]):
+        row, col, i, begin = entries[ROW, e], entries[COL, e], entries[OF, e], entries[BEGIN, e]
+        while end < c.shape[1] and entries[OF, end] == i:
+            end += 1
+        for f in range(end):
+            value = c[1, e] * J[0, col, entries[ROW, f]] * (c[1, f] * J[1, row, entries[COL, f]].conjugate())
+            H[i, entries[OF, f]] += value.real
+        if begin >= 0:
+            low = col - entries[PLACE, e]
+            for f in range(begin, end):
+                if entries[BEGIN, f] == begin:
+                    value = c[0, e] * W[P, q + col, entries[ROW, f] - low]
+                    value *= c[0, f] * W[Z, q + row, entries[COL, f] - low].conjugate()
+                    H[i, entries[OF, f]] += value.real
 
 
 @nb.njit(**INSIDE)
-def g_part(x, pattern):
-    """The parameters of G; zeros in place of those of D."""
-    out = np.empty(len(x))
-    for i in range(len(x)):
-        out[i] = x[i] if pattern.owner[i] < 0 else 0.0
-    return out
+def dot(V, x, y):
+    """Scalar product."""
+    total = 0.0
+    for i in range(V.shape[1]):
+        total += V[x, i] * V[y, i]
+    return total
 
 
 @nb.njit(**INSIDE)
-def centring(x, t, V, T, pattern):
-    """Downward slope of the barrier at x, from ``V = U^* P U`` and T."""
-    down = traces(V, t, pattern)
-    shift(down, 1.0, d_traces(T, pattern))
-    shift(down, -SHORT_G, g_part(x, pattern))
-    return down
+def shift(V, x, a, y):
+    """``x += a y`` in place."""
+    for i in range(V.shape[1]):
+        V[x, i] += a * V[y, i]
 
 
 @nb.njit(**INSIDE)
-def newton_factor(H):
-    """Cholesky factor of H in diagonal scaling, in place, and the scaling; directions without curvature stay put."""
-    n = len(H)
-    scale = np.empty(n)
-    largest = 0.0
+def newton_factor(H, V, short):
+    """Cholesky factor of H in diagonal scaling, in place; directions without curvature stay put.
+
+    The curvature of ``short`` times the weighted |x|^2 / 2 is added before.
+    """
+    n, largest = len(H), 0.0
     for i in range(n):
+        H[i, i] += short * V[SHORT, i]
         largest = max(largest, H[i, i])
     for i in range(n):
         flat = not H[i, i] > 1e-14 * largest
-        scale[i] = 1 / np.sqrt(largest if flat else H[i, i])
+        V[SCALE, i] = 1 / math.sqrt(largest if flat else H[i, i])
         for j in range(i):
-            H[i, j] *= scale[i] * scale[j]
-        H[i, i] = H[i, i] * scale[i] ** 2 + 1e-13 + (1.0 if flat else 0.0)
+            H[i, j] *= V[SCALE, i] * V[SCALE, j]
+        H[i, i] = 1e-13 + (1.0 if flat else 0.0) + H[i, i] * V[SCALE, i] * V[SCALE, i]
     for i in range(n):
         for j in range(i + 1):
             value = H[i, j]
@@ -345,253 +304,221 @@ def newton_factor(H):
             if j < i:
                 H[i, j] = value / H[j, j]
             elif value > 0 and value < np.inf:
-                H[i, i] = np.sqrt(value)
+                H[i, i] = math.sqrt(value)
             else:
-                return scale, False
-    return scale, True
+                return False
+    return True
 
 
 @nb.njit(**INSIDE)
-def newton_solve(H, scale, right):
+def newton_solve(H, V, out, right):
     """Solution for one right-hand side."""
     n = len(H)
-    y = np.empty(n)
     for i in range(n):
-        value = right[i] * scale[i]
+        value = V[right, i] * V[SCALE, i]
         for k in range(i):
-            value -= H[i, k] * y[k]
-        y[i] = value / H[i, i]
+            value -= H[i, k] * V[out, k]
+        V[out, i] = value / H[i, i]
     for i in range(n - 1, -1, -1):
-        y[i] /= H[i, i]
+        V[out, i] /= H[i, i]
         for k in range(i):
-            y[k] -= H[i, k] * y[i]
+            V[out, k] -= H[i, k] * V[out, i]
     for i in range(n):
-        y[i] *= scale[i]
-    return y
+        V[out, i] *= V[SCALE, i]
 
 
 @nb.njit(**INSIDE)
-def longest(X, dX, bend, S, dS, blocks, top, halvings):
-    """Largest step a up to ``top``, by bisection, with ``X + a dX + a^2 bend > 0`` and ``S + a dS > 0``."""
-    L, whole = np.zeros_like(X), np.array([0, len(X)])
+def longest(W, x, dx, bend, orders, top, close):
+    """Largest step a up to ``top``, by bisection, with ``X + a dX + a^2 bend BEND > 0``."""
     low, high, a = 0.0, top, top
-    for _ in range(3 * halvings):
-        inside = np.isfinite(factor(along(S, a, dS), blocks, L))
-        inside = inside and np.isfinite(factor(along(along(X, a, dX), a * a, bend), whole, L))
-        low, high = (a, high) if inside else (low, a)
-        # A step was found and is known to a part of 2^-halvings of the longest one thinkable.
-        if low == top or (low > 0 and high - low <= top * 0.5**halvings):
+    for _ in range(15):
+        combine(W, A, 1.0, x, a, dx)
+        combine(W, A, 1.0, A, a * a * bend, BEND)
+        if factor(W, A, orders):
+            low = a
+        else:
+            high = a
+        # A step was found and is known to a small part of the longest one thinkable.
+        if low == top or (low > 0 and high - low <= close * top):
             break
         a = 0.5 * (low + high)
     return low
 
 
-@nb.njit(**INSIDE)
-def evaluate(x, t, tall, pattern):
-    """The point at x and t, and its barrier (NaN where F or D is not positive definite: no inverses then)."""
-    q = tall.shape[1]
-    S = d_form(x, pattern)
-    F = form(x, t, tall, pattern)
-    L, K, whole = np.zeros_like(F), np.zeros_like(S), np.array([0, q])
-    barrier = -factor(F, whole, L) - factor(S, pattern.blocks, K)
-    if np.isfinite(barrier):
-        return Point(F, S, inverse(L, whole), inverse(K, pattern.blocks)), barrier
-    return Point(F, S, L, K), barrier
+@nb.njit(**PART)
+def evaluate(W, J, V, M, c, entries, orders, t):
+    """F, S and their inverses at x and t; False where they are not positive definite."""
+    for e in range(c.shape[1]):
+        c[1, e] = c[0, e] * (t if entries[BEGIN, e] >= 0 else 1.0)
+    form(W, X, J, V, AT, M, c, entries)
+    symmetrise(W, X, orders)
+    raise_small(W, D, 1.0, X, orders)
+    combine(W, A, 1.0, X, 0.0, X)
+    good = factor(W, A, orders)
+    if good:
+        inverse(W, P, A, B, orders)
+    return good
 
 
 @nb.njit(**INSIDE)
-def descent(point, dF, dS, barrier, blocks, linear, square):
-    """A step along dF, dS that lowers the barrier well: the longest, then shorter ones as long as they do better."""
-    F, S = point.F, point.S
-    L, K, whole = np.zeros_like(F), np.zeros_like(S), np.array([0, len(F)])
-    a = 0.9 * longest(F, dF, L.copy(), S, dS, blocks, 4.0, 4)
-    best, best_a = barrier, 0.0
-    for _ in range(20):
-        trial = -factor(along(F, a, dF), whole, L) - factor(along(S, a, dS), blocks, K)
-        trial += a * linear + a * a * square
-        if trial < best:
-            best, best_a = trial, a
-        elif best_a > 0:
-            break
-        a *= 0.6
-    return best_a
-
-
-@nb.njit(**INSIDE)
-def centre(x, t, tall, pattern):
-    """Newton steps of x, in place, to the analytic centre at t: their number, or -1, and feasible Z and Y there."""
-    q, blocks = tall.shape[1], pattern.blocks
-    none = np.zeros((q, q), dtype=np.complex128)
-    for count in range(30):
-        point, barrier = evaluate(x, t, tall, pattern)
-        if not np.isfinite(barrier):
-            break
-        P, T = point.P, point.T
-        V = sandwich(P, tall)
-        H = curvature(V, V, t, T, T, pattern, SHORT_G)
-        scale, good = newton_factor(H)
-        if not good:
-            break
-        down = centring(x, t, V, T, pattern)
-        dx, keep = newton_solve(H, scale, down), newton_solve(H, scale, pattern.trace)
-        shift(dx, -dot(pattern.trace, dx) / dot(pattern.trace, keep), keep)
-        dF = form(dx, t, tall, pattern)
-        dS = d_form(dx, pattern)
-        if dot(down, dx) < 0.8:
-            whole = np.array([0, q])
-            # Z = P - P dF P is positive definite for a decrement below one, and on the tangent of all constraints.
-            pair = along(P, -1.0, product(product(P, dF), P))
-            pair_d = along(T, -1.0, block_product(block_product(T, dS, blocks), T, blocks))
-            size = inner(pair, point.S)
-            if not (size > 0 and np.isfinite(factor(pair, whole, none.copy()))):
-                break
-            return count + 1, along(none, 1 / size, symmetrise(pair)), along(none, 1 / size, symmetrise(pair_d))
-        G, dG = g_part(x, pattern), g_part(dx, pattern)
-        a = descent(point, dF, dS, barrier, blocks, SHORT_G * dot(G, dG), 0.5 * SHORT_G * dot(dG, dG))
-        if a == 0:
-            break
-        shift(x, a, dx)
-    return -1, none, none
-
-
-@nb.njit(**INSIDE)
-def allowance(x, tall, point, pattern):
+def allowance(W, V, M, c, entries, orders):
     """How far rounding can blur t, with D scaled to a unit diagonal (an estimate: it picks the best iterate)."""
-    n, q = tall.shape
-    scale = np.ones(n)
-    for i in range(len(x)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            if pattern.rows[e] == pattern.cols[e]:
-                scale[pattern.rows[e]] = 1 / np.sqrt(x[i])
-    # Row sums of |M|^T |D_z| |M| + |G| |M| + |M|^T |G|^T: products with a vector of ones.
-    through, inward, rows = np.zeros(n), np.zeros(n), np.zeros(q)
-    for i in range(q, n):
+    p, q = M.shape
+    low, widest, largest = 0, 0.0, 0.0
+    for m in orders[1:]:
+        for i in range(m):
+            size = W[X, q + low + i, i].real
+            V[ACROSS, low + i] = 1 / math.sqrt(size)
+            widest = max(widest, size * W[P, q + low + i, i].real)
+        low += m
+    # Row sums of |U| |E(x)| |U^*|: products with a vector of ones.
+    for k in range(p):
+        V[ACROSS, q + k] = 0.0
         for j in range(q):
-            through[i] += abs(tall[i, j]) * scale[j] / scale[i]
-    for i in range(len(x)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            row, col = pattern.rows[e], pattern.cols[e]
-            size = abs(pattern.coefficients[e] * x[i]) * scale[row] * scale[col]
-            if row >= q:
-                inward[row] += size * (through[col] if col >= q else 1.0)
-            elif col >= q:
-                rows[row] += size * through[col]
-    largest, smallest = 0.0, 0.0
+            V[ACROSS, q + k] += (abs(M[k, j].real) + abs(M[k, j].imag)) * V[ACROSS, j]
+    for i in range(q + p):
+        V[BACK, i] = 0.0
+    for e in range(c.shape[1]):
+        size = (abs(c[1, e].real) + abs(c[1, e].imag)) * abs(V[AT, entries[OF, e]])
+        V[BACK, entries[ROW, e]] += size * V[ACROSS, entries[COL, e]]
     for j in range(q):
-        for i in range(q, n):
-            rows[j] += abs(tall[i, j]) * scale[j] / scale[i] * inward[i]
-        largest = max(largest, rows[j])
-        smallest = max(smallest, point.S[j, j].real * point.T[j, j].real)
-    return 4e-15 * n * smallest * largest
+        for k in range(p):
+            V[BACK, j] += (abs(M[k, j].real) + abs(M[k, j].imag)) * V[BACK, q + k]
+        largest = max(largest, V[BACK, j] * V[ACROSS, j])
+    return 4e-15 * (q + p) * widest * largest
 
 
-@nb.njit(**INSIDE)
-def newton_system(x, t, tall, pattern, point, Z, Y, nu):
-    """The factorised system in dx, and what is left of it for dt and the multiplier of the fixed trace."""
-    V, W = sandwich(point.P, tall), sandwich(Z, tall)
-    H = curvature(V, W, t, point.T, Y, pattern, nu * SHORT_G)
-    scale, good = newton_factor(H)
-    X = symmetrise(product(product(point.P, point.S), Z))
-    b = traces(sandwich(X, tall), t, pattern)
-    shift(b, -1.0, d_traces(Z, pattern))
-    Hb, Hc = newton_solve(H, scale, b), newton_solve(H, scale, pattern.trace)
-    tt, tc, cc = inner(X, point.S) - dot(b, Hb), -dot(b, Hc), -dot(pattern.trace, Hc)
-    good = good and tt * cc - tc * tc != 0
-    return System(H, scale, b, Hb, Hc, tt, tc, cc, centring(x, t, V, point.T, pattern), inner(point.P, point.S)), good
+@nb.njit(**PART)
+def newton_system(W, J, H, V, M, c, entries, orders, nu):
+    """The factorised system in dx, bordered by dt and the multiplier of the fixed trace; no terms of second order yet.
+
+    Returns the diagonal element of t, NaN where the system cannot be solved.
+    """
+    sandwich(W, P, J, AT_P, M)
+    sandwich(W, Z, J, AT_Z, M)
+    curvature(W, J, H, c, entries)
+    good = newton_factor(H, V, nu)
+    traces(W, P, J, AT_P, V, DOWN, c, entries)
+    for i in range(V.shape[1]):
+        V[DOWN, i] -= V[SHORT, i] * V[AT, i]
+        V[BENT, i] = 0.0
+    combine(W, SECOND, 0.0, P, 0.0, P)
+    product(W, A, P, D, orders)
+    product(W, B, A, Z, orders)
+    symmetrise(W, B, orders)
+    tt = inner(W, B, D)
+    lower_large(W, B, -1.0, Z, orders)
+    sandwich(W, B, J, AT_Z, M)
+    traces(W, B, J, AT_Z, V, BORDER, c, entries)
+    newton_solve(H, V, BY_BORDER, BORDER)
+    newton_solve(H, V, BY_TRACE, TRACE)
+    return tt if good else np.nan
 
 
-@nb.njit(**INSIDE)
-def direction(tall, t, pattern, system, point, Z, Y, nu, second):
-    """Newton direction to the point of the central path with ``F Z = nu I``; ``second`` holds terms of second order."""
-    blocks, P, T = pattern.blocks, point.P, point.T
-    C = symmetrise(product(P, along(product(second.bend, Z), 1.0, second.twist)))
-    right = second.push.copy()
-    shift(right, nu, system.centring)
-    shift(right, -1.0, traces(sandwich(C, tall), t, pattern))
-    shift(right, -1.0, d_traces(second.twist_d, pattern))
-    right_t = nu * system.centring_t - 1.0 + second.push_t - inner(C, point.S)
-    y = newton_solve(system.H, system.scale, right)
-    r1, r2 = right_t - dot(system.b, y), -dot(pattern.trace, y)
-    determinant = system.tt * system.cc - system.tc * system.tc
-    dt = (r1 * system.cc - system.tc * r2) / determinant
-    dx = y.copy()
-    shift(dx, -dt, system.Hb)
-    shift(dx, -(system.tt * r2 - system.tc * r1) / determinant, system.Hc)
-    dS = d_form(dx, pattern)
-    dF = along(form(dx, t, tall, pattern), dt, point.S)
-    curved = along(product(along(dF, 1.0, second.bend), Z), 1.0, second.twist)
-    dZ = along(along(Z, 1.0, symmetrise(product(P, curved))), -nu, P)
-    dY = along(symmetrise(block_product(block_product(T, dS, blocks), Y, blocks)), 1.0, second.twist_d)
-    dY = along(along(dY, 1.0, Y), -nu, T)
-    zero = np.zeros_like(dZ)
-    return Direction(dx, dt, dF, dS, along(zero, -1.0, dZ), along(zero, -1.0, dY))
+@nb.njit(**PART)
+def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
+    """Newton direction to the point of the central path with ``F Z = nu I``, and its change of t.
+
+    ``tt`` is the diagonal element of t, infinite where t is to stay. Terms of second order: ``bent``, SECOND, BENT.
+    """
+    for i in range(V.shape[1]):
+        V[STEP, i] = nu * V[DOWN, i] + V[BENT, i]
+    newton_solve(H, V, STEP, STEP)
+    tt -= dot(V, BORDER, BY_BORDER)
+    tc, cc = -dot(V, BORDER, BY_TRACE), -dot(V, TRACE, BY_TRACE)
+    r1 = nu * inner(W, P, D) - 1.0 + bent - dot(V, BORDER, STEP)
+    r2 = -dot(V, TRACE, STEP)
+    dt = (r1 - tc / cc * r2) / (tt - tc / cc * tc)
+    shift(V, STEP, -dt, BY_BORDER)
+    shift(V, STEP, -(r2 - tc * dt) / cc, BY_TRACE)
+    form(W, DX, J, V, STEP, M, c, entries)
+    combine(W, DX, 1.0, DX, dt, D)
+    product(W, A, DX, Z, orders)
+    product(W, B, P, A, orders)
+    symmetrise(W, B, orders)
+    combine(W, DZ, nu, P, -1.0, Z)
+    combine(W, DZ, 1.0, DZ, -1.0, B)
+    combine(W, DZ, 1.0, DZ, -1.0, SECOND)
+    return dt
 
 
-@nb.njit(**INSIDE)
-def advance(x, t, tall, pattern, point, Z, Y, gap):
-    """One predictor-corrector step, of x in place: change of t, the shorter of both step lengths, and Z, Y after it."""
-    blocks, F, S = pattern.blocks, point.F, point.S
-    q, zero = len(F), np.zeros_like(F)
-    system, good = newton_system(x, t, tall, pattern, point, Z, Y, gap / (2 * q))
-    if not good:
-        return np.nan, 0.0, Z, Y
-    second = Second(zero, zero, zero, np.zeros(len(x)), 0.0)
-    d = direction(tall, t, pattern, system, point, Z, Y, 0.0, second)
-    ap = longest(F, d.dF, zero, S, d.dS, blocks, 1.0, 4)
-    ad = longest(Z, d.dZ, zero, Y, d.dY, blocks, 1.0, 4)
-    ahead = inner(along(F, ap, d.dF), along(Z, ad, d.dZ)) + inner(along(S, ap, d.dS), along(Y, ad, d.dY))
-    ratio = min(max(ahead / gap, 0.0), 1.0)
-    nu = min(max(ratio**2, 1e-3 if min(ap, ad) > 0.9 else 0.05), 0.9) * gap / (2 * q)
-    twist_d = symmetrise(block_product(block_product(point.T, d.dS, blocks), d.dY, blocks))
-    push = np.zeros(len(x))
-    shift(push, d.dt, d_traces(d.dZ, pattern))
-    second = Second(along(zero, d.dt, d.dS), product(d.dF, d.dZ), twist_d, push, inner(d.dZ, d.dS))
-    d = direction(tall, t, pattern, system, point, Z, Y, nu, second)
-    bend = along(zero, d.dt, d.dS)
-    ap = min(1.0, 0.96 * longest(F, d.dF, bend, S, d.dS, blocks, 1.05, 5))
-    ad = min(1.0, 0.96 * longest(Z, d.dZ, zero, Y, d.dY, blocks, 1.05, 5))
-    shift(x, ap, d.dx)
-    return ap * d.dt, min(ap, ad), along(Z, ad, d.dZ), along(Y, ad, d.dY)
+@nb.njit(**PART)
+def second_order(W, J, V, M, c, entries, orders, dt):
+    """Products of two steps, which a Newton step leaves out and the corrector puts back; returns that in t."""
+    raise_small(W, BEND, 1.0, DX, orders)
+    bent = inner(W, DZ, BEND)
+    product(W, A, BEND, Z, orders)
+    product(W, B, DX, DZ, orders)
+    combine(W, A, dt, A, 1.0, B)
+    product(W, SECOND, P, A, orders)
+    symmetrise(W, SECOND, orders)
+    combine(W, A, -1.0, SECOND, 0.0, SECOND)
+    lower_large(W, A, dt, DZ, orders)
+    sandwich(W, A, J, AT_Z, M)
+    traces(W, A, J, AT_Z, V, BENT, c, entries)
+    return bent - inner(W, SECOND, D)
 
 
-@nb.njit(**ENTRY)
-def descend(x, t, tall, pattern, tol, goal, max_steps):
-    """The best x down the central path from x, t, and whether its t is the optimum within ``tol``.
+@nb.njit(cache=True, **ENTRY)
+def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps):
+    """Leave the best x down the central path from x, t in V; whether its t is the optimum within ``tol``.
 
     Or its goal was reached, or shown out of reach.
     """
-    Z = Y = np.zeros((tall.shape[1], tall.shape[1]), dtype=np.complex128)
-    best_x, best_t = x.copy(), np.inf
-    steps, restarts, short, settled = 0, 0, True, False
-    last, left = np.inf, np.inf
-    while steps < max_steps:
-        if short:
-            restarts += 1
-            if restarts > 4:
-                break
-            used, Z, Y = centre(x, t, tall, pattern)
-            if used < 0:
-                break
-            steps += used
-        point, barrier = evaluate(x, t, tall, pattern)
-        if not np.isfinite(barrier):
-            break
-        reached = t + allowance(x, tall, point, pattern)
-        if reached < best_t:
-            best_t = reached
-            best_x = x.copy()
-        gap = inner(Z, point.F) + inner(Y, point.S)
-        # A D far from I makes the gap lie: the steps of t have to die out too.
-        settled = best_t <= max(goal, 0.0) or (gap <= tol * t and left <= 3 * tol * t)
-        settled = settled or (goal > 0 and t - 2 * gap - left > goal)
-        if settled:
-            break
-        move, length, Z, Y = advance(x, t, tall, pattern, point, Z, Y, gap)
-        if not np.isfinite(move):
-            break
-        t += move
-        ratio = min(abs(move / last), 0.95)
-        left, last = abs(move) * ratio / (1 - ratio), move
+    best_t, last, left, gap = np.inf, np.inf, np.inf, 0.0
+    dt = ap = ad = 0.0
+    steps, restarts, centred, settled = 0, 0, False, False
+    shift(V, BEST, 1.0, AT)
+    while steps < max_steps and restarts < 4 and evaluate(W, J, V, M, c, entries, orders, t):
         steps += 1
-        short = length < 0.05
-    return best_x, settled
+        if centred:
+            gap = inner(W, Z, X)
+            reached = t + allowance(W, V, M, c, entries, orders)
+            if reached < best_t:
+                best_t = reached
+                shift(V, BEST, -1.0, BEST)
+                shift(V, BEST, 1.0, AT)
+            # A D far from I makes the gap lie: the steps of t have to die out too.
+            settled = best_t <= goal or best_t <= 0 or (gap <= tol * t and left <= 3 * tol * t)
+            settled = settled or (goal > 0 and t - 2 * gap - left > goal)
+            if settled:
+                break
+            mean, nu, far = gap / W.shape[1], 0.0, 1.05
+        else:
+            # With Z = P and t fixed, the Newton step is that of the barrier, and Z + dZ meets all constraints.
+            combine(W, Z, 1.0, P, 0.0, P)
+            mean, nu, far = 1.0, 1.0, 4.0
+        tt, bent = newton_system(W, J, H, V, M, c, entries, orders, mean), 0.0
+        if not centred:
+            tt += np.inf
+        for corrected in range(2):
+            dt = direction(W, J, H, V, M, c, entries, orders, nu, tt, bent)
+            raise_small(W, BEND, dt, DX, orders)
+            close = 0.032 if corrected else 0.063
+            ap, ad = longest(W, X, DX, 1.0, orders, far, close), longest(W, Z, DZ, 0.0, orders, far, close)
+            if corrected or not centred:
+                break
+            ahead = inner(W, DX, Z) / gap * ap + inner(W, X, DZ) / gap * ad + inner(W, DX, DZ) / gap * ap * ad + 1
+            least = 1e-3 if min(ap, ad) > 0.9 else 0.05
+            ahead = max(ahead, 0.0)
+            nu = mean * min(max(ahead * ahead, least), 0.9)
+            bent = second_order(W, J, V, M, c, entries, orders, dt)
+        if not abs(dt) < np.inf:
+            break
+        if centred:
+            ap, ad = min(0.96 * ap, 1.0), min(0.96 * ad, 1.0)
+            shift(V, AT, ap, STEP)
+            combine(W, Z, 1.0, Z, ad, DZ)
+            t += ap * dt
+            ratio = min(abs(ap * dt / last), 0.95)
+            left, last = abs(ap * dt) * ratio / (1 - ratio), ap * dt
+            if min(ap, ad) < 0.05:
+                restarts, centred = restarts + 1, False
+        elif dot(V, DOWN, STEP) < 0.8:
+            # Z + dZ is positive definite for a decrement below one.
+            size = 1 / (inner(W, P, D) + inner(W, DZ, D))
+            combine(W, Z, size, P, size, DZ)
+            centred = True
+        else:
+            shift(V, AT, max(min(0.7 * ap, 1.0), 0.5 * ap), STEP)
+    return settled

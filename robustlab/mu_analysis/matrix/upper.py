@@ -35,7 +35,7 @@ class UpperBound(Shown):
 
 @cache
 def compile_kernels() -> None:
-    """Compile what the bounds need, half a minute once in an installation; called before a limit's clock starts."""
+    """Compile what the bounds need, some seconds once in an installation; called before a limit's clock starts."""
     blocks = (RealScalar("real"), FullBlock("full", 2, 2))
     upper_bounds(np.array([[[1.0, 2.0, 1j], [0.5, 1j, 1.0], [3.0, 1.0, 0.2]]]), blocks)
 
