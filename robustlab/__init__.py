@@ -17,6 +17,12 @@ _PUBLIC = {
     "load": "storage",
     "save": "storage",
     "export_controller": "storage.controller_export",
+    # delays
+    "DelayedModel": "delays",
+    "delay": "delays",
+    "with_delays": "delays",
+    "neglected_delay": "delays",
+    "neglected_lag": "delays",
     # plants from physics
     "plant": "dynamics",
     "FmuPlant": "dynamics.fmu",

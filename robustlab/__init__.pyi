@@ -1,4 +1,9 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
+from robustlab.delays import DelayedModel as DelayedModel
+from robustlab.delays import delay as delay
+from robustlab.delays import neglected_delay as neglected_delay
+from robustlab.delays import neglected_lag as neglected_lag
+from robustlab.delays import with_delays as with_delays
 from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
@@ -102,6 +107,11 @@ __all__ = [
     "load",
     "save",
     "export_controller",
+    "DelayedModel",
+    "delay",
+    "with_delays",
+    "neglected_delay",
+    "neglected_lag",
     "plant",
     "FmuPlant",
     "PlantEquations",
