@@ -137,6 +137,7 @@ def mixsyn() -> Any:
 OBJECTS: dict[str, Any] = {
     "StateSpaceModel": lambda: spring().nominal,
     "UncertainModel": spring,
+    "DelayedModel": lambda: rl.with_delays(lag(), inputs={"u": 0.5}),
     "Controller": lambda: mixsyn().controller,
     "GeneralizedPlant": lambda: rl.generalized_plant(problem(), ["y"], ["u"]),
     "Record": record,

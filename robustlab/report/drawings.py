@@ -33,6 +33,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # models
     "StateSpaceModel": _MODEL,
     "UncertainModel": _MODEL,
+    "DelayedModel": {kind: name for kind, name in _MODEL.items() if kind != "pzmap"},
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
