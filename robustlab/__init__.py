@@ -66,6 +66,7 @@ _PUBLIC = {
     "small_gain": "mu_analysis.margins.small_gain",
     "disk_margin": "mu_analysis.margins.disk_margin",
     "worst_case_disk_margin": "mu_analysis.margins.worst_case_disk_margin",
+    "delay_stability": "mu_analysis.margins.delay_stability",
     "gap": "uncertainty.distances.gap_metric",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",

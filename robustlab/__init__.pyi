@@ -30,6 +30,7 @@ from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.margins.delay_stability import delay_stability as delay_stability
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
@@ -152,6 +153,7 @@ __all__ = [
     "small_gain",
     "disk_margin",
     "worst_case_disk_margin",
+    "delay_stability",
     "gap",
     "nu_gap",
     "coprime_margin",

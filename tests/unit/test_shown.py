@@ -31,8 +31,8 @@ NAMES = [*shown_objects.OBJECTS, "CampaignResult"]
 PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations"}
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "Conflict", "Conservatism", "CoprimeMargin", "GapMetric", "H2Norm", "HinfNorm", "Influence", "NuGap", "Result",
-    "Reduction", "PlantSamples", "StreamedResponses", "Trim", "WellPosedness", "DcMotor", "PerformanceLimits",
+    "Conflict", "Conservatism", "CoprimeMargin", "DelayStability", "GapMetric", "H2Norm", "HinfNorm", "Influence", "NuGap",
+    "Result", "Reduction", "PlantSamples", "StreamedResponses", "Trim", "WellPosedness", "DcMotor", "PerformanceLimits",
 }  # fmt: skip
 # Drawings that these small examples have no data for.
 WITHOUT = {("Comparison", "harmonics"), ("Validation", "delta")}
