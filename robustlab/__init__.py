@@ -21,6 +21,7 @@ _PUBLIC = {
     "DelayedModel": "delays",
     "delay": "delays",
     "with_delays": "delays",
+    "uncertain_delays": "delays",
     "neglected_delay": "delays",
     "neglected_lag": "delays",
     # plants from physics

@@ -3,6 +3,7 @@ from robustlab.delays import DelayedModel as DelayedModel
 from robustlab.delays import delay as delay
 from robustlab.delays import neglected_delay as neglected_delay
 from robustlab.delays import neglected_lag as neglected_lag
+from robustlab.delays import uncertain_delays as uncertain_delays
 from robustlab.delays import with_delays as with_delays
 from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
@@ -111,6 +112,7 @@ __all__ = [
     "DelayedModel",
     "delay",
     "with_delays",
+    "uncertain_delays",
     "neglected_delay",
     "neglected_lag",
     "plant",

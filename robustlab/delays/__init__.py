@@ -4,7 +4,7 @@
 `neglected` the weights for what a model leaves out, `response` the responses over time.
 """
 
-from robustlab.delays.model import DelayedModel, delay, with_delays
+from robustlab.delays.model import DelayedModel, delay, uncertain_delays, with_delays
 from robustlab.delays.neglected import neglected_delay, neglected_lag
 
-__all__ = ["DelayedModel", "delay", "neglected_delay", "neglected_lag", "with_delays"]
+__all__ = ["DelayedModel", "delay", "neglected_delay", "neglected_lag", "uncertain_delays", "with_delays"]

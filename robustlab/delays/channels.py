@@ -80,15 +80,22 @@ def named(model: StateSpaceModel, index: int) -> StateSpaceModel:
     return StateSpaceModel(model.A, model.B, model.C, model.D, 0.0, [f"z{index}"], [f"w{index}"], states)
 
 
-def covering(rational: StateSpaceModel, weight: StateSpaceModel, tau: float, spread: float, i: int) -> UncertainModel:
-    """``R + W Delta``, and ``W2 Delta2`` for the spread, as a set with one input and one output."""
-    name = f"delay of {tau!r} s"
+def covering(
+    rational: StateSpaceModel, weight: StateSpaceModel, tau: float, spread: float, i: int, name: str
+) -> UncertainModel:
+    """``R + W Delta``, and ``W2 Delta2`` for the spread, as a set with one input and one output.
+
+    A block's name is what its Delta depends on, so that equal names are one uncertainty: the length of the delay and
+    both orders; of a spread also its channel, and the name that the user gives.
+    """
+    orders = f"order {rational.n_states}, slope {weight.n_states}"
     parts: list[StateSpaceModel] = [weight]
-    blocks: list[Block] = [ComplexScalar(name, origin=f"what a Padé approximation of {tau:g} s misses")]
+    words = f"what a Padé approximation of {tau:g} s misses"
+    blocks: list[Block] = [ComplexScalar(f"delay of {tau!r} s ({orders})", origin=words)]
     if spread:
         parts.append(neglected_delay(spread))
         words = f"{tau:g} s +- {spread:g} s"
-        blocks.append(FullBlock(f"spread {i + 1} of {tau!r} s", 1, 1, origin=words))
+        blocks.append(FullBlock(f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words))
     k = len(parts)
     plain: list[StateSpaceModel] = []
     for j, p in enumerate([*parts, rational]):

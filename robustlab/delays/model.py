@@ -36,7 +36,7 @@ from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, inverse, parallel, product
 from robustlab.uncertainty.upper_lft import closed_response, upper_lft
 
-__all__ = ["DelayedModel", "as_delayed", "delay", "with_delays"]
+__all__ = ["DelayedModel", "as_delayed", "delay", "uncertain_delays", "with_delays"]
 
 # Samples of delay of a discrete model; each is a state.
 MOST_SAMPLES = 2000
@@ -198,7 +198,9 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         checked_order(order, "pade")
         return self._closed_by([as_uncertain(named(pade(t, order), i)) for i, t in enumerate(self.delays)], "pade").M
 
-    def uncertain(self, order: int = 3, spread: float | Sequence[float] = 0.0, weight_order: int = 3) -> UncertainModel:
+    def uncertain(
+        self, order: int = 3, spread: float | Sequence[float] = 0.0, weight_order: int = 3, name: str = ""
+    ) -> UncertainModel:
         r"""A set that holds the model with its exact delays: Padé's approximation, and a block for what it misses.
 
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
@@ -219,12 +221,15 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         spread
             How far each delay may be off, in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
-            Slope of the weight, 1 to 2n + 1, and its number of states; at order 1 and below at most 2n + 1 is used.
+            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used.
+        name
+            Put before the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
+            each on its own need two.
 
         Returns
         -------
         UncertainModel
-            Blocks ``delay of ... s``, and ``spread of ...`` where there is one.
+            Blocks ``delay of 0.4 s (order 3, slope 3)``, and ``spread 1 of 0.4 s +- 0.1 s`` where there is one.
 
         Raises
         ------
@@ -241,7 +246,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             weight_order = min(weight_order, 2 * order + 1)
         shape = error_weight(order, weight_order)
         parts = [
-            covering(named(pade(float(t), order), i), shape.scaled(float(t)), float(t), float(s), i)
+            covering(named(pade(float(t), order), i), shape.scaled(float(t)), float(t), float(s), i, name)
             for i, (t, s) in enumerate(zip(self.delays, width, strict=True))
         ]
         return self._closed_by(parts, "uncertain")
@@ -400,8 +405,10 @@ def with_delays(
     DelayedModel(1 state, delays of 0.01, 0.02 s, [u] -> [omega])
     """
     model = G if isinstance(G, DelayedModel) else as_model(G, "with_delays")
-    before = _lengths("input", inputs, model.input_names)
-    after = _lengths("output", outputs, model.output_names)
+    before, longest = _ranges("input", inputs, model.input_names, "with_delays")
+    after, latest = _ranges("output", outputs, model.output_names, "with_delays")
+    if (before, after) != (longest, latest):
+        raise InputError("with_delays", "a range of delays", "one length each", "uncertain_delays takes ranges")
     if isinstance(model, StateSpaceModel) and model.is_discrete:
         whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
         return whole.renamed(model.inputs, model.outputs)
@@ -411,6 +418,66 @@ def with_delays(
     return DelayedModel(
         whole.H.renamed(_apart(ins, n), _apart([*whole.H.output_names[:n], *model.outputs], n)), whole.delays
     )
+
+
+def uncertain_delays(
+    G: Any,
+    inputs: Mapping[str | int, float | tuple[float, float]] | None = None,
+    outputs: Mapping[str | int, float | tuple[float, float]] | None = None,
+    order: int = 3,
+    weight_order: int = 3,
+) -> UncertainModel:
+    r"""An uncertain model, or any other, with delays of its inputs and outputs, exact or within a range, covered.
+
+    What is proved of the result is proved of the model with every such delay; see `DelayedModel.uncertain`. Delays in
+    a range vary each on its own.
+
+    Parameters
+    ----------
+    G
+        An UncertainModel, a StateSpaceModel, a plant or a DelayedModel; continuous.
+    inputs, outputs
+        Name or number of a signal -> its delay in s, or its shortest and its longest delay.
+    order, weight_order
+        Of the approximations and of the weights of their error, as in `DelayedModel.uncertain`.
+
+    Returns
+    -------
+    UncertainModel
+        With the blocks of G, and those of the delays.
+
+    Raises
+    ------
+    InputError
+        No such signal, a delay that is negative or not finite, a range that ends before it begins, a discrete model.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> [b.name for b in uncertain_delays(lag, inputs={0: (0.1, 0.3)}).blocks]
+    ['delay of 0.2 s (order 3, slope 3)', 'u1: spread 1 of 0.2 s +- 0.1 s']
+    """
+    model = (
+        G.uncertain(order, weight_order=weight_order)
+        if isinstance(G, DelayedModel)
+        else as_uncertain(G, "uncertain_delays")
+    )
+    if model.dt:
+        raise InputError("uncertain_delays", f"a discrete model, dt = {model.dt:g} s", "a continuous one")
+    banks: list[UncertainModel] = []
+    for side, given, signals in (("input", inputs, model.inputs), ("output", outputs, model.outputs)):
+        low, high = _ranges(side, given, tuple(s.name for s in signals))
+        parts = [
+            _bank([_short(0.5 * (a + b))]).uncertain(order, _short(0.5 * (b - a)), weight_order, f"{s.name}: ")
+            if b
+            else as_uncertain(1.0)
+            for a, b, s in zip(low, high, signals, strict=True)
+        ]
+        n = len(parts)
+        wiring = Wiring(np.zeros((n, n)), np.eye(n), np.eye(n))
+        banks.append(interconnected(parts, wiring, signals, signals, "uncertain_delays"))
+    whole = product(banks[1], product(model, banks[0]))
+    return UncertainModel(whole.M, whole.blocks)
 
 
 def as_delayed(system: Any, where: str = "as_delayed") -> DelayedModel:
@@ -448,16 +515,27 @@ def _apart(names: Sequence[Any], n: int) -> list[Any]:
     return [*made, *names[n:]]
 
 
-def _lengths(side: str, given: Mapping[str | int, float] | None, names: tuple[str, ...]) -> list[float]:
-    found = [0.0] * len(names)
+def _ranges(
+    side: str, given: Mapping[str | int, Any] | None, names: tuple[str, ...], where: str = "uncertain_delays"
+) -> tuple[list[float], list[float]]:
+    """Shortest and longest delay of each signal; zero where none is given."""
+    low, high = [0.0] * len(names), [0.0] * len(names)
     for key, value in (given or {}).items():
         number = isinstance(key, (int, np.integer)) and not isinstance(key, bool)
         if not (key in names or (number and 0 <= int(key) < len(names))):
-            raise InputError(f"with_delays: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 <= value < np.inf:
-            raise InputError(f"with_delays: {side} {key!r}", f"{value!r}", "a delay of 0 s or more")
-        found[int(key) if number else names.index(str(key))] = float(value)
-    return found
+            raise InputError(f"{where}: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
+        ends = tuple(value) if isinstance(value, (tuple, list)) else (value, value)
+        real = all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in ends)
+        if not real or len(ends) != 2 or not 0 <= ends[0] <= ends[1] < np.inf:
+            raise InputError(f"{where}: {side} {key!r}", f"{value!r}", "a delay of 0 s or more, or a range of such")
+        place = int(key) if number else names.index(str(key))
+        low[place], high[place] = float(ends[0]), float(ends[1])
+    return low, high
+
+
+def _short(length: float) -> float:
+    """Without the rounding of its last digits, which the weights cover."""
+    return float(f"{length:.12g}")
 
 
 def _bank(lengths: list[float]) -> DelayedModel:

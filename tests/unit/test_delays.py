@@ -229,7 +229,7 @@ def test_the_set_holds_the_model_with_its_delay(order, spread, true):
     model = 3.0 * LAG @ rl.delay(0.4)
     cover = model.uncertain(order, spread)
     names = [b.name for b in cover.blocks]
-    assert names[0] == "delay of 0.4 s"
+    assert names[0] == f"delay of 0.4 s (order {order}, slope 3)"
     assert len(names) == 1 + (spread > 0)
     for w in (0.05, 1.0, 7.0, 40.0):
         turn = np.exp(-0.4j * w)
@@ -246,7 +246,35 @@ def test_the_set_holds_the_model_with_its_delay(order, spread, true):
 def test_delays_of_one_length_share_a_block():
     plant = rl.StateSpaceModel(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
     cover = rl.with_delays(plant, inputs={0: 0.1, 1: 0.1}).uncertain(2)
-    assert [(b.name, b.rows) for b in cover.blocks] == [("delay of 0.1 s", 2)]
+    assert [(b.name, b.rows) for b in cover.blocks] == [("delay of 0.1 s (order 2, slope 3)", 2)]
+
+
+def test_sets_of_other_orders_do_not_share_a_block():
+    names = {b.name for b in (rl.delay(0.4).uncertain(2) @ rl.delay(0.4).uncertain(3)).blocks}
+    assert len(names) == 2
+
+
+def test_an_uncertain_model_with_a_delay_in_a_range():
+    plant = rl.parametric([["-1/T"]], [["1/T"]], [[1]], [[0]], {"T": (1.0, 0.2)})
+    late = rl.uncertain_delays(plant, inputs={"u1": (0.1, 0.3)}, outputs={0: 0.2})
+    names = [b.name for b in late.blocks]
+    assert set(names) == {"T", "delay of 0.2 s (order 3, slope 3)", "u1: spread 1 of 0.2 s +- 0.1 s"}
+    w, rational = 3.0, response(pade(0.2, 3), [3.0])[0]
+    turn, true = np.exp(-0.2j * w), np.exp(-0.14j * w)
+    delta = {
+        "T": 0.5,
+        names[names.index("delay of 0.2 s (order 3, slope 3)")]: complex(
+            (turn - rational) / response(error_weight(3, 3).scaled(0.2), [w])[0]
+        ),
+        "u1: spread 1 of 0.2 s +- 0.1 s": complex((true - turn) / response(rl.neglected_delay(0.1), [w])[0]),
+    }
+    assert all(abs(d) <= 1 for d in delta.values())
+    expected = turn * true / (1 + 1j * w * plant.physical({"T": 0.5})["T"][0])
+    assert late.response([w], delta)[0, 0, 0] == pytest.approx(expected, abs=1e-12)
+    with pytest.raises(InputError, match="range of such"):
+        rl.uncertain_delays(plant, inputs={0: (0.3, 0.1)})
+    with pytest.raises(InputError, match="uncertain_delays takes ranges"):
+        rl.with_delays(LAG, inputs={0: (0.1, 0.3)})
 
 
 # --- weights for what is left out -------------------------------------------------------------------------------------
