@@ -377,7 +377,7 @@ def delay(tau: float | Sequence[float], n: int = 1, dt: float = 0.0) -> DelayedM
 
 
 def with_delays(
-    G: Any, inputs: Mapping[str | int, float] | None = None, outputs: Mapping[str | int, float] | None = None
+    G: Any, inputs: Mapping[Any, float] | None = None, outputs: Mapping[Any, float] | None = None
 ) -> DelayedModel | StateSpaceModel:
     r"""The model with exact delays of some of its inputs and outputs.
 
@@ -422,8 +422,8 @@ def with_delays(
 
 def uncertain_delays(
     G: Any,
-    inputs: Mapping[str | int, float | tuple[float, float]] | None = None,
-    outputs: Mapping[str | int, float | tuple[float, float]] | None = None,
+    inputs: Mapping[Any, float | tuple[float, float]] | None = None,
+    outputs: Mapping[Any, float | tuple[float, float]] | None = None,
     order: int = 3,
     weight_order: int = 3,
 ) -> UncertainModel:
@@ -516,7 +516,7 @@ def _apart(names: Sequence[Any], n: int) -> list[Any]:
 
 
 def _ranges(
-    side: str, given: Mapping[str | int, Any] | None, names: tuple[str, ...], where: str = "uncertain_delays"
+    side: str, given: Mapping[Any, Any] | None, names: tuple[str, ...], where: str = "uncertain_delays"
 ) -> tuple[list[float], list[float]]:
     """Shortest and longest delay of each signal; zero where none is given."""
     low, high = [0.0] * len(names), [0.0] * len(names)
