@@ -8,6 +8,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.delays.neglected import neglected_delay
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
 from robustlab.uncertainty.lft import UncertainModel
@@ -31,8 +32,12 @@ def closed(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Arr
     if not len(none):
         return model, lengths
     rest = [k for k in range(model.n_inputs) if k not in none], [k for k in range(model.n_outputs) if k not in none]
-    closed = upper_lft(rearranged(model, [*none, *rest[0]], [*none, *rest[1]]), np.eye(len(none)))
-    return closed, lengths[lengths > 0]
+    try:
+        found = upper_lft(rearranged(model, [*none, *rest[0]], [*none, *rest[1]]), np.eye(len(none)))
+    except NoTrustworthyNumber:
+        singular = "a loop through a delay of zero is not well posed"
+        raise NoTrustworthyNumber("DelayedModel", singular) from None
+    return found, lengths[lengths > 0]
 
 
 def chained(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:

@@ -217,7 +217,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         ----------
         order
             Order n of the approximations, 0 to 40. Each more covers the delay further up in frequency: the weight
-            passes 1 near :math:`\omega \tau = 2, 4, 6, 7, 10` for n = 1, 2, 3, 4, 6.
+            passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
         spread
             How far each delay may be off, in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
@@ -270,7 +270,12 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         """An interconnection that is written for sets, of delayed models and what can be made one."""
         made = [as_delayed(operand, function.__name__) if not is_constant(operand) else operand for operand in operands]
         lengths = {_name(t): float(t) for m in made if isinstance(m, DelayedModel) for t in m.delays}
-        found = function(*(m.as_set() if isinstance(m, DelayedModel) else m for m in made), **options)
+        sets = [m.as_set() if isinstance(m, DelayedModel) else m for m in made]
+        try:
+            found = function(*sets, **options)
+        except NoTrustworthyNumber:
+            singular = "what passes without delay makes it singular: it is not well posed"
+            raise NoTrustworthyNumber(function.__name__, singular) from None
         return DelayedModel(found.M, [lengths[b.name] for b in found.blocks for _ in range(b.rows)])
 
     def as_set(self) -> UncertainModel:
@@ -422,8 +427,8 @@ def with_delays(
 
 def uncertain_delays(
     G: Any,
-    inputs: Mapping[Any, float | tuple[float, float]] | None = None,
-    outputs: Mapping[Any, float | tuple[float, float]] | None = None,
+    inputs: Mapping[Any, float | Sequence[float]] | None = None,
+    outputs: Mapping[Any, float | Sequence[float]] | None = None,
     order: int = 3,
     weight_order: int = 3,
 ) -> UncertainModel:

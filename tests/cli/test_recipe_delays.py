@@ -1,4 +1,4 @@
-"""A recipe with delays, from the shell: the loop is proved stable with them, and over a range that is too wide it is not."""
+"""A recipe with delays, from the shell: a loop is proved stable with them; over a range that is too wide it is not."""
 
 from __future__ import annotations
 

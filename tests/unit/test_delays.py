@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
+from math import comb, factorial
 
 import control
 import numpy as np
@@ -124,6 +126,15 @@ def test_what_is_wrong_is_said(wrong, said):
         wrong()
 
 
+def test_a_loop_without_delay_that_is_not_well_posed_is_refused():
+    one = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, -1.0]])
+    direct = rl.DelayedModel(one, [0.3])
+    with pytest.raises(NoTrustworthyNumber, match="without delay"):
+        direct.feedback()
+    with pytest.raises(NoTrustworthyNumber, match="delay of zero"):
+        rl.DelayedModel(rl.StateSpaceModel([], [], [], [[1.0, 1.0], [1.0, 0.0]]), [0.0])
+
+
 def test_units_that_meet_are_compared():
     sensor = rl.StateSpaceModel([], [], [], [[1.0]], inputs=[("x", "m")], outputs=[("y", "V")])
     with pytest.raises(UnitMismatch):
@@ -141,8 +152,6 @@ def test_it_shows_itself():
 
 def exact_phase_error(x: float, n: int) -> tuple[float, float]:
     """Real and imaginary part of R_n(jx) from the textbook sum, in rational numbers."""
-    from math import comb, factorial
-
     v = Fraction(x)
     terms = [Fraction(factorial(2 * n - k) * comb(n, k), factorial(2 * n)) for k in range(n + 1)]
     re = sum(c * v**k * (-1) ** (k // 2) for k, c in enumerate(terms) if k % 2 == 0)
@@ -204,6 +213,37 @@ def test_the_bound_and_the_weight_lie_above_the_true_error(order):
         near = error > 1e-6
         size = np.abs(response(error_weight(order, 3).scaled(1.0), x))
         assert (size[near] / error[near]).min() < 1.01
+
+
+@pytest.mark.parametrize(("order", "k"), [(1, 3), (2, 3), (3, 3), (3, 1), (4, 3), (4, 9), (6, 3), (8, 3), (12, 3)])
+def test_the_weight_is_proved_again_in_ball_arithmetic(order, k):
+    """Between points that lie close, as error and weight both rise; every number with its rounding."""
+    flint = pytest.importorskip("flint")
+    weight = error_weight(order, k)
+    gain, corner = flint.arb(weight.gain), flint.arb(weight.corner)
+    # P_n = (2n)! / n! Q_n, from its closed form
+    p = [factorial(2 * order - i) * comb(order, i) // factorial(order) for i in range(order + 1)]
+    poly = flint.acb_poly([flint.acb(c) for c in p])
+    mirror = flint.acb_poly([flint.acb(c * (-1) ** i) for i, c in enumerate(p)])
+    bound = phase_bound(order)
+
+    def error(x):
+        s = flint.acb(0, flint.arb(x))
+        return abs((-s).exp() - mirror(s) / poly(s))
+
+    def size(x):
+        ratio = (flint.arb(x) / corner) ** (2 * k)
+        return gain * (ratio / (1 + ratio)).sqrt()
+
+    first = (1e-4 / bound.coefficient) ** (1.0 / bound.power)
+    # below: c x^m against g x^k / sqrt(x^2k + a^2k), whose ratio falls with x as k <= m
+    assert flint.arb(bound.coefficient) * flint.arb(first) ** bound.power <= size(first)
+    x = np.linspace(first, 2 * first + 3 * order + 8, 8001)
+    theta = np.unwrap(phase_error(x, order))
+    beyond = int(np.argmax(theta >= 3.1))
+    assert beyond > 0
+    assert all(error(b) <= size(a) for a, b in pairwise(x[: beyond + 1]))
+    assert size(x[beyond]) >= 2
 
 
 def test_the_test_of_the_weight_can_fail():
