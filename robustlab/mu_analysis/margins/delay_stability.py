@@ -6,13 +6,17 @@ Unstable: the characteristic equation has a root in the open right half plane,
 .. math:: F(s) v = 0, \qquad F(s) = \begin{bmatrix} sI - A & -B_1 \\ -C_1 & \mathrm{diag}(e^{s \tau_i}) - D_{11}
    \end{bmatrix},
 
-found by Newton's method from the unstable poles of a rational model. Its residual is the smallest change of the
-matrices of H for which the root is one exactly: the smallest singular value of F, relative to their norm.
+found by Newton's method from the unstable poles of a rational model. That there is one is proved by Kantorovich's
+theorem for :math:`G(v, s) = (F(s) v, c^* v - 1)`: with the Jacobian J at the point found, :math:`\eta = \|J^{-1} G\|`
+and L a Lipschitz bound of J near it,
+
+.. math:: h = \|J^{-1}\| L \eta \le \tfrac12 \quad \Rightarrow \quad \text{a root lies within } r = (1 - \sqrt{1 - 2h})
+   / (\|J^{-1}\| L) .
 
 References
 ----------
-Michiels, Niculescu, *Stability, Control, and Computation for Time-Delay Systems* (2014), chapters 1 and 2; Zhou, Doyle,
-Glover, *Robust and Optimal Control* (1996), theorem 11.8.
+Kantorovich 1948; Michiels, Niculescu, *Stability, Control, and Computation for Time-Delay Systems* (2014), chapters 1
+and 2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 11.8.
 """
 
 from __future__ import annotations
@@ -34,9 +38,11 @@ __all__ = ["DelayStability", "delay_stability"]
 
 # Orders of the approximations that are tried one after the other.
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16)
-NEWTON_STEPS = 30
-# A residual below this is rounding; a root has to lie further right than this share of its size.
-RESIDUAL, CLEAR = 1e-11, 1e-8
+NEWTON_STEPS = 40
+# A start whose iteration runs beyond exp of this is given up.
+FARTHEST = 500.0
+# Rounding of an evaluation of F, in units of the sizes that enter it.
+ROUNDING = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +54,8 @@ class DelayStability(Shown):
     stable
         True, False, or None where neither could be shown.
     status
-        CERTIFIED: stability is proved on the whole frequency axis. CONVERGED: a root in the right half plane was found
-        and its residual evaluated again. INCONCLUSIVE: neither, up to the highest order.
+        CERTIFIED: stability is proved on the whole frequency axis, or a root in the right half plane is proved to be
+        there; both in floating point. INCONCLUSIVE: neither, up to the highest order.
     order
         Order of Padé's approximations with which it was shown, or the last one that was tried.
     margin
@@ -58,8 +64,8 @@ class DelayStability(Shown):
     root
         A root of the characteristic equation in 1/s: in the right half plane where that is shown, else the rightmost
         that was found. None where none was.
-    residual
-        Relative change of H that makes ``root`` exact.
+    radius
+        An exact root lies within this distance of ``root``, in 1/s.
     """
 
     stable: bool | None
@@ -67,17 +73,17 @@ class DelayStability(Shown):
     order: int
     margin: Margin | None
     root: complex | None
-    residual: float
+    radius: float
 
     def facts(self) -> Facts:
         """The verdict and what it rests on."""
-        verdict = {True: "yes: proved on the whole axis", False: "no", None: "undecided"}[self.stable]
+        verdict = {True: "yes: proved on the whole axis", False: "no: proved by a root", None: "undecided"}[self.stable]
         proved = f"{number(self.margin.lower)} (proved), with Padé of order {self.order}" if self.margin else ""
         return [
             ("stable", verdict),
             ("margin of the set", proved),
             ("root", number(self.root, "1/s")),
-            ("residual of the root", number(self.residual) if self.root is not None else ""),
+            ("exact root within", number(self.radius, "1/s") if self.root is not None else ""),
         ]
 
     def to_json(self) -> dict[str, object]:
@@ -105,7 +111,7 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     Returns
     -------
     DelayStability
-        The verdict with its evidence: the proved margin of the set, or the root and its residual.
+        The verdict with its evidence: the proved margin of the set, or the root and how near it is to an exact one.
 
     Raises
     ------
@@ -133,58 +139,70 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
 def _tried(g: DelayedModel, order: int, effort: float) -> DelayStability:
     """What one order of approximation shows."""
     rational = g.pade(order)
-    root, residual = _rightmost(g, rational)
-    if root is not None and residual <= RESIDUAL and root.real > CLEAR * abs(root):
-        return DelayStability(False, Status.CONVERGED, order, None, root, residual)
+    root, radius = _rightmost(g, rational)
+    if root is not None and root.real > radius:
+        return DelayStability(False, Status.CERTIFIED, order, None, root, radius)
     margin = None
     if rational.is_stable():
         margin = robust_stability(g.uncertain(order), expected=1.0, effort=effort)
         if margin.status is Status.CERTIFIED and margin.lower > 1.0:
-            return DelayStability(True, Status.CERTIFIED, order, margin, root, residual)
-    return DelayStability(None, Status.INCONCLUSIVE, order, margin, root, residual)
+            return DelayStability(True, Status.CERTIFIED, order, margin, root, radius)
+    return DelayStability(None, Status.INCONCLUSIVE, order, margin, root, radius)
 
 
 def _rightmost(g: DelayedModel, rational: StateSpaceModel) -> tuple[complex | None, float]:
-    """The rightmost root that Newton's method finds from the rightmost poles of a rational model, and its residual."""
+    """The rightmost root that Newton's method finds from the rightmost poles of a rational model, and its radius."""
     poles = rational.poles()
     starts = [p for p in poles[np.argsort(-poles.real)] if p.imag >= 0][: max(6, int((poles.real > 0).sum()))]
     roots = [found for p in starts if (found := _newton(g, complex(p))) is not None]
-    good = [found for found in roots if found[1] <= RESIDUAL]
-    return max(good, key=lambda found: found[0].real) if good else (None, np.inf)
+    return max(roots, key=lambda found: found[0].real) if roots else (None, np.inf)
 
 
 def _newton(g: DelayedModel, s: complex) -> tuple[complex, float] | None:
-    """A root near s and its residual; None where the iteration goes nowhere."""
+    """A root near s, and how near an exact one is proved to lie; None where none is."""
     n = g.H.n_states
     size = n + len(g.delays)
     if not size:
         return None
-    _, _, right = np.linalg.svd(_characteristic(g, s))
-    v = right[-1].conj()
+    v = np.linalg.svd(_characteristic(g, s))[2][-1].conj()
     normal = v.conj()
     for _ in range(NEWTON_STEPS):
-        slope = np.concatenate([np.ones(n), g.delays * np.exp(s * g.delays)])
-        bordered = np.zeros((size + 1, size + 1), dtype=complex)
-        bordered[:size, :size] = _characteristic(g, s)
-        bordered[:size, size], bordered[size, :size] = slope * v, normal
-        rest = np.append(bordered[:size, :size] @ v, normal @ v - 1.0)
+        jacobian = np.zeros((size + 1, size + 1), dtype=complex)
+        jacobian[:size, :size] = _characteristic(g, s)
+        jacobian[:size, size] = np.concatenate([np.ones(n), g.delays * np.exp(s * g.delays)]) * v
+        jacobian[size, :size] = normal
+        rest = np.append(jacobian[:size, :size] @ v, normal @ v - 1.0)
         try:
-            change = np.linalg.solve(bordered, -rest)
+            change = np.linalg.solve(jacobian, -rest)
         except np.linalg.LinAlgError:
             return None
+        if np.linalg.norm(change) <= 1e-13 * (abs(s) + 1.0 / g.delays.max(initial=1e-300)):
+            radius = _kantorovich(g, s, v, jacobian, float(np.linalg.norm(change)))
+            return None if radius is None else (s, radius)
         v, s = v + change[:size], s + complex(change[size])
-        if not np.isfinite(s) or (s * g.delays).real.max(initial=0.0) > 500.0:
+        if not np.isfinite(s) or (s * g.delays).real.max(initial=0.0) > FARTHEST:
             return None
-        if abs(change[size]) <= 1e-14 * abs(s):
-            break
-    return s, _residual(g, s)
+    return None
 
 
-def _residual(g: DelayedModel, s: complex) -> float:
-    n, k = g.H.n_states, len(g.delays)
-    H = np.block([[g.H.A, g.H.B[:, :k]], [g.H.C[:k], g.H.D[:k, :k]]])
-    smallest = float(np.linalg.svd(_characteristic(g, s), compute_uv=False)[-1])
-    return smallest / (float(np.linalg.norm(H, 2)) or 1.0) if n + k else np.inf
+def _kantorovich(g: DelayedModel, s: complex, v: ComplexArray, jacobian: ComplexArray, step: float) -> float | None:
+    """Radius about (v, s) in which an exact root lies; None where the theorem does not give one."""
+    n = g.H.n_states
+    inverse = 1.0 / float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    entries = float(np.linalg.norm(np.block([[g.H.A, g.H.B[:, : len(g.delays)]]]))) + abs(s) * n
+    entries += float(np.linalg.norm(np.hstack([g.H.C[: len(g.delays)], g.H.D[: len(g.delays), : len(g.delays)]])))
+    entries += float(np.linalg.norm(np.exp((s * g.delays).real)))
+    eta = step + inverse * ROUNDING * (len(v) + 1) * entries * float(np.linalg.norm(v))
+    near = 4.0 * eta  # the neighbourhood in which the Jacobian's slope is bounded
+    size = float(np.linalg.norm(v)) + near
+    growth = np.exp((s.real + near) * g.delays)
+    first, second = max(1.0, (g.delays * growth).max(initial=0.0)), (g.delays**2 * growth).max(initial=0.0)
+    slope = 2.0 * first + second * size
+    h = inverse * slope * eta
+    if not h <= 0.5:
+        return None
+    radius = 2.0 * eta / (1.0 + np.sqrt(1.0 - 2.0 * h))  # the same as above, without cancellation
+    return float(radius) if radius <= near else None
 
 
 def _characteristic(g: DelayedModel, s: complex) -> ComplexArray:
