@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
+from scipy.integrate import solve_ivp
 
 import robustlab as rl
 from robustlab.delays import DelayedModel
@@ -107,6 +110,49 @@ def test_delays_that_do_not_fit_the_clock_and_each_other():
     # Pade of high order is another way, accurate to its own bound
     rational = rl.simulate(inner.pade(20), t, np.ones(41))["y1"]
     assert np.abs(y - rational).max() < 1e-3
+
+
+def integrated(A, B, C, d, delays, t):
+    """x' = A x + B [w, 1], z = C x + d, w_i = z_i(t - tau_i), by Runge-Kutta from one kink to the next."""
+    n, ends = len(delays), {0.0, float(t[-1])}
+    for counts in np.ndindex(*(40,) * n):
+        ends.add(float(np.dot(counts, delays)))
+    ends = sorted(e for e in ends if e <= t[-1])
+    pieces: list = []
+
+    def z(i, s):
+        if s < 0:
+            return 0.0
+        k = min(max(int(np.searchsorted(ends, s, side="right")) - 1, 0), len(pieces) - 1)
+        return float(C[i] @ pieces[k](s) + d[i])
+
+    x = np.zeros(len(A))
+    for a, b in pairwise(ends):
+        middle = 0.5 * (a + b)
+
+        def rate(s, x, middle=middle):
+            inner = s + 1e-12 * (middle - s)  # the side of a jump that belongs to this piece
+            w = [z(i, inner - tau) for i, tau in enumerate(delays)]
+            return A @ x + B @ np.array([*w, 1.0])
+
+        found = solve_ivp(rate, (a, b), x, method="DOP853", rtol=1e-12, atol=1e-12, dense_output=True)
+        pieces.append(found.sol)
+        x = found.y[:, -1]
+    return np.array([pieces[min(max(int(np.searchsorted(ends, s)) - 1, 0), len(pieces) - 1)](s) for s in t])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_two_delays_in_loops_against_runge_kutta(seed):
+    rng = np.random.default_rng(seed)
+    A, B, C = rng.normal(size=(3, 3)) - 2 * np.eye(3), rng.normal(size=(3, 3)), rng.normal(size=(2, 3))
+    d, delays, t = rng.normal(size=2), np.array([0.31, 0.47]), np.linspace(0, 3, 31)
+    D = np.zeros((5, 3))
+    D[:2, 2] = d
+    model = DelayedModel(rl.StateSpaceModel(A, B, np.vstack([C, np.eye(3)]), D), delays)
+    record = rl.simulate(model, t, np.ones(31))
+    y = np.column_stack(list(record.outputs.values()))
+    expected = integrated(A, B, C, d, delays, t)
+    assert np.abs(y - expected).max() < 1e-9 * max(1.0, np.abs(expected).max())
 
 
 def test_the_error_is_estimated_and_held():
