@@ -105,12 +105,17 @@ def neglected_weight(
     Example: robustlab uncertain neglected --delay 0.02 --out weight.h5
     """
     from robustlab.delays import neglected_delay, neglected_lag
+    from robustlab.delays.neglected import PROOFS
+    from robustlab.result import Status
 
     if (delay is None) == (lag is None):
         raise UsageError("uncertain neglected", "--delay and --lag" if lag is not None else "neither", "one of them")
     found = neglected_delay(delay, order) if delay is not None else neglected_lag(float(lag or 0.0))
-    rows = [("weight", repr(found)), *output.keep_made("uncertain neglected", found, [])]
-    emit("uncertain neglected", {"weight": found}, table(rows), output.as_json)
+    proof = PROOFS["delay" if delay is not None else "lag"]
+    rows = [("weight", repr(found)), ("status", str(Status.CERTIFIED)), ("proof", proof)]
+    rows += output.keep_made("uncertain neglected", found, [])
+    result = {"weight": found, "status": Status.CERTIFIED, "proof": proof}
+    emit("uncertain neglected", result, table(rows), output.as_json)
 
 
 def stability_lines(model: Any) -> tuple[list[str], DelayStability]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.delays.neglected import neglected_delay
+from robustlab.delays.pade import phase_bound
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
@@ -95,11 +96,14 @@ def covering(
     """
     orders = f"order {rational.n_states}, slope {weight.n_states}"
     parts: list[StateSpaceModel] = [weight]
-    words = f"what a Padé approximation of {tau:g} s misses"
+    n = rational.n_states
+    bound = phase_bound(n)
+    error = f"at most min(2, {bound.coefficient:.3g} (w {tau:g} s)^{bound.power}) for all w: proved"
+    words = f"what Padé's approximation of order {n} of a delay of {tau:g} s misses, {error}"
     blocks: list[Block] = [ComplexScalar(f"delay of {tau!r} s ({orders})", origin=words)]
     if spread:
         parts.append(neglected_delay(spread))
-        words = f"{tau:g} s +- {spread:g} s"
+        words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
         blocks.append(FullBlock(f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words))
     k = len(parts)
     plain: list[StateSpaceModel] = []

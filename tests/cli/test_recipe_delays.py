@@ -22,7 +22,7 @@ path = "{folder}/plant.h5"
 [step.late]
 do = "delays"
 of = "plant"
-inputs = {{ u = {delay} }}
+{delay}
 order = 4
 
 [step.controller]
@@ -45,7 +45,16 @@ at_least = 1.0
 """
 
 
-@pytest.mark.parametrize(("delay", "code"), [("0.7", 0), ("[0.5, 0.8]", 0), ("[0.5, 1.2]", 1)])
+@pytest.mark.parametrize(
+    ("delay", "code"),
+    [
+        ("inputs = { u = 0.7 }", 0),
+        ("inputs = { u = [0.5, 0.8] }", 0),
+        ("inputs = { u = [0.5, 1.2] }", 1),
+        ("inputs = { u = 0.3 }\nneglected_delays = { u = 0.1 }\nneglected_lags = { u = 0.05 }", 0),
+        ("neglected_delays = { v = 0.2 }", 3),
+    ],
+)
 def test_a_loop_with_a_delay_in_a_recipe(delay, code, tmp_path):
     # u = 1.5 (r - y) around 1 / (s + 1) e^(-s tau): stable up to tau = (pi - atan w) / w at w = sqrt(1.25), 2.06 s
     rl.save(tmp_path / "plant.h5", rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"]))
@@ -63,6 +72,9 @@ def test_a_loop_with_a_delay_in_a_recipe(delay, code, tmp_path):
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stdout + done.stderr
+    if code == 3:
+        assert "one of u" in done.stderr
+        return
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result is not None
     w = np.sqrt(1.25)
