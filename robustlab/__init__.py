@@ -68,6 +68,8 @@ _PUBLIC = {
     "disk_margin": "mu_analysis.margins.disk_margin",
     "worst_case_disk_margin": "mu_analysis.margins.worst_case_disk_margin",
     "delay_stability": "mu_analysis.margins.delay_stability",
+    "delay_gain": "mu_analysis.margins.delay_margins",
+    "delay_disk_margin": "mu_analysis.margins.delay_margins",
     "gap": "uncertainty.distances.gap_metric",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",

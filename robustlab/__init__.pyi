@@ -31,6 +31,8 @@ from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin as delay_disk_margin
+from robustlab.mu_analysis.margins.delay_margins import delay_gain as delay_gain
 from robustlab.mu_analysis.margins.delay_stability import delay_stability as delay_stability
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
@@ -156,6 +158,8 @@ __all__ = [
     "disk_margin",
     "worst_case_disk_margin",
     "delay_stability",
+    "delay_gain",
+    "delay_disk_margin",
     "gap",
     "nu_gap",
     "coprime_margin",

@@ -164,6 +164,8 @@ OBJECTS: dict[str, Any] = {
     "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
     "WorstCaseDiskMargin": lambda: rl.worst_case_disk_margin(first_order()[0, 0]),
     "DelayStability": lambda: rl.delay_stability(rl.with_delays(lag(), inputs={"u": 0.5}).feedback()),
+    "DelayGain": lambda: rl.delay_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
+    "DelayDiskMargin": lambda: rl.delay_disk_margin(2.0 * rl.with_delays(lag(), inputs={"u": 0.5})),
     "GapMetric": lambda: rl.gap(spring().nominal, four_models()[1]),
     "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),
     "CoprimeMargin": lambda: rl.coprime_margin(spring().nominal, INTEGRAL),

@@ -57,10 +57,15 @@ def margins(
 ) -> None:
     """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
 
+    Of a plant with exact delays and one channel: with its delays exact, proved for all frequencies.
+
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
+    from robustlab.delays import DelayedModel
+    from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin
     from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
     from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
+    from robustlab.statespace import as_model
     from robustlab.storage import load
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -70,8 +75,14 @@ def margins(
     k = None if loop.controller is None else load(loop.controller, transpose=transpose)
     sign = _sign(loop.feedback, k)
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
-    if isinstance(thing, UncertainModel):
-        result: Any = worst_case_disk_margin(thing, k, **options, **vars(effort))
+    if isinstance(thing, DelayedModel):
+        k = as_model(k, "--controller") if k is not None else None
+        result: Any = delay_disk_margin(
+            thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort
+        )
+        text = result.summary()
+    elif isinstance(thing, UncertainModel):
+        result = worst_case_disk_margin(thing, k, **options, **vars(effort))
         text = _worst_text(result)
     else:
         result = disk_margin(thing, k, **options, **vars(effort))

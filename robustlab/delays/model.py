@@ -345,7 +345,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         return f"DelayedModel({n} state{'s' * (n != 1)}, {told}, [{ins}] -> [{outs}])"
 
 
-def delay(tau: float | Sequence[float], n: int = 1, dt: float = 0.0) -> DelayedModel | StateSpaceModel:
+def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSpaceModel:
     r"""A pure delay :math:`e^{-s \tau}` in each of n channels.
 
     Parameters
@@ -376,7 +376,8 @@ def delay(tau: float | Sequence[float], n: int = 1, dt: float = 0.0) -> DelayedM
     """
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
         raise InputError("delay: n", f"{n!r}", "a whole number of channels, 1 or more")
-    lengths = np.full(n, float(tau)) if isinstance(tau, (int, float)) else real_array("tau", tau, 1, "delay")
+    given: Any = [tau] * n if np.ndim(tau) == 0 else tau
+    lengths = real_array("tau", given, 1, "delay")
     gain = StateSpaceModel([], [], [], np.eye(len(lengths)), dt)
     return with_delays(gain, inputs=dict(enumerate(lengths.tolist())))
 

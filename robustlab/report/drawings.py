@@ -49,6 +49,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "SmallGain": {"gain": "result_figures.small_gain_figure"},
     "DiskMargins": _DISK,
     "DiskBounds": _DISK,
+    "DelayDiskMargin": _DISK,
     "SampledRobustness": {"mu": "mu_figures.sampled_figure"},
     "SampledDataNorm": {"history": "result_figures.norm_history"},
     "Cover": {"set": "cover_figures.cover_figure"},

@@ -58,6 +58,14 @@ def test_check_proves_or_refutes(run):
     run("model", "check", "echo.h5", code=4)
 
 
+def test_margins_of_a_loop_with_its_delay(run):
+    rl.save("loop.h5", 2.0 * LAG @ rl.delay(0.5))
+    found = json.loads(run("model", "margins", "loop.h5", "--json"))
+    expected = rl.delay_disk_margin(2.0 * LAG @ rl.delay(0.5))
+    assert found["lower"] == pytest.approx(expected.lower)
+    assert "disk margin" in run("model", "margins", "loop.h5")
+
+
 def test_a_set_that_holds_the_delays(run):
     run("uncertain", "delays", "lag.h5", "--input", "u=0.1:0.3", "--output", "y=0.2", "--out", "set.h5")
     found = rl.load(run.folder / "set.h5")

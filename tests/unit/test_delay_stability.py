@@ -7,7 +7,7 @@ import pytest
 from scipy.special import lambertw
 
 import robustlab as rl
-from robustlab.errors import InputError
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.margins.delay_stability import _newton
 from robustlab.result import Status
 
@@ -117,6 +117,50 @@ def test_the_proved_disk_margin_is_below_the_exact_one():
     exact = 1 / np.abs(0.5 * (1 - L) / (1 + L)).max()  # of S - T, balanced
     found = rl.worst_case_disk_margin(open_loop.uncertain(4))
     assert 0.97 * exact <= found.lower <= exact * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("k", "tau"), [(2.0, 0.5), (1.9, 1.0), (0.5, 3.0), (6.0, 0.2)])
+def test_the_gain_of_a_loop_is_bracketed(k, tau):
+    s = 1j * np.linspace(0.0, 60, 600_001)
+    L = k * np.exp(-tau * s) / (s + 1)
+    found = rl.delay_gain((k * LAG @ rl.delay(tau)).feedback())
+    peak = np.abs(L / (1 + L)).max()
+    assert found.status is Status.CERTIFIED
+    assert found.lower == pytest.approx(peak, rel=1e-8)
+    assert peak <= found.upper <= 1.01 * peak
+
+
+@pytest.mark.parametrize(("skew", "sign"), [(0.0, -1), (1.0, -1), (-1.0, -1), (0.0, 1)])
+def test_the_disk_margin_of_a_loop_is_bracketed(skew, sign):
+    s = 1j * np.linspace(1e-6, 60, 600_001)
+    gain = 2.0 if sign < 0 else -2.0
+    loop = gain * LAG @ rl.delay(0.5)
+    exact = 1 / np.abs(1 / (1 + 2 * np.exp(-0.5 * s) / (s + 1)) + (skew - 1) / 2).max()
+    found = rl.delay_disk_margin(loop, skew=skew, sign=sign)
+    assert found.status is Status.CERTIFIED
+    assert 0.99 * exact <= found.lower <= exact <= found.upper * (1 + 1e-8)
+    assert found.upper == pytest.approx(exact, rel=1e-7)
+    if skew == 0.0:  # the guaranteed gain does not destabilise
+        assert rl.delay_stability((0.999 * found.gain_margin[1] * abs(gain) * LAG @ rl.delay(0.5)).feedback()).stable
+
+
+def test_gains_of_several_channels_and_of_no_delay():
+    plant = rl.StateSpaceModel(-np.diag([1.0, 2.0]), np.eye(2), [[1.0, 2.0], [0.5, 1.0]], np.zeros((2, 2)))
+    late = rl.with_delays(plant, inputs={0: 0.3}, outputs={1: 0.4})
+    found = rl.delay_gain(late)
+    s = np.linspace(0, 50, 50_001)
+    exact = np.linalg.svd(rl.frequency_response(late, s), compute_uv=False).max()
+    assert found.lower == pytest.approx(exact, rel=1e-6)
+    assert found.status is Status.CERTIFIED
+    assert rl.delay_gain(LAG).upper == pytest.approx(1.0, rel=1e-3)
+    with pytest.raises(InputError, match="one channel"):
+        rl.delay_disk_margin(late)
+
+
+def test_without_a_proof_there_is_no_margin():
+    with pytest.raises(NoTrustworthyNumber, match="proves the loop stable"):
+        rl.delay_disk_margin(3.0 * LAG @ rl.delay(1.0))
+    assert rl.delay_gain((3.0 * LAG @ rl.delay(1.0)).feedback()).status is Status.INCONCLUSIVE
 
 
 def test_an_uncertain_plant_with_a_delay():

@@ -107,8 +107,10 @@ def test_a_discrete_delay_is_a_row_of_states():
     ("wrong", "said"),
     [
         (lambda: rl.delay(-1.0), "0 s or more"),
-        (lambda: rl.delay(np.inf), "0 s or more"),
+        (lambda: rl.delay(np.inf), "finite"),
         (lambda: rl.delay(1.0, n=0), "1 or more"),
+        (lambda: rl.delay(True), "real numbers"),
+        (lambda: rl.delay("1 s"), "real numbers"),
         (lambda: rl.with_delays(LAG, inputs={"none": 1.0}), "one of u1"),
         (lambda: rl.DelayedModel(LAG, [1.0, 2.0]), "at least 2"),
         (lambda: rl.hinf_norm(rl.delay(1.0)), r"pade\(order\)"),

@@ -31,9 +31,9 @@ NAMES = [*shown_objects.OBJECTS, "CampaignResult"]
 PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations"}
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayStability", "GapMetric", "H2Norm", "HinfNorm",
-    "Influence", "NuGap", "PerformanceLimits", "PlantSamples", "Reduction", "Result", "StreamedResponses", "Trim",
-    "WellPosedness",
+    "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability", "GapMetric", "H2Norm",
+    "HinfNorm", "Influence", "NuGap", "PerformanceLimits", "PlantSamples", "Reduction", "Result", "StreamedResponses",
+    "Trim", "WellPosedness",
 }  # fmt: skip
 # Drawings that these small examples have no data for.
 WITHOUT = {("Comparison", "harmonics"), ("Validation", "delta")}

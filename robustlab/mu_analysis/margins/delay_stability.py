@@ -129,7 +129,7 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
         raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
     found = DelayStability(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
-    for order in (n for n in ORDERS if n <= highest_order):
+    for order in (n for n in ORDERS if n <= highest_order) if len(g.delays) else (0,):
         found = _tried(g, order, effort)
         if found.stable is not None:
             break
