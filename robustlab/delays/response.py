@@ -8,8 +8,8 @@ the input is a polynomial, and so is, to interpolation, what the delays hold. Be
 
 is evaluated by matrix exponentials for these polynomials, without error. Delays of inputs and of outputs hold what the
 mesh has already: then the whole response is exact. A delay inside a loop, or between two dynamic parts, holds a signal
-that is no polynomial. It is kept by its values at Chebyshev points of each cell, and the cells are halved until the
-response at the samples no longer changes.
+that is no polynomial. It is kept by its values at Chebyshev points of each cell. Cells that do not resolve it are
+halved, and at the end all of them, until the response at the samples no longer changes.
 
 References
 ----------
@@ -25,7 +25,7 @@ from typing import Literal
 
 import numpy as np
 
-from robustlab.arrays import Array, Indices
+from robustlab.arrays import Array, Indices, Mask
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
@@ -34,7 +34,8 @@ __all__ = ["Answer", "checked_rtol", "delayed_response"]
 DEGREE = 7  # of the polynomials in a cell
 PASSES = 7  # through delays after which a jump is smoother than what a polynomial of that degree sees
 MOST_CELLS = 60_000
-HALVINGS = 7
+# Runs on finer and finer meshes. A cell is halved where its last coefficients exceed this share of rtol.
+REFINEMENTS, SHARE, SMALLEST = 60, 0.1, 1e-12
 # Points of the mesh nearer than this share of the whole time are one.
 SAME_TIME = 1e-11
 # Where a node lies on a jump, the side towards the middle of its cell is meant.
@@ -63,19 +64,29 @@ def delayed_response(
     inside = _inside(model)
     points = _mesh(model, t, inside)
     if not inside.any():
-        return Answer(_Run(model, t, u, hold, points, np.inf, 1).outputs(x0), 0.0, len(points) - 1)
-    longest = float(model.delays[_moving(model)].min())
-    before, cells = None, 0
-    for k in range(HALVINGS + 1):
-        run = _Run(model, t, u, hold, points, longest / 2**k, DEGREE)
-        y, cells = run.outputs(x0), run.cells
-        error = np.inf
-        if before is not None:
-            error = float(np.abs(y - before).max(initial=0.0)) / (float(np.abs(y).max(initial=0.0)) or 1.0)
-        if error <= rtol or not np.isfinite(y).all():
-            return Answer(y, error, cells)
-        before = y
-    found = f"the response still changes when its {cells} cells are halved"
+        return Answer(_Run(model, t, u, hold, points, 1).outputs(x0), 0.0, len(points) - 1)
+    mesh = _cut(points, float(model.delays[_moving(model)].min()))
+    run, y, error = None, np.zeros(0), np.inf
+    for _ in range(REFINEMENTS):
+        run = _Run(model, t, u, hold, mesh, DEGREE)
+        y = run.outputs(x0)
+        if not np.isfinite(y).all():
+            break
+        rough = run.rough(max(SHARE * rtol, SMALLEST))
+        if not rough.any():  # nothing more to see in the cells: every one halved must give the same
+            mesh = _halved(mesh, np.ones(run.cells, dtype=bool))
+            finer = _Run(model, t, u, hold, mesh, DEGREE)
+            again = finer.outputs(x0)
+            error = float(np.abs(again - y).max(initial=0.0)) / (float(np.abs(again).max(initial=0.0)) or 1.0)
+            run, y = finer, again
+            if error <= rtol:
+                break
+        else:
+            mesh = _halved(mesh, rough)
+    assert run is not None
+    if error <= rtol or not np.isfinite(y).all():
+        return Answer(y, error, run.cells)
+    found = f"the response still changes when its {run.cells} cells are halved"
     raise NoTrustworthyNumber("simulate", found, f"a change of at most {rtol:g}", "a larger rtol")
 
 
@@ -90,7 +101,7 @@ def _moving(model: DelayedModel) -> Indices:
     return np.flatnonzero(enters.any(axis=0))
 
 
-def _inside(model: DelayedModel) -> np.ndarray:
+def _inside(model: DelayedModel) -> Mask:
     """Which delays hold a signal that is no polynomial and hand it on to states or other delays, shape (n,)."""
     n = len(model.delays)
     found = np.zeros(n, dtype=bool)
@@ -98,7 +109,7 @@ def _inside(model: DelayedModel) -> np.ndarray:
     return found & np.hstack([model.H.C[:n], model.H.D[:n, :n]]).any(axis=1)
 
 
-def _mesh(model: DelayedModel, t: Array, inside: np.ndarray) -> Array:
+def _mesh(model: DelayedModel, t: Array, inside: Mask) -> Array:
     """All samples, all times to which delays take them, and for each sample the times that delayed outputs show."""
     moving, end = _moving(model), t[-1]
     points = new = t
@@ -124,6 +135,22 @@ def _merged(points: Array, t: Array) -> Array:
     return points[np.concatenate([[True], np.diff(points) > same])] if len(points) else points
 
 
+def _cut(points: Array, longest: float) -> Array:
+    """The mesh with steps of at most ``longest``, so that every delay looks back to a cell that is done."""
+    pieces = np.maximum(1, np.ceil(np.diff(points) / longest * (1.0 - 1e-9))).astype(int)
+    if pieces.sum() > MOST_CELLS:
+        raise _too_many(int(pieces.sum()))
+    parts = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(points[:-1], points[1:], pieces, strict=True)]
+    return np.append(np.concatenate(parts), points[-1])
+
+
+def _halved(mesh: Array, which: Mask) -> Array:
+    """The mesh with a point in the middle of some of its cells."""
+    if len(mesh) + int(which.sum()) > MOST_CELLS:
+        raise _too_many(len(mesh) + int(which.sum()))
+    return np.sort(np.concatenate([mesh, (0.5 * (mesh[:-1] + mesh[1:]))[which]]))
+
+
 def _too_many(cells: int) -> NoTrustworthyNumber:
     hint = "a clock whose step divides the delays, a shorter time, or .pade(order)"
     return NoTrustworthyNumber("simulate", f"{cells} cells for the delays", f"at most {MOST_CELLS}", hint)
@@ -135,16 +162,9 @@ def _too_many(cells: int) -> NoTrustworthyNumber:
 class _Run:
     """A simulation on one mesh: what does not depend on the signals is computed for all cells at once."""
 
-    def __init__(
-        self, model: DelayedModel, t: Array, u: Array, hold: str, points: Array, longest: float, degree: int
-    ) -> None:
-        self.model, self.t, self.u = model, t, u
+    def __init__(self, model: DelayedModel, t: Array, u: Array, hold: str, mesh: Array, degree: int) -> None:
+        self.model, self.t, self.u, self.mesh = model, t, u, mesh
         self.nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
-        pieces = np.maximum(1, np.ceil(np.diff(points) / longest * (1.0 - 1e-9))).astype(int)
-        if pieces.sum() > MOST_CELLS:
-            raise _too_many(int(pieces.sum()))
-        self.mesh = np.append(np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in zip(
-            points[:-1], points[1:], pieces, strict=True)]), points[-1])  # fmt: skip
         self.steps = np.diff(self.mesh)
         self.cells = len(self.steps)
         times = self.mesh[:-1, None] + self.steps[:, None] * self.nodes
@@ -173,10 +193,11 @@ class _Run:
         """Outputs at the samples: what holds just after each of them."""
         H, n = self.model.H, len(self.model.delays)
         C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
-        maps = _Maps(H.A, H.B, self.steps, self.nodes)
+        maps = _Maps(H.A, H.B, self.steps, self.nodes, float(np.abs(self.mesh).max()))
         held = np.zeros((self.cells + 1, len(self.nodes), n))  # z at the nodes; the last row: before the first sample
         states, late = np.zeros((self.cells + 1, H.n_states)), np.zeros((self.cells + 1, n))
         states[0] = x0
+        came = np.zeros((self.cells, len(self.nodes), n))  # w at the nodes
         delay = np.arange(n)
         for c in range(self.cells):
             # (nodes, n, nodes of the cell looked back to)
@@ -185,12 +206,20 @@ class _Run:
             inputs = np.hstack([w, self.force[c]])
             x = free @ states[c] + np.tensordot(forced, inputs, ([2, 3], [0, 1]))
             held[c] = x @ C1.T + w @ D11.T + self.force[c] @ D12.T
-            states[c + 1], late[c] = x[-1], w[0]
+            states[c + 1], late[c], came[c] = x[-1], w[0], w
+        self.signals = np.concatenate([held[:-1], came[:, :, _moving(self.model)]], axis=2)
         end = np.full((1, 1), self.mesh[-1])
         source, weights = self._lookup(end, np.full(1, self.mesh[-1] + self.steps[-1]))
         late[-1] = np.einsum("jil,jil->ji", held[source[0], :, delay], weights[0])[0]
         at = np.searchsorted(self.mesh, self.t)
         return states[at] @ H.C[n:].T + late[at] @ H.D[n:, :n].T + self.u @ H.D[n:, n:].T
+
+    def rough(self, tolerance: float) -> Mask:
+        """Cells in which what enters or leaves a delay is not resolved: its last coefficients are not small."""
+        size = np.abs(self.signals).max(axis=(0, 1), initial=0.0)
+        series = np.linalg.inv(np.polynomial.chebyshev.chebvander(2.0 * self.nodes - 1.0, len(self.nodes) - 1))
+        tail = np.abs(np.einsum("kj,cji->cki", series[-2:], self.signals)).max(axis=1, initial=0.0)
+        return (tail > tolerance * size).any(axis=1)
 
 
 def _interpolation(nodes: Array, place: Array) -> Array:
@@ -209,10 +238,10 @@ def _interpolation(nodes: Array, place: Array) -> Array:
 class _Maps:
     """For each cell: states at its nodes from the state at its beginning, and from the inputs at its nodes."""
 
-    def __init__(self, A: Array, B: Array, steps: Array, nodes: Array) -> None:
+    def __init__(self, A: Array, B: Array, steps: Array, nodes: Array, end: float) -> None:
         self._a, self._b, self._nodes = A, B, nodes
-        size = steps.max()
-        _, first, self._kind = np.unique(np.round(steps / (1e-10 * size)), return_index=True, return_inverse=True)
+        same = 8.0 * np.finfo(float).eps * end  # steps of a clock differ by its rounding
+        _, first, self._kind = np.unique(np.round(steps / same), return_index=True, return_inverse=True)
         self._length = steps[first]
         self._made: dict[int, tuple[Array, Array]] = {}
         powers = np.vander(nodes, increasing=True)

@@ -72,6 +72,16 @@ def test_a_delay_between_two_lags():
     assert np.abs(y - (1 - (1 + s) * np.exp(-s))).max() < 1e-10
 
 
+@pytest.mark.parametrize("T", [1e-2, 1e-4, 1e-7])
+def test_a_fast_part_before_a_delay_is_resolved(T):
+    fast = rl.StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]])
+    t = np.linspace(0, 3, 61)
+    s = np.maximum(t - 0.3, 0)
+    expected = 1 - (np.exp(-s) - T * np.exp(-s / T)) / (1 - T)
+    for model in (LAG @ rl.delay(0.3) @ fast, fast @ rl.delay(0.3) @ LAG):
+        assert np.abs(rl.simulate(model, t, np.ones(61))["y1"] - expected).max() < 1e-9
+
+
 def test_a_loop_of_a_lag_and_a_delay_against_its_series():
     # y = sum over reflections of (-1)^m (k e^(-s tau) / (s + 1))^(m+1) / s, each a delayed polynomial times e^-t
     from math import factorial
