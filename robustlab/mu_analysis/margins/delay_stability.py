@@ -188,7 +188,10 @@ def _newton(g: DelayedModel, s: complex) -> tuple[complex, float] | None:
 def _kantorovich(g: DelayedModel, s: complex, v: ComplexArray, jacobian: ComplexArray, step: float) -> float | None:
     """Radius about (v, s) in which an exact root lies; None where the theorem does not give one."""
     n = g.H.n_states
-    inverse = 1.0 / float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    smallest = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    if not smallest > 0.0:  # a double root, or none
+        return None
+    inverse = 1.0 / smallest
     entries = float(np.linalg.norm(np.block([[g.H.A, g.H.B[:, : len(g.delays)]]]))) + abs(s) * n
     entries += float(np.linalg.norm(np.hstack([g.H.C[: len(g.delays)], g.H.D[: len(g.delays), : len(g.delays)]])))
     entries += float(np.linalg.norm(np.exp((s * g.delays).real)))
