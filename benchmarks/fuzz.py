@@ -329,6 +329,7 @@ def readers(folder: Path) -> list[Reader]:
     things = {
         "state-space": model,
         "uncertain": motor.uncertain(outputs=["omega"]),
+        "delayed": rl.with_delays(model, inputs={"F": 0.5}),
         "controller": controller,
         "record": record,
         "result": Result("T", rl.Status.CERTIFIED, {"a": 1.5, "b": [1.0, 2.0], "c": {"x": None, "y": [[1], "t"]}}),

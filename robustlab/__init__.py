@@ -17,6 +17,13 @@ _PUBLIC = {
     "load": "storage",
     "save": "storage",
     "export_controller": "storage.controller_export",
+    # delays
+    "DelayedModel": "delays",
+    "delay": "delays",
+    "with_delays": "delays",
+    "uncertain_delays": "delays",
+    "neglected_delay": "delays",
+    "neglected_lag": "delays",
     # plants from physics
     "plant": "dynamics",
     "FmuPlant": "dynamics.fmu",
@@ -62,6 +69,9 @@ _PUBLIC = {
     "classical_margins": "mu_analysis.margins.classical",
     "disk_margin": "mu_analysis.margins.disk_margin",
     "worst_case_disk_margin": "mu_analysis.margins.worst_case_disk_margin",
+    "delay_stability": "mu_analysis.margins.delay_stability",
+    "delay_gain": "mu_analysis.margins.delay_margins",
+    "delay_disk_margin": "mu_analysis.margins.delay_margins",
     "gap": "uncertainty.distances.gap_metric",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",

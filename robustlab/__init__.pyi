@@ -1,4 +1,10 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
+from robustlab.delays import DelayedModel as DelayedModel
+from robustlab.delays import delay as delay
+from robustlab.delays import neglected_delay as neglected_delay
+from robustlab.delays import neglected_lag as neglected_lag
+from robustlab.delays import uncertain_delays as uncertain_delays
+from robustlab.delays import with_delays as with_delays
 from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
@@ -28,6 +34,9 @@ from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
 from robustlab.mu_analysis.margins.classical import classical_margins as classical_margins
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin as delay_disk_margin
+from robustlab.mu_analysis.margins.delay_margins import delay_gain as delay_gain
+from robustlab.mu_analysis.margins.delay_stability import delay_stability as delay_stability
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
@@ -105,6 +114,12 @@ __all__ = [
     "load",
     "save",
     "export_controller",
+    "DelayedModel",
+    "delay",
+    "with_delays",
+    "uncertain_delays",
+    "neglected_delay",
+    "neglected_lag",
     "plant",
     "FmuPlant",
     "PlantEquations",
@@ -147,6 +162,9 @@ __all__ = [
     "classical_margins",
     "disk_margin",
     "worst_case_disk_margin",
+    "delay_stability",
+    "delay_gain",
+    "delay_disk_margin",
     "gap",
     "nu_gap",
     "coprime_margin",

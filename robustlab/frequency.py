@@ -49,7 +49,7 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     Parameters
     ----------
     model
-        A `StateSpaceModel` or a python-control object.
+        A `StateSpaceModel`, a python-control object, or a `DelayedModel`, whose delays are exact.
     omega
         Frequencies in rad/s, shape (n_omega,); ``inf`` gives D for a continuous model.
 
@@ -71,6 +71,9 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     >>> frequency_response(lag, [0.0, 2.0])[:, 0, 0]
     array([3. +0.j , 1.5-1.5j])
     """
+    exact = getattr(model, "response_at", None)
+    if exact is not None:  # a model that is more than its state space
+        return exact(omega)
     given = moderated(as_model(model, "frequency_response"), "frequency_response")
     model = given.model
     w = np.atleast_1d(np.asarray(omega, dtype=float))

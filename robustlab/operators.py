@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 from robustlab.errors import InputError
 
-__all__ = ["TransferMatrix"]
+__all__ = ["TransferMatrix", "carried_by_rank"]
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 # The power of a model has that many times its states.
 LARGEST_POWER = 100
@@ -98,3 +102,14 @@ class TransferMatrix:
         for _ in range(exponent - 1):
             result = result._product(self, result)
         return result
+
+
+def carried_by_rank(function: F) -> F:
+    """An interconnection that an operand of a class with a method ``carried`` carries out, and not the function."""
+
+    @wraps(function)
+    def by_rank(*operands: Any, **options: Any) -> Any:
+        carrier = next((operand for operand in operands if hasattr(operand, "carried")), None)
+        return function(*operands, **options) if carrier is None else carrier.carried(function, *operands, **options)
+
+    return cast("F", by_rank)

@@ -335,7 +335,8 @@ def as_model(system: Any, where: str = "model") -> StateSpaceModel:
         return as_model(to_model(), where)
     if type(system).__module__.split(".")[0] == "control":
         return StateSpaceModel.from_control(system)
-    raise InputError(where, f"{type(system).__name__}", "a StateSpaceModel or a control.StateSpace")
+    found, hint = type(system).__name__, getattr(system, "no_model", None)
+    raise InputError(where, found, "a StateSpaceModel or a control.StateSpace", hint)
 
 
 # --- interconnection -------------------------------------------------------------------------------------------------

@@ -163,6 +163,7 @@ OTHERS = {("Comparison", "harmonics"): periodic_comparison, ("Validation", "delt
 OBJECTS: dict[str, Any] = {
     "StateSpaceModel": lambda: spring().nominal,
     "UncertainModel": spring,
+    "DelayedModel": lambda: rl.with_delays(lag(), inputs={"u": 0.5}),
     "Controller": lambda: mixsyn().controller,
     "GeneralizedPlant": lambda: rl.generalized_plant(problem(), ["y"], ["u"]),
     "Record": record,
@@ -188,6 +189,9 @@ OBJECTS: dict[str, Any] = {
     "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
     "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
     "WorstCaseDiskMargin": lambda: rl.worst_case_disk_margin(first_order()[0, 0]),
+    "DelayStability": lambda: rl.delay_stability(rl.with_delays(lag(), inputs={"u": 0.5}).feedback()),
+    "DelayGain": lambda: rl.delay_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
+    "DelayDiskMargin": lambda: rl.delay_disk_margin(2.0 * rl.with_delays(lag(), inputs={"u": 0.5})),
     "GapMetric": lambda: rl.gap(spring().nominal, four_models()[1]),
     "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),
     "CoprimeMargin": lambda: rl.coprime_margin(spring().nominal, INTEGRAL),

@@ -68,11 +68,16 @@ def margins(
 ) -> None:
     """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
 
+    Of a plant with exact delays and one channel: with its delays exact, proved for all frequencies.
+
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
+    from robustlab.delays import DelayedModel
     from robustlab.mu_analysis.margins.classical import classical_margins
+    from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin
     from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
     from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
+    from robustlab.statespace import as_model
     from robustlab.storage import load
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -83,10 +88,15 @@ def margins(
     sign = _sign(loop.feedback, k)
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
     if loop.classical:
-        if isinstance(thing, UncertainModel):
-            raise UsageError("--classical", "an uncertain plant", "one model", "uncertain sample writes members")
+        if isinstance(thing, (UncertainModel, DelayedModel)):
+            kind = "an uncertain plant" if isinstance(thing, UncertainModel) else "a plant with exact delays"
+            raise UsageError("--classical", kind, "one model without", "leave --classical out for its disk margin")
         result: Any = classical_margins(thing, k, at=options["at"], sign=sign)
         text = _classical_text(result)
+    elif isinstance(thing, DelayedModel):
+        k = as_model(k, "--controller") if k is not None else None
+        result = delay_disk_margin(thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort)
+        text = result.summary()
     elif isinstance(thing, UncertainModel):
         result = worst_case_disk_margin(thing, k, **options, **vars(effort))
         text = _worst_text(result)

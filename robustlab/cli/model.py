@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import emit, note, require_trust, table
+from robustlab.cli.delays import delay_model, stability_lines
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
 from robustlab.cli.offers import FORMULAS, one_of, plant_or_file
@@ -152,11 +153,22 @@ def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fals
 def check(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
     """Check a file and the model in it: poles, stability, controllability, observability.
 
+    Of a model with exact delays: whether it is stable, proved for all frequencies, or refuted by a root.
+    Exit code 4: neither could be shown.
+
     Example: robustlab model check motor.h5
     """
+    from robustlab.delays import DelayedModel
     from robustlab.structural import controllability, observability
 
     loaded = options.read(file)
+    if isinstance(loaded.object, DelayedModel):
+        told, found = stability_lines(loaded.object)
+        head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
+        text = "\n".join([f"{file}: {_kind_line(loaded)}", *told])
+        emit("model check", {**head, "stability": found}, text, as_json)
+        require_trust(found.status)
+        return
     lines, result, doubtful = [f"{file}: {_kind_line(loaded)}"], {}, False
     for name, model in _models(loaded):
         tests = [controllability(model), observability(model)]
@@ -261,6 +273,7 @@ def convert(
 
 app.command()(margins)
 app.command()(gap)
+app.command("delay")(delay_model)
 app.command("plot")(plot_model)
 
 
@@ -378,11 +391,15 @@ def _complex(pole: complex) -> str:
 
 def _describe(name: str, thing: Any) -> list[str]:
     """A few lines about any object that a file can hold."""
+    from robustlab.delays import DelayedModel
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.statespace import StateSpaceModel
     from robustlab.synthesis.problem.design import Controller
     from robustlab.uncertainty.lft import UncertainModel
 
+    if isinstance(thing, DelayedModel):
+        lengths = ", ".join(f"{t:.6g}" for t in thing.delays.tolist())
+        return [repr(thing), f"  delays: {lengths} s", *_describe("between them: ", thing.H)]
     if isinstance(thing, StateSpaceModel):
         return [f"{name}{thing!r}", *_signal_lines(thing), *_matrix_lines(thing)]
     if isinstance(thing, Plant):

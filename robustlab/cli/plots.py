@@ -97,10 +97,11 @@ def _model(name: str) -> Any:
 
 def _channels(model: Any, inputs: str | None, outputs: str | None) -> Any:
     """The model between the channels that were asked for; of many the first, with a note."""
+    from robustlab.delays import DelayedModel
     from robustlab.statespace import as_model
     from robustlab.uncertainty.lft import UncertainModel
 
-    model = model if isinstance(model, UncertainModel) else as_model(model, "model plot")
+    model = model if isinstance(model, (UncertainModel, DelayedModel)) else as_model(model, "model plot")
     chosen = []
     for option, given, side in (("--inputs", inputs, model.inputs), ("--outputs", outputs, model.outputs)):
         known = [s.name for s in side]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
+from robustlab.cli.delays import cover_delays, neglected_weight
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.offers import COVERS, one_of, plant_or_file
 from robustlab.cli.options import (
@@ -443,6 +444,10 @@ def sample(
         result["figures"] = save_figures({"envelope": _envelope(responses)}, figure)
     emit("uncertain sample", result, _summary(responses, members.vertices), as_json)
     require_trust(responses.status)
+
+
+app.command("delays")(cover_delays)
+app.command("neglected")(neglected_weight)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.delays.model import DelayedModel
+from robustlab.delays.response import checked_rtol, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
@@ -39,12 +41,14 @@ def simulate(
 
     evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A
     nonlinear plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps. A plant with
-    effects (`with_effects`) is stepped with its forces held, on a clock of equal steps, with exact sticking.
+    effects (`with_effects`) is stepped with its forces held, on a clock of equal steps, with exact sticking. A model
+    with exact delays follows the method of steps (`robustlab.delays.response`): without error where the delays are at
+    inputs and outputs, else with the estimated error below ``rtol``. Before ``t[0]`` nothing is in its delays.
 
     Parameters
     ----------
     plant_or_model
-        A plant, a StateSpaceModel, or a ``control.StateSpace``; of an uncertain model the nominal one.
+        A plant, a StateSpaceModel, a DelayedModel, or a ``control.StateSpace``; of an uncertain model the nominal one.
     t
         Times in s, shape (n,), strictly increasing; the steps may differ (for a discrete model they are its dt).
     u
@@ -59,7 +63,8 @@ def simulate(
         next one (a sampled smooth signal); for nonlinear plants "spline" goes smoothly through the samples, which is
         the quickest for a sampled smooth signal.
     rtol
-        Nonlinear plants: relative local error of a step, 1e-8 where left out.
+        Nonlinear plants: relative local error of a step, 1e-8 where left out. Models with delays inside: largest change
+        when the cells are halved, relative to the largest output, 1e-9 where left out.
     step
         Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s, without error
         control. Plants with effects: their longest step, 1 ms where left out; of a nonlinear plant steps are then
@@ -75,7 +80,8 @@ def simulate(
     InputError
         Unknown or missing inputs, wrong lengths, NaN, a clock that runs backwards or is not the discrete model's own.
     NoTrustworthyNumber
-        The response outgrows double precision, or a mechanism leaves its workspace; the message names the time.
+        The response outgrows double precision, or a mechanism leaves its workspace; the message names the time. The
+        response of a model with delays does not settle to ``rtol``, or needs too many cells.
 
     Examples
     --------
@@ -87,27 +93,62 @@ def simulate(
         return _simulate_nonlinear(plant_or_model, t, u, x0, hold=hold, rtol=rtol, step=step, name=name)
     if isinstance(plant_or_model, Plant) and not hasattr(plant_or_model, "to_model"):
         raise InputError("simulate", f"{plant_or_model.name} is not linear", "a linear plant or a model")
+    if isinstance(plant_or_model, DelayedModel):
+        return _simulate_delayed(plant_or_model, t, u, x0, hold=hold, rtol=rtol, step=step, name=name)
     if rtol is not None or step is not None:
         raise InputError("simulate", "rtol or step for a linear model", "neither: it is simulated without error")
     model = as_model(plant_or_model, "simulate")
     title = name or getattr(plant_or_model, "name", None) or "simulation"
     clock = Record(t, name="simulate").t
     force = sampled_inputs(model.inputs, u, len(clock))
-    start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
-    if len(start) != model.n_states:
-        states = ", ".join(model.state_names) or "none"
-        raise InputError("simulate", f"x0 has {len(start)} entries", f"{model.n_states} (states: {states})")
-    if hold not in ("zoh", "foh"):
-        raise InputError("simulate: hold", f"{hold!r} for a linear model", "'zoh' or 'foh'")
+    start = _start(model, x0)
+    held = _linear_hold(hold)
     with np.errstate(over="ignore", invalid="ignore"):
         x = (
-            _discrete_states(model, clock, force, start, hold)
+            _discrete_states(model, clock, force, start, held)
             if model.is_discrete
-            else _states(model, clock, force, start, hold)
+            else _states(model, clock, force, start, held)
         )
         y = x @ model.C.T + force @ model.D.T
     _check_finite(np.hstack([x, y]), clock, title)
     return recorded(model, clock, force, y, title)
+
+
+def _start(model: StateSpaceModel, x0: Any) -> Array:
+    start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
+    if len(start) != model.n_states:
+        states = ", ".join(model.state_names) or "none"
+        raise InputError("simulate", f"x0 has {len(start)} entries", f"{model.n_states} (states: {states})")
+    return start
+
+
+def _linear_hold(hold: NonlinearHold) -> Hold:
+    if hold not in ("zoh", "foh"):
+        raise InputError("simulate: hold", f"{hold!r} for a linear model", "'zoh' or 'foh'")
+    return hold
+
+
+def _simulate_delayed(
+    model: DelayedModel,
+    t: Any,
+    u: Any,
+    x0: Any,
+    *,
+    hold: Any,
+    rtol: float | None,
+    step: float | None,
+    name: str | None,
+) -> Record:
+    if step is not None:
+        raise InputError("simulate", "step for a model with delays", "rtol: its cells are halved until that is met")
+    clock = Record(t, name="simulate").t
+    force = sampled_inputs(model.inputs, u, len(clock))
+    held = _linear_hold(hold)
+    with np.errstate(over="ignore", invalid="ignore"):
+        answer = delayed_response(model, clock, force, _start(model.H, x0), held, checked_rtol(rtol))
+    title = name or "simulation"
+    _check_finite(answer.y, clock, title)
+    return recorded(model, clock, force, answer.y, title)
 
 
 def _simulate_nonlinear(
@@ -267,7 +308,7 @@ def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | Arra
     return samples
 
 
-def recorded(plant: Plant | StateSpaceModel, t: Array, u: Array, y: Array, name: str) -> Record:
+def recorded(plant: Plant | StateSpaceModel | DelayedModel, t: Array, u: Array, y: Array, name: str) -> Record:
     """Inputs (n, n_u) and outputs (n, n_y) of a plant or model as a record with their units."""
     inputs, outputs = (
         {s.name: column for s, column in zip(signals, samples.T, strict=True)}

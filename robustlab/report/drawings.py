@@ -33,6 +33,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # models
     "StateSpaceModel": _MODEL,
     "UncertainModel": _MODEL,
+    "DelayedModel": {kind: name for kind, name in _MODEL.items() if kind != "pzmap"},
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
@@ -48,6 +49,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "SmallGain": {"gain": "result_figures.small_gain_figure"},
     "DiskMargins": _DISK,
     "DiskBounds": _DISK,
+    "DelayDiskMargin": _DISK,
     "SampledRobustness": {"mu": "mu_figures.sampled_figure"},
     "SampledDataNorm": {"history": "result_figures.norm_history"},
     "Cover": {"set": "cover_figures.cover_figure"},

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.delays import DelayedModel
 from robustlab.dynamics import simulate
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
@@ -41,18 +42,19 @@ __all__ = ["bode_figure", "pole_figure", "sigma_figure", "step_figure"]
 MEMBERS, ALL_VERTICES, VERTICES = 30, 5, 32  # members drawn; vertices besides: all of up to 5 blocks, else so many
 MOST = 4  # outputs or inputs side by side
 POINTS = 500
+PADE = 3  # order of the rational delays that say where to look
 
 
 @dataclass(frozen=True)
 class _Drawn:
     """What is drawn: the nominal model, members around it, and how many outputs and inputs were left out."""
 
-    nominal: StateSpaceModel
+    nominal: StateSpaceModel | DelayedModel
     members: Sequence[StateSpaceModel] = ()
     left_out: str = ""
 
     @property
-    def every(self) -> tuple[StateSpaceModel, ...]:
+    def every(self) -> tuple[StateSpaceModel | DelayedModel, ...]:
         return (self.nominal, *self.members)
 
 
@@ -68,7 +70,7 @@ def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: 
     """
     drawn = _drawn(shown, n, seed)
     model = drawn.nominal
-    clock = default_clock(model, "plot('step')") if t is None else np.asarray(t, dtype=float)
+    clock = default_clock(_rational(model), "plot('step')") if t is None else np.asarray(t, dtype=float)
     figure, panels = _grid(model, height=2.1)
     with house_style():
         for j, u in enumerate(model.inputs):
@@ -128,8 +130,6 @@ def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, s
     """Largest and smallest singular value over frequency; options as of `bode_figure`."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = drawn.nominal
-    if not model.D.size:
-        raise InputError("plot('sigma')", f"a model of {model.n_outputs} x {model.n_inputs}", "inputs and outputs")
     w = _frequencies(model, omega)
     values = np.array([np.linalg.svd(frequency_response(m, w), compute_uv=False) for m in drawn.every])
     units = {_per(y, u) for y in model.outputs for u in model.inputs}
@@ -148,7 +148,7 @@ def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, s
 def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Poles and transmission zeros in the complex plane; of an uncertain model the members' poles around them."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
-    model = drawn.nominal
+    model = as_model(drawn.nominal, "plot")
     zeros = transmission_zeros(model)
     clouds = [m.poles() for m in drawn.members]
     return poles_figure(model.poles(), zeros, model.dt, np.concatenate(clouds) if clouds else None)
@@ -196,8 +196,8 @@ def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
         found = sample(shown, n, seed, corners) if shown.blocks else None
         members = [shown.evaluate(_real(delta)) for delta in list(found.deltas)] if found else []
     else:
-        whole, members = as_model(shown, "plot"), []
-    model = as_model(whole, "plot")
+        whole, members = shown, []
+    model = whole if isinstance(whole, DelayedModel) else as_model(whole, "plot")
     if not model.n_outputs or not model.n_inputs:
         raise InputError("plot", f"a model of {model.n_outputs} x {model.n_inputs}", "inputs and outputs")
     if model.n_outputs <= most and model.n_inputs <= most:
@@ -211,16 +211,21 @@ def _real(delta: Any) -> dict[str, Any]:
     return {name: np.real(value) if np.iscomplexobj(value) else value for name, value in delta.items()}
 
 
-def _frequencies(model: StateSpaceModel, omega: ArrayLike | None) -> Array:
+def _frequencies(model: StateSpaceModel | DelayedModel, omega: ArrayLike | None) -> Array:
     if omega is None:
-        return default_grid(model, POINTS, 1.0)
+        return default_grid(_rational(model), POINTS, 1.0)
     given = np.atleast_1d(np.asarray(omega, dtype=float))
     if given.ndim != 1 or len(given) < 2 or not (given > 0).all() or not np.isfinite(given).all():
         raise InputError("plot: omega", f"{len(given)} frequencies", "at least two, positive and finite, in rad/s")
     return np.sort(given)
 
 
-def _step(model: StateSpaceModel, t: Array, name: str) -> Array:
+def _rational(model: StateSpaceModel | DelayedModel) -> StateSpaceModel:
+    """Whose poles say where to look; what is drawn is exact."""
+    return model.pade(PADE) if isinstance(model, DelayedModel) else model
+
+
+def _step(model: StateSpaceModel | DelayedModel, t: Array, name: str) -> Array:
     record = simulate(model, t, {u: np.full(len(t), float(u == name)) for u in model.input_names})
     return np.column_stack([record.outputs[y] for y in model.output_names])
 
@@ -245,7 +250,7 @@ def _per(y: Signal, u: Signal) -> str:
 # --- panels -----------------------------------------------------------------------------------------------------------
 
 
-def _grid(model: StateSpaceModel, height: float) -> tuple[Figure, list[Axes]]:
+def _grid(model: StateSpaceModel | DelayedModel, height: float) -> tuple[Figure, list[Axes]]:
     rows, columns = model.n_outputs, model.n_inputs
     height = max(height, 3.2) if rows == 1 else height
     return new_figure(rows, columns, max(7.2, 3.6 * columns), height, sharex=True)
@@ -278,7 +283,7 @@ def _quarter_turns(axes: Axes) -> Any:
     return MultipleLocator(90.0 * max(1.0, np.ceil(turns / 5.0))) if turns > 1 else MaxNLocator(4)
 
 
-def _bottom(panels: Sequence[Axes], model: StateSpaceModel, label: str) -> None:
+def _bottom(panels: Sequence[Axes], model: StateSpaceModel | DelayedModel, label: str) -> None:
     for panel in panels[-model.n_inputs :]:
         panel.set_xlabel(label)
 

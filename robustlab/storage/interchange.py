@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from robustlab.delays.model import DelayedModel
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError, UsageError
@@ -22,6 +23,7 @@ from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.controller_json import is_json, read_controller_json
+from robustlab.storage.delayed_models import decode_delayed, encode_delayed
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.model_pairs import decode_pair, looks_like_a_pair
 from robustlab.storage.plants import decode_plant, encode_plant
@@ -33,7 +35,7 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["Loaded", "load", "load_pair", "read", "save", "is_plant_file", "load_plant"]
 
 
-Stored = StateSpaceModel | UncertainModel | Controller | Record | Result | Plant
+Stored = StateSpaceModel | UncertainModel | DelayedModel | Controller | Record | Result | Plant
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Loaded:
     Attributes
     ----------
     object
-        StateSpaceModel, UncertainModel, Controller, Record, Result, Plant; for ``kind = "pair"`` (nominal, perturbed).
+        StateSpaceModel, UncertainModel, DelayedModel, Controller, Record, Result, Plant; for ``kind = "pair"``
+        (nominal, perturbed).
     kind
         Kind of format 1, or ``"pair"``.
     verified
@@ -99,7 +102,7 @@ def load(
 
     Returns
     -------
-    StateSpaceModel, UncertainModel, Controller, Record, Result or Plant
+    StateSpaceModel, UncertainModel, DelayedModel, Controller, Record, Result or Plant
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
         The object's ``provenance`` is that of the file. Where no content hash verified the file, its note says so; a
         format 1 file without one, or with one that does not match, also brings a warning.
@@ -201,6 +204,8 @@ def _of_kind(kind: str, tree: Tree, transpose: bool) -> Stored:
     problems = Problems(tree.file)
     if kind == "uncertain":
         return decode_uncertain(tree, problems, transpose)
+    if kind == "delayed":
+        return decode_delayed(tree, problems, transpose)
     if kind == "controller":
         return decode_controller(tree, problems, transpose)
     if kind == "record":
@@ -253,10 +258,9 @@ def _unit_warnings(thing: Any) -> tuple[str, ...]:
         bare = [name for name, unit in thing.units.items() if not unit]
     else:
         thing = thing if not isinstance(thing, Plant) else None
-        model = thing.M if isinstance(thing, UncertainModel) else thing.K if isinstance(thing, Controller) else thing
-        if not isinstance(model, StateSpaceModel):
+        outer = thing.K if isinstance(thing, Controller) else thing
+        if not isinstance(outer, (StateSpaceModel, UncertainModel, DelayedModel)):
             return ()
-        outer = thing if isinstance(thing, UncertainModel) else model
         bare = [s.name for s in (*outer.inputs, *outer.outputs) if not s.unit]
     return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
 
@@ -272,8 +276,9 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     path
         File to write; an existing file is replaced once the new one is complete.
     obj
-        StateSpaceModel, UncertainModel, Controller, Record, a plant with or without effects, a python-control system,
-        or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or
+        StateSpaceModel, UncertainModel, DelayedModel, Controller, Record, a plant with or without effects, a
+        python-control system, or a result (with ``.status`` and ``.to_json()``). A plant is one as from
+        `robustlab.dynamics.plant`, or
         one of the user's own, whose equations are stored as coefficients (`LinearPlant`) or tapes (`PlantEquations`).
     provenance
         Where it comes from; where left out, time and versions of now, and the code of a plant file (its SHA-256).
@@ -316,6 +321,9 @@ def _encode(tree: Tree, obj: Any) -> str:
     if isinstance(obj, UncertainModel):
         encode_uncertain(tree, obj)
         return "uncertain"
+    if isinstance(obj, DelayedModel):
+        encode_delayed(tree, obj)
+        return "delayed"
     if isinstance(obj, Controller):
         encode_controller(tree, obj)
         return "controller"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
+from robustlab.operators import carried_by_rank
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.signals import same_units
@@ -38,6 +39,7 @@ def series(first: Any, *others: Any) -> UncertainModel:
     return result
 
 
+@carried_by_rank
 def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
     r"""Redheffer star product: the last outputs of ``first`` drive the first inputs of ``second``, and its first
     outputs the last inputs of ``first``.
@@ -124,6 +126,7 @@ def upper(M: Any, K: Any) -> UncertainModel:
     return star(k, m, len(k.outputs), len(k.inputs))
 
 
+@carried_by_rank
 def beside(*systems: Any) -> UncertainModel:
     """``[G1, G2, ...]``: outputs added, inputs side by side (horizontal concatenation).
 
@@ -155,6 +158,7 @@ def beside(*systems: Any) -> UncertainModel:
     return interconnected(parts, wiring, [s for part in parts for s in part.inputs], parts[0].outputs, "beside")
 
 
+@carried_by_rank
 def stacked(*systems: Any) -> UncertainModel:
     """``[G1; G2; ...]``: the same inputs, outputs below one another (vertical concatenation).
 

@@ -94,6 +94,19 @@ def test_uncertain_models(uncertain):
     np.testing.assert_array_equal(back.operating_point.u, uncertain.operating_point.u)
 
 
+@SETTINGS
+@given(st.data(), st.lists(st.floats(1e-6, 1e6), max_size=3))
+def test_delayed_models(data, lengths):
+    n = len(lengths)
+    model = data.draw(models(st.integers(n, n + 2), st.integers(n, n + 2)))
+    if model.is_discrete:
+        return
+    delayed = rl.DelayedModel(model, lengths)
+    back = there_and_back(delayed)
+    assert back.delays.tolist() == delayed.delays.tolist()
+    assert_same_model(back.H, delayed.H)
+
+
 def test_what_the_algebra_makes_comes_back():
     lag = rl.parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
     gain = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]])

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
+from robustlab.delays.pade import pade
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.delays import pade_delay
 from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
 
 T = np.arange(2001) * 1e-3
@@ -219,7 +219,7 @@ def test_a_dead_zone_at_rest_keeps_the_gain_of_the_driver_and_is_said():
 
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_pade_delays_follow_the_true_phase(order):
-    model = rl.StateSpaceModel(*pade_delay(0.01, order))
+    model = pade(0.01, order)
     omega = np.array([1.0, 20.0, 60.0])
     response = np.array([(model.C @ np.linalg.solve(1j * w * np.eye(order) - model.A, model.B) + model.D)[0, 0]
                          for w in omega])  # fmt: skip

@@ -31,8 +31,9 @@ NAMES = [*shown_objects.OBJECTS, "CampaignResult"]
 PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations"}
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "Conflict", "Conservatism", "CoprimeMargin", "GapMetric", "H2Norm", "HinfNorm", "Influence", "NuGap", "Result",
-    "Reduction", "PlantSamples", "StreamedResponses", "Trim", "WellPosedness", "DcMotor", "PerformanceLimits",
+    "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability", "GapMetric", "H2Norm",
+    "HinfNorm", "Influence", "NuGap", "PerformanceLimits", "PlantSamples", "Reduction", "Result", "StreamedResponses",
+    "Trim", "WellPosedness",
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-r"""Delays: rational ones by Padé, and a block for what these miss; lags of first order.
+r"""Delays that come with their signals' effects: rational ones, and a block for what these miss; lags of first order.
 
 References
 ----------
@@ -9,12 +9,12 @@ Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-i
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.delays.pade import pade as rational_delay
 from robustlab.dynamics.tuning import TUNING, DynamicsTuning
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
@@ -23,27 +23,10 @@ from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["HIGHEST_PADE", "delay_block", "delayed", "lag_block", "lagged", "pade_delay"]
+__all__ = ["HIGHEST_PADE", "delay_block", "delayed", "lag_block", "lagged"]
 
-# The order up to which a rational delay is better than its own rounding.
+# The order up to which the error's weight can be fitted.
 HIGHEST_PADE = 8
-
-
-def pade_delay(delay: float, order: int) -> tuple[Array, Array, Array, Array]:
-    r"""A, B, C, D of the Padé approximation of :math:`e^{-s d}` of equal orders; an all-pass with the gain 1.
-
-    Phase variables in units of the delay, so that entries are of moderate size.
-    """
-    n = order
-    c = np.array([math.factorial(2 * n - k) * math.comb(n, k) / math.factorial(2 * n) for k in range(n + 1)])
-    denominator, numerator = c / c[n], c * (-1.0) ** np.arange(n + 1) / c[n]
-    direct = numerator[n]
-    a = np.diag(np.ones(n - 1), 1)
-    a[-1] = -denominator[:n]
-    b = np.zeros((n, 1))
-    b[-1] = 1.0
-    read = (numerator[:n] - direct * denominator[:n])[None]
-    return a / delay, b / delay, read, np.array([[direct]])
 
 
 def delayed(model: StateSpaceModel, delays: Mapping[str, list[float]], order: int) -> StateSpaceModel:
@@ -69,8 +52,8 @@ def delayed(model: StateSpaceModel, delays: Mapping[str, list[float]], order: in
 
 
 def _bank(delays: list[float], order: int) -> StateSpaceModel:
-    unit = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
-    channels = [StateSpaceModel(*(pade_delay(delay, order) if delay else unit)) for delay in delays]
+    unit = StateSpaceModel([], [], [], [[1.0]])
+    channels = [rational_delay(delay, order) if delay else unit for delay in delays]
     return append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
 
 
@@ -144,8 +127,8 @@ def delay_block(
     """
     if not 0 < delay < np.inf or not 0 <= spread < np.inf:
         raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
-    a, b, c, d = pade_delay(delay, pade)
-    rational = StateSpaceModel(a, b, c, d)
+    rational = rational_delay(delay, pade)
+    a, b, c, d = rational.A, rational.B, rational.C, rational.D
     zeros = -rational.poles()
 
     def error(omega: Array) -> Array:

@@ -1,0 +1,139 @@
+"""``robustlab model delay``, ``uncertain delays`` and ``uncertain neglected``: delays in models, covers of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, table
+from robustlab.cli.options import OutputOptions, assignments, ends, grouped
+from robustlab.cli.plant import made_of, plant_or_model
+from robustlab.errors import UsageError
+
+if TYPE_CHECKING:
+    from robustlab.mu_analysis.margins.delay_stability import DelayStability
+
+__all__ = ["cover_delays", "delay_model", "neglected_weight", "stability_lines"]
+
+ModelArgument = Annotated[
+    str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL", show_default=False)
+]
+OrderOption = Annotated[int, typer.Option("--order", help="Order of the Padé approximations.")]
+
+
+@grouped
+def delay_model(
+    *,
+    file: ModelArgument,
+    inputs: Annotated[
+        list[str] | None, typer.Option("--input", help="Delay of an input in s, NAME=0.01; repeatable.")
+    ] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", help="Delay of an output in s; repeatable.")] = None,
+    pade: Annotated[
+        int | None, typer.Option("--pade", help="Write a rational model of this order in the place of exact delays.")
+    ] = None,
+    output: OutputOptions,
+) -> None:
+    """Exact delays at the inputs and outputs of a model; of a discrete one as states.
+
+    Example: robustlab model delay motor.h5 --input u=0.01 --out late.h5
+    """
+    from robustlab.delays import DelayedModel, with_delays
+
+    given, model = _read(file)
+    units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
+    sides = (assignments(option, texts, units) for option, texts in (("--input", inputs), ("--output", outputs)))
+    found: Any = with_delays(model, *sides)
+    if pade is not None:
+        if not isinstance(found, DelayedModel):
+            raise UsageError("--pade", f"{file} is discrete: its delays are states", "no --pade")
+        found = found.pade(pade)
+    rows = [("model", repr(found)), *_written("model delay", found, output, file, given)]
+    emit("model delay", {"model": found}, table(rows), output.as_json)
+
+
+@grouped
+def cover_delays(
+    *,
+    file: ModelArgument,
+    inputs: Annotated[
+        list[str] | None,
+        typer.Option("--input", help="Delay of an input in s, NAME=0.01, or its range, NAME=0.01:0.03; repeatable."),
+    ] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option("--output", help="Delay of an output in s, or its range; repeatable.")
+    ] = None,
+    order: OrderOption = 3,
+    weight_order: Annotated[int, typer.Option("--weight-order", help="Order of the weight of their error.")] = 3,
+    output: OutputOptions,
+) -> None:
+    """A set that holds the model with its exact delays: rational ones, and blocks for what these miss at any frequency.
+
+    MODEL may be uncertain, or have exact delays already. What is proved of the set is proved of the model.
+
+    Example: robustlab uncertain delays motor.h5 --input u=0.005:0.015 --out set.h5
+    """
+    from robustlab.delays import uncertain_delays
+
+    given, model = _read(file)
+    units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
+    sides: list[dict[str, Any]] = []
+    for option, texts in (("--input", inputs), ("--output", outputs)):
+        whole = [text for text in texts or [] if ":" not in text.rpartition("=")[2]]
+        ranged = [text for text in texts or [] if text not in whole]
+        sides.append({**assignments(option, whole, units), **ends(option, ranged, units)})
+    found = uncertain_delays(model, *sides, order=order, weight_order=weight_order)
+    rows = [
+        ("set", repr(found)),
+        *((block.name, block.origin) for block in found.blocks),
+        *_written("uncertain delays", found, output, file, given),
+    ]
+    emit("uncertain delays", {"set": found}, table(rows), output.as_json)
+
+
+@grouped
+def neglected_weight(
+    *,
+    delay: Annotated[float | None, typer.Option("--delay", help="Longest delay in s that is left out.")] = None,
+    lag: Annotated[float | None, typer.Option("--lag", help="Longest time constant in s that is left out.")] = None,
+    order: Annotated[int, typer.Option("--order", help="Of the weight for a delay: 1 or 3.")] = 1,
+    output: OutputOptions,
+) -> None:
+    """The weight of the relative error of a model that leaves out a delay or a lag, proved for all frequencies.
+
+    Example: robustlab uncertain neglected --delay 0.02 --out weight.h5
+    """
+    from robustlab.delays import neglected_delay, neglected_lag
+    from robustlab.delays.neglected import PROOFS
+    from robustlab.result import Status
+
+    if (delay is None) == (lag is None):
+        raise UsageError("uncertain neglected", "--delay and --lag" if lag is not None else "neither", "one of them")
+    found = neglected_delay(delay, order) if delay is not None else neglected_lag(float(lag or 0.0))
+    proof = PROOFS["delay" if delay is not None else "lag"]
+    rows = [("weight", repr(found)), ("status", str(Status.CERTIFIED)), ("proof", proof)]
+    rows += output.keep_made("uncertain neglected", found, [])
+    result = {"weight": found, "status": Status.CERTIFIED, "proof": proof}
+    emit("uncertain neglected", result, table(rows), output.as_json)
+
+
+def stability_lines(model: Any) -> tuple[list[str], DelayStability]:
+    """What ``robustlab model check`` says of a model with exact delays."""
+    from robustlab.mu_analysis.margins.delay_stability import delay_stability
+
+    found = delay_stability(model)
+    lines = [f"  {label}: {text}" for label, text in found.facts() if text]
+    return [repr(model), *lines, f"  status: {found.status}"], found
+
+
+def _read(file: str) -> tuple[Any, Any]:
+    """What was named, and the model of it."""
+    from robustlab.dynamics import Plant, linearise
+
+    given = plant_or_model(file, [])
+    return given, linearise(given) if isinstance(given, Plant) else given
+
+
+def _written(command: str, found: Any, output: OutputOptions, file: str, given: Any) -> list[tuple[str, str]]:
+    return output.keep_made(command, found, list(made_of(file, given)))

@@ -1,0 +1,237 @@
+r"""Rational delays: the diagonal Padé approximation of any order, and a proved bound of its error at all frequencies.
+
+With :math:`Q_n` the denominator, :math:`Q_n(0) = 1`, the approximation of :math:`e^{-s}` is :math:`R_n(s) = Q_n(-s) /
+Q_n(s)`. At :math:`s = jx` both have modulus one, so their difference is one of phase,
+
+.. math:: |e^{-jx} - R_n(jx)| = 2 \left| \sin \tfrac12 \theta_n(x) \right|, \qquad \theta_n(x) = x - 2 \arg Q_n(jx),
+   \qquad \theta_n'(x) = \left( \frac{n!}{(2n)!} \right)^2 \frac{x^{2n}}{|Q_n(jx)|^2} \ge 0 .
+
+All coefficients of :math:`|Q_n(jx)|^2` in :math:`x^2` are positive, hence :math:`|Q_n(jx)| \ge 1`, and
+
+.. math:: |e^{-jx} - R_n(jx)| \le \min(2, c_n x^{2n+1}), \qquad c_n = \left( \frac{n!}{(2n)!} \right)^2
+   \frac{1}{2n+1} \qquad \text{for all } x \ge 0 .
+
+Both facts about :math:`Q_n` are statements about polynomials with whole coefficients; `phase_bound` checks them for its
+order, without rounding.
+
+References
+----------
+Padé 1892; Lam, "Model reduction of delay systems using Padé approximants", Int. J. Control 57 (1993); Schwarz, "Ein
+Verfahren zur Stabilitätsfrage bei Matrizen-Eigenwertproblemen", ZAMP 7 (1956) for the form of the realisation.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import cache
+from math import factorial, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel, series
+
+__all__ = ["HIGHEST_ORDER", "ErrorWeight", "error_bound", "error_weight", "pade", "phase_bound", "phase_error"]
+
+# Above this order |Q_n| leaves double precision at the frequencies where the error is large.
+HIGHEST_ORDER = 40
+# Gain of the weight at high frequencies; the error itself reaches 2. Nearer to 2, the weight is larger below.
+HIGH_GAIN = 2.2
+# Cells of the proof, the phase at which they begin, and what they leave for rounding.
+CELLS, FIRST_PHASE, ROUNDING = 4000, 1e-4, 1e-9
+
+
+def _polynomial(order: int) -> list[int]:
+    """Coefficients of :math:`P_n = (2n)!/n! Q_n`, constant first: ``P_k = (4k - 2) P_(k-1) + s^2 P_(k-2)``."""
+    before, last = [1], [2, 1]
+    if order == 0:
+        return before
+    for k in range(2, order + 1):
+        longer = [(4 * k - 2) * c for c in last] + [0]
+        for i, c in enumerate(before):
+            longer[i + 2] += c
+        before, last = last, longer
+    return last
+
+
+def _product(a: list[int], b: list[int]) -> list[int]:
+    found = [0] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            found[i + j] += x * y
+    return found
+
+
+class PhaseBound(NamedTuple):
+    r"""``theta_n(x) <= coefficient * x**power`` for all x >= 0, proved."""
+
+    coefficient: float
+    power: int
+
+
+@cache
+def phase_bound(order: int) -> PhaseBound:
+    r"""The bound :math:`\theta_n(x) \le c_n x^{2n+1}`, with its two conditions checked in whole numbers.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        A condition does not hold (it does for every order that was ever checked).
+    """
+    p = _polynomial(order)
+    mirrored = [c * (-1) ** i for i, c in enumerate(p)]
+    derivative = [i * c for i, c in enumerate(p)][1:] or [0]
+    mirrored_derivative = [c * (-1) ** i for i, c in enumerate(derivative)]
+    square = _product(p, mirrored)  # P(s) P(-s), in s = jx: the coefficient of s^2i belongs to (-1)^i x^2i
+    rate = list(square)
+    for term in (_product(derivative, mirrored), _product(p, mirrored_derivative)):
+        for i, c in enumerate(term):
+            rate[i] -= c
+    expected = [0] * (2 * order) + [(-1) ** order]
+    positive = all(c * (-1) ** i > 0 for i, c in enumerate(square[::2])) and not any(square[1::2])
+    if rate != expected or not positive:
+        raise NoTrustworthyNumber("pade", f"the error bound of order {order} could not be proved")
+    ratio = Fraction(factorial(order), factorial(2 * order))
+    return PhaseBound(float(ratio * ratio / (2 * order + 1)), 2 * order + 1)
+
+
+def phase_error(x: ArrayLike, order: int) -> Array:
+    r""":math:`\theta_n(x)` modulo :math:`2 \pi`, in :math:`(-\pi, \pi]`; x is frequency times delay."""
+    point = np.asarray(x, dtype=np.float64)
+    before, last = np.ones_like(point, dtype=complex), 2.0 + 1j * point
+    if order == 0:
+        last = before
+    for k in range(2, order + 1):  # scaled at each step: the numbers themselves grow as (2n)!
+        before, last = last / (4 * k - 2), last - point**2 * before / (4 * k - 2)
+    return np.angle(np.exp(1j * point) * (last.conj() / last))
+
+
+def error_bound(omega: ArrayLike, delay: float, order: int) -> Array:
+    r"""Proved bound of :math:`|e^{-j \omega d} - R_n(j \omega d)|`: ``min(2, c_n (omega d)^(2n+1))``."""
+    bound = phase_bound(order)
+    with np.errstate(over="ignore"):
+        return np.minimum(2.0, bound.coefficient * np.abs(np.asarray(omega, dtype=float) * delay) ** bound.power)
+
+
+# --- realisations -----------------------------------------------------------------------------------------------------
+
+
+@cache
+def _ladder(order: int) -> tuple[float, tuple[float, ...]]:
+    """Damping and couplings of Schwarz's form of Q_n, from Routh's array in rational numbers."""
+    p = [Fraction(c) for c in reversed(_polynomial(order))]  # monic
+    above, row = p[0::2], p[1::2]
+    damping, couplings = row[0] / above[0], []
+    row = [c / row[0] for c in row]
+    while True:  # monic polynomials of falling degree: above = s row + coupling * next
+        rest = [a - b for a, b in zip(above[1:], [*row[1:], Fraction(0)], strict=False)]
+        if not rest or len(couplings) == order - 1:
+            break
+        couplings.append(sqrt(rest[0]))
+        above, row = row, [c / rest[0] for c in rest]
+    return float(damping), tuple(couplings)
+
+
+def pade(delay: float, order: int) -> StateSpaceModel:
+    r"""The Padé approximation of :math:`e^{-s d}` with equal degrees; an all-pass with the gain 1.
+
+    A lossless ladder: :math:`A + A^T = -B B^T` and :math:`C = \mp B^T`. Both Gramians are the identity, so it is
+    balanced, and its modulus is one at every frequency by its structure, whatever the order.
+
+    Parameters
+    ----------
+    delay
+        In s, positive.
+    order
+        1 to 40; 0 is the gain 1.
+
+    Raises
+    ------
+    InputError
+        Another delay or order.
+    """
+    if not 0 < delay < np.inf:
+        raise InputError("pade", f"a delay of {delay!r} s", "a positive number of seconds")
+    checked_order(order, "pade")
+    if order == 0:
+        return StateSpaceModel([], [], [], [[1.0]])
+    damping, couplings = _ladder(order)
+    a = np.diag(couplings, 1) - np.diag(couplings, -1)
+    a[0, 0] = -damping
+    b = np.zeros((order, 1))
+    b[0, 0] = sqrt(2.0 * damping / delay)
+    sign = (-1.0) ** order
+    return StateSpaceModel(a / delay, b, -sign * b.T, [[sign]])
+
+
+def checked_order(order: object, where: str, least: int = 0) -> None:
+    """Refuse what is no order of a Padé approximation."""
+    if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST_ORDER:
+        raise InputError(f"{where}: order", f"{order!r}", f"a whole number from {least} to {HIGHEST_ORDER}")
+
+
+# --- the weight that covers -------------------------------------------------------------------------------------------
+
+
+class ErrorWeight(NamedTuple):
+    r"""A Butterworth high-pass above the error for a delay of 1 s: :math:`|W|^2 = g^2 x^{2k} / (x^{2k} + a^{2k})`."""
+
+    gain: float
+    corner: float
+    order: int
+
+    def scaled(self, delay: float) -> StateSpaceModel:
+        """The weight for a delay in s, as a model with ``order`` states."""
+        return high_pass(self.gain, self.corner / delay, self.order)
+
+
+@cache
+def error_weight(order: int, weight_order: int) -> ErrorWeight:
+    r"""The weight with the highest corner for which the proof below goes through.
+
+    Below the first cell the bound :math:`c_n x^{2n+1}` is used: as k is at most 2n + 1, :math:`x^{2k} (g^2 / (c_n
+    x^{2n+1})^2 - 1)` falls with x, and so the end of that interval decides. Each cell after it uses that the error and
+    the weight both rise: the error at its end has to lie below the weight at its beginning. Where the phase has reached
+    :math:`\pi` the error is bounded by 2, and the weight goes on rising.
+
+    Raises
+    ------
+    InputError
+        A weight's order that is not between 1 and 2n + 1.
+    """
+    bound = phase_bound(order)
+    if isinstance(weight_order, bool) or not isinstance(weight_order, int) or not 1 <= weight_order <= bound.power:
+        raise InputError("uncertain: weight_order", f"{weight_order!r}", f"a whole number from 1 to {bound.power}")
+    k = weight_order
+    first = (FIRST_PHASE / bound.coefficient) ** (1.0 / bound.power)
+    last = 2.0 * (np.pi / bound.coefficient) ** (1.0 / bound.power) + 2.0 * np.pi
+    x = np.linspace(first, last, CELLS + 1)  # cells shorter than a half turn: the phase can be followed
+    theta = np.unwrap(phase_error(x, order))
+    theta += 2.0 * np.pi * np.round((FIRST_PHASE - theta[0]) / (2.0 * np.pi))
+    rising = 2.0 * np.sin(0.5 * np.clip(theta + ROUNDING, 0.0, np.pi))
+    error = np.minimum(np.maximum.accumulate(rising), bound.coefficient * x**bound.power * (1.0 + ROUNDING))
+    error = np.minimum(error, 2.0)
+    if theta[-1] < np.pi:
+        error[-1] = 2.0  # nothing is known beyond
+    begin, end = np.concatenate([[first], x[:-1]]), np.concatenate([[FIRST_PHASE * (1.0 + ROUNDING)], error[1:]])
+    corner = float((begin * ((HIGH_GAIN / end) ** 2 - 1.0) ** (0.5 / k)).min())
+    return ErrorWeight(HIGH_GAIN, corner * (1.0 - ROUNDING), k)
+
+
+def high_pass(gain: float, corner: float, order: int) -> StateSpaceModel:
+    r"""Butterworth high-pass :math:`g s^k / \prod_i (s - p_i)`, its poles on the circle of radius ``corner`` in rad/s.
+
+    A chain of sections of first and second order: each blocks a constant exactly, so that their product is small at
+    low frequencies with all its digits.
+    """
+    whole = StateSpaceModel([], [], [], [[gain]])
+    if order % 2:
+        whole = series(whole, StateSpaceModel([[-corner]], [[corner]], [[-1.0]], [[1.0]]))
+    for i in range(order // 2):
+        damping = 2.0 * np.sin(np.pi * (2 * i + 1) / (2 * order))
+        a = [[-damping * corner, -corner], [corner, 0.0]]
+        whole = series(whole, StateSpaceModel(a, [[corner], [0.0]], [[-damping, -1.0]], [[1.0]]))
+    return StateSpaceModel(whole.A, whole.B, whole.C, whole.D)

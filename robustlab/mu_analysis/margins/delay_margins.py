@@ -1,0 +1,241 @@
+r"""Gains and disk margins of loops with exact delays: attained at a frequency, and proved on the whole axis.
+
+The largest gain over frequency is bracketed: from below by the exact response at the frequency where it was found
+largest, from above by the worst-case gain of a set that holds the loop (`DelayedModel.uncertain`), of a higher order
+until both meet. A disk margin is the inverse of such a gain,
+
+.. math:: \alpha = 1 / \left\| S + \tfrac{\sigma - 1}{2} \right\|_\infty, \qquad S = (1 + L)^{-1} .
+
+References
+----------
+Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020); `delay_stability`
+and `robustlab.delays.pade` for the proofs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, worst_case_gain
+from robustlab.mu_analysis.margins.disk_margin import DiskBounds, gain_and_phase
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["DelayDiskMargin", "DelayGain", "delay_disk_margin", "delay_gain"]
+
+# Orders of the approximations and of the weights that are tried one after the other.
+ORDERS = ((2, 3), (4, 5), (6, 7), (8, 9), (12, 9), (16, 9))
+POINTS, PEAKS = 4000, 4
+
+
+@dataclass(frozen=True, eq=False)
+class DelayGain(Shown):
+    """Bounds of the largest gain over frequency of a model with exact delays.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= gain <= upper``: the exact gain at ``frequency``, and a bound that is proved on the whole axis; inf
+        where none was.
+    frequency
+        In rad/s.
+    order, weight_order
+        Of the set that proves ``upper``.
+    proof
+        Its worst-case gain; None where its nominal model was never stable.
+    status
+        CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
+        upper one.
+    """
+
+    lower: float
+    upper: float
+    frequency: float
+    order: int
+    weight_order: int
+    proof: WorstCaseGain | None
+    status: Status
+
+    def facts(self) -> Facts:
+        """Both bounds, and what they rest on."""
+        return [
+            ("gain", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("at", number(self.frequency, "rad/s")),
+            ("proof", f"worst-case gain of the set with Padé of order {self.order}, weights of {self.weight_order}"),
+        ]
+
+    def to_json(self) -> dict[str, object]:
+        """All attributes."""
+        return {"type": "DelayGain", **vars(self)}
+
+
+@dataclass(frozen=True, eq=False)
+class DelayDiskMargin(DiskBounds):
+    """The disk margin of a loop with exact delays, with the attributes of `DiskBounds`.
+
+    Attributes
+    ----------
+    lower, upper
+        Proved on the whole axis; attained at ``gain.frequency``.
+    gain
+        The gain whose inverse it is, with its proof.
+    status
+        That of ``gain``.
+    """
+
+    gain: DelayGain
+    status: Status
+
+    def facts(self) -> Facts:
+        """The margin, what it allows, and where it is smallest."""
+        return [*super().facts(), ("smallest at", number(self.gain.frequency, "rad/s"))]
+
+
+@told_as("delay_gain")
+def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int = 16, effort: float = 1.0) -> DelayGain:
+    r"""Largest gain :math:`\sup_\omega \sigma_{max}(G(j\omega))` of a stable model with exact delays.
+
+    Parameters
+    ----------
+    model
+        A DelayedModel, or a model without delays.
+    tolerance
+        Relative distance of the bounds at which the search ends.
+    highest_order
+        Of Padé's approximations that are tried: 2, 4, 6, 8, 12, 16.
+    effort
+        Work that each proof may take, as a multiple of the usual.
+
+    Returns
+    -------
+    DelayGain
+        The gain attained at a frequency, and the bound that is proved for all.
+
+    Raises
+    ------
+    InputError
+        A discrete or an uncertain model, a tolerance or an order out of range.
+
+    Examples
+    --------
+    >>> from robustlab.delays import delay
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> found = delay_gain((2.0 * lag @ delay(0.5)).feedback())
+    >>> round(found.lower, 4), str(found.status), found.upper <= 1.01 * found.lower
+    (1.3201, 'certified', True)
+    """
+    g = as_delayed(model, "delay_gain")
+    if not 0 < tolerance < 1:
+        raise InputError("delay_gain: tolerance", f"{tolerance!r}", "a number between 0 and 1")
+    if isinstance(highest_order, bool) or not isinstance(highest_order, int) or highest_order < ORDERS[0][0]:
+        raise InputError("delay_gain: highest_order", f"{highest_order!r}", f"a number from {ORDERS[0][0]}")
+    lower, frequency = _attained(g)
+    best = DelayGain(lower, np.inf, frequency, 0, 0, None, Status.INCONCLUSIVE)
+    for order, weight_order in ORDERS:
+        if order > highest_order:
+            break
+        cover = g.uncertain(order, weight_order=weight_order)
+        if not cover.nominal.is_stable():
+            continue
+        proof = worst_case_gain(cover, tolerance=np.inf, effort=effort)
+        if proof.status is Status.CERTIFIED and proof.upper < best.upper:
+            near = proof.upper <= (1.0 + tolerance) * lower
+            status = Status.CERTIFIED if near else Status.INACCURATE
+            best = DelayGain(lower, proof.upper, frequency, order, weight_order, proof, status)
+        if best.status is Status.CERTIFIED or not len(g.delays):
+            break
+    return best
+
+
+@told_as("delay_disk_margin")
+def delay_disk_margin(
+    loop: DelayedModel,
+    *,
+    skew: float = 0.0,
+    sign: Literal[-1, 1] = -1,
+    tolerance: float = 0.01,
+    highest_order: int = 16,
+    effort: float = 1.0,
+) -> DelayDiskMargin:
+    r"""Disk margin of a loop with exact delays, by its open loop L of one channel.
+
+    Parameters
+    ----------
+    loop
+        Open loop L, one input and one output; the loop is ``y = L e``, ``e = r + sign y``.
+    skew
+        sigma, as in `disk_margin`.
+    sign
+        -1 for negative feedback, 1 for positive feedback.
+    tolerance, highest_order, effort
+        As in `delay_gain`.
+
+    Returns
+    -------
+    DelayDiskMargin
+        Bounds of the margin: proved on the whole axis, and attained.
+
+    Raises
+    ------
+    InputError
+        Several channels, a skew that is not finite, or what `delay_gain` refuses.
+    NoTrustworthyNumber
+        The loop was not proved stable: nothing bounds the gain from above.
+
+    Examples
+    --------
+    >>> from robustlab.delays import delay
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> margin = delay_disk_margin(2.0 * lag @ delay(0.5))
+    >>> margin.lower <= margin.upper, str(margin.status)
+    (True, 'certified')
+    """
+    g = as_delayed(loop, "delay_disk_margin")
+    if (g.n_outputs, g.n_inputs) != (1, 1):
+        found, hint = f"a loop of {g.n_outputs} x {g.n_inputs}", "rl.worst_case_disk_margin(loop.uncertain(order))"
+        raise InputError("delay_disk_margin", found, "one channel", hint)
+    if not np.isfinite(skew) or sign not in (1, -1):
+        raise InputError("delay_disk_margin", f"skew {skew!r}, sign {sign!r}", "a finite skew; 1 or -1")
+    one = as_delayed(StateSpaceModel([], [], [], [[1.0]], 0.0, g.inputs, g.inputs))
+    same = g.select() if g.inputs == g.outputs else DelayedModel(
+        g.H.renamed(outputs=[*g.H.outputs[: len(g.delays)], *g.inputs]), g.delays
+    )  # fmt: skip
+    seen = one.feedback(same, sign) + 0.5 * (skew - 1.0) * np.eye(1)
+    gain = delay_gain(seen, tolerance, highest_order, effort)
+    if not np.isfinite(gain.upper):
+        found = f"no set up to order {highest_order} proves the loop stable"
+        raise NoTrustworthyNumber("delay_disk_margin", found, None, "rl.delay_stability says whether it is")
+    lower, upper = (1.0 / value if value else np.inf for value in (gain.upper, gain.lower))
+    low, high, phase = gain_and_phase(lower, skew)
+    return DelayDiskMargin(lower, upper, (low, high), phase, skew, gain, gain.status)
+
+
+def _attained(g: DelayedModel) -> tuple[float, float]:
+    """The largest exact gain found, and its frequency: a grid, then each of its highest peaks by itself."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.concatenate([[0.0], default_grid(g.pade(4), POINTS)])
+    if len(g.delays):  # echoes are as far apart as the delays turn
+        turns = np.linspace(0.0, 40.0, POINTS) / g.delays.max()
+        grid = np.unique(np.concatenate([grid, turns]))
+    size = _gains(g, grid)
+    inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])) + 1
+    highest = inner[np.argsort(-size[inner])][:PEAKS]
+    found = [(float(size.max()), float(grid[np.argmax(size)]))]
+    for k in highest:
+        ends = float(grid[k - 1]), float(grid[k + 1])
+        near: Any = minimize_scalar(lambda w: -_gains(g, np.array([w]))[0], bounds=ends, method="bounded")
+        found.append((-float(near.fun), float(near.x)))
+    return max(found)
+
+
+def _gains(g: DelayedModel, omega: Array) -> Array:
+    return np.linalg.svd(frequency_response(g, omega), compute_uv=False).max(axis=1, initial=0.0)

@@ -1,0 +1,217 @@
+r"""Stability of a model with exact delays: proved by a set that holds it, or refuted by a root.
+
+Stable: the set of `DelayedModel.uncertain` of some order is robustly stable on the whole axis, with a margin above 1.
+Unstable: the characteristic equation has a root in the open right half plane,
+
+.. math:: F(s) v = 0, \qquad F(s) = \begin{bmatrix} sI - A & -B_1 \\ -C_1 & \mathrm{diag}(e^{s \tau_i}) - D_{11}
+   \end{bmatrix},
+
+found by Newton's method from the unstable poles of a rational model. That there is one is proved by Kantorovich's
+theorem for :math:`G(v, s) = (F(s) v, c^* v - 1)`: with the Jacobian J at the point found, :math:`\eta = \|J^{-1} G\|`
+and L a Lipschitz bound of J near it,
+
+.. math:: h = \|J^{-1}\| L \eta \le \tfrac12 \quad \Rightarrow \quad \text{a root lies within } r = (1 - \sqrt{1 - 2h})
+   / (\|J^{-1}\| L) .
+
+References
+----------
+Kantorovich 1948; Michiels, Niculescu, *Stability, Control, and Computation for Time-Delay Systems* (2014), chapters 1
+and 2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 11.8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import ComplexArray
+from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.errors import InputError, told_as
+from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.stability import robust_stability
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["DelayStability", "delay_stability"]
+
+# Orders of the approximations that are tried one after the other.
+ORDERS = (1, 2, 3, 4, 6, 8, 12, 16)
+NEWTON_STEPS = 40
+# A start whose iteration runs beyond exp of this is given up.
+FARTHEST = 500.0
+# Rounding of an evaluation of F, in units of the sizes that enter it.
+ROUNDING = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class DelayStability(Shown):
+    """Whether a model with exact delays is stable, and what shows it.
+
+    Attributes
+    ----------
+    stable
+        True, False, or None where neither could be shown.
+    status
+        CERTIFIED: stability is proved on the whole frequency axis, or a root in the right half plane is proved to be
+        there; both in floating point. INCONCLUSIVE: neither, up to the highest order.
+    order
+        Order of Padé's approximations with which it was shown, or the last one that was tried.
+    margin
+        Robust stability of the set of that order; ``margin.lower`` above 1 is the proof. None where its nominal model
+        was not stable.
+    root
+        A root of the characteristic equation in 1/s: in the right half plane where that is shown, else the rightmost
+        that was found. None where none was.
+    radius
+        An exact root lies within this distance of ``root``, in 1/s.
+    """
+
+    stable: bool | None
+    status: Status
+    order: int
+    margin: Margin | None
+    root: complex | None
+    radius: float
+
+    def facts(self) -> Facts:
+        """The verdict and what it rests on."""
+        verdict = {True: "yes: proved on the whole axis", False: "no: proved by a root", None: "undecided"}[self.stable]
+        proved = f"{number(self.margin.lower)} (proved), with Padé of order {self.order}" if self.margin else ""
+        return [
+            ("stable", verdict),
+            ("margin of the set", proved),
+            ("root", number(self.root, "1/s")),
+            ("exact root within", number(self.radius, "1/s") if self.root is not None else ""),
+        ]
+
+    def to_json(self) -> dict[str, object]:
+        """All attributes."""
+        return {"type": "DelayStability", **vars(self)}
+
+
+@told_as("delay_stability")
+def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
+    r"""Whether a model with exact delays, a closed loop for example, is stable.
+
+    Orders 1, 2, 3, 4, 6, 8, 12, 16 of Padé's approximation are tried until one decides: its set is robustly stable, or
+    one of its unstable poles leads to an unstable root of the model with its delays. The nearer the loop is to the
+    stability boundary, and the more the delays turn within its bandwidth, the higher the order.
+
+    Parameters
+    ----------
+    model
+        A DelayedModel, or a model without delays.
+    highest_order
+        Up to which order to try, 1 to 16.
+    effort
+        Work that each proof may take, as a multiple of the usual.
+
+    Returns
+    -------
+    DelayStability
+        The verdict with its evidence: the proved margin of the set, or the root and how near it is to an exact one.
+
+    Raises
+    ------
+    InputError
+        A discrete or an uncertain model, an order out of range.
+
+    Examples
+    --------
+    >>> from robustlab.delays import delay
+    >>> integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> [delay_stability((integrator @ delay(tau)).feedback()).stable for tau in (1.5, 1.65)]  # the limit is pi / 2
+    [True, False]
+    """
+    g = as_delayed(model, "delay_stability")
+    if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
+        raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
+    found = DelayStability(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
+    for order in (n for n in ORDERS if n <= highest_order) if len(g.delays) else (0,):
+        found = _tried(g, order, effort)
+        if found.stable is not None:
+            break
+    return found
+
+
+def _tried(g: DelayedModel, order: int, effort: float) -> DelayStability:
+    """What one order of approximation shows."""
+    rational = g.pade(order)
+    root, radius = _rightmost(g, rational)
+    if root is not None and root.real > radius:
+        return DelayStability(False, Status.CERTIFIED, order, None, root, radius)
+    margin = None
+    if rational.is_stable():
+        margin = robust_stability(g.uncertain(order), expected=1.0, effort=effort)
+        if margin.status is Status.CERTIFIED and margin.lower > 1.0:
+            return DelayStability(True, Status.CERTIFIED, order, margin, root, radius)
+    return DelayStability(None, Status.INCONCLUSIVE, order, margin, root, radius)
+
+
+def _rightmost(g: DelayedModel, rational: StateSpaceModel) -> tuple[complex | None, float]:
+    """The rightmost root that Newton's method finds from the rightmost poles of a rational model, and its radius."""
+    poles = rational.poles()
+    starts = [p for p in poles[np.argsort(-poles.real)] if p.imag >= 0][: max(6, int((poles.real > 0).sum()))]
+    roots = [found for p in starts if (found := _newton(g, complex(p))) is not None]
+    return max(roots, key=lambda found: found[0].real) if roots else (None, np.inf)
+
+
+def _newton(g: DelayedModel, s: complex) -> tuple[complex, float] | None:
+    """A root near s, and how near an exact one is proved to lie; None where none is."""
+    n = g.H.n_states
+    size = n + len(g.delays)
+    if not size:
+        return None
+    v = np.linalg.svd(_characteristic(g, s))[2][-1].conj()
+    normal = v.conj()
+    for _ in range(NEWTON_STEPS):
+        jacobian = np.zeros((size + 1, size + 1), dtype=complex)
+        jacobian[:size, :size] = _characteristic(g, s)
+        jacobian[:size, size] = np.concatenate([np.ones(n), g.delays * np.exp(s * g.delays)]) * v
+        jacobian[size, :size] = normal
+        rest = np.append(jacobian[:size, :size] @ v, normal @ v - 1.0)
+        try:
+            change = np.linalg.solve(jacobian, -rest)
+        except np.linalg.LinAlgError:
+            return None
+        if np.linalg.norm(change) <= 1e-13 * (abs(s) + 1.0 / g.delays.max(initial=1e-300)):
+            radius = _kantorovich(g, s, v, jacobian, float(np.linalg.norm(change)))
+            return None if radius is None else (s, radius)
+        v, s = v + change[:size], s + complex(change[size])
+        if not np.isfinite(s) or (s * g.delays).real.max(initial=0.0) > FARTHEST:
+            return None
+    return None
+
+
+def _kantorovich(g: DelayedModel, s: complex, v: ComplexArray, jacobian: ComplexArray, step: float) -> float | None:
+    """Radius about (v, s) in which an exact root lies; None where the theorem does not give one."""
+    n = g.H.n_states
+    smallest = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    if not smallest > 0.0:  # a double root, or none
+        return None
+    inverse = 1.0 / smallest
+    entries = float(np.linalg.norm(np.block([[g.H.A, g.H.B[:, : len(g.delays)]]]))) + abs(s) * n
+    entries += float(np.linalg.norm(np.hstack([g.H.C[: len(g.delays)], g.H.D[: len(g.delays), : len(g.delays)]])))
+    entries += float(np.linalg.norm(np.exp((s * g.delays).real)))
+    eta = step + inverse * ROUNDING * (len(v) + 1) * entries * float(np.linalg.norm(v))
+    near = 4.0 * eta  # the neighbourhood in which the Jacobian's slope is bounded
+    size = float(np.linalg.norm(v)) + near
+    growth = np.exp((s.real + near) * g.delays)
+    first, second = max(1.0, (g.delays * growth).max(initial=0.0)), (g.delays**2 * growth).max(initial=0.0)
+    slope = 2.0 * first + second * size
+    h = inverse * slope * eta
+    if not h <= 0.5:
+        return None
+    radius = 2.0 * eta / (1.0 + np.sqrt(1.0 - 2.0 * h))  # the same as above, without cancellation
+    return float(radius) if radius <= near else None
+
+
+def _characteristic(g: DelayedModel, s: complex) -> ComplexArray:
+    """F(s), a square matrix of the states and the delays."""
+    k, n = len(g.delays), g.H.n_states
+    made = np.zeros((n + k, n + k), dtype=np.complex128)
+    made[:n, :n], made[:n, n:] = s * np.eye(n) - g.H.A, -g.H.B[:, :k]
+    made[n:, :n], made[n:, n:] = -g.H.C[:k], np.diag(np.exp(s * g.delays)) - g.H.D[:k, :k]
+    return made

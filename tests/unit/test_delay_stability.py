@@ -1,0 +1,179 @@
+"""Loops with exact delays: verdicts against closed forms, proved margins and gains against the exact responses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import lambertw
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.mu_analysis.margins.delay_stability import _newton
+from robustlab.result import Status
+
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+INTEGRATOR = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def verdict(model):
+    found = rl.delay_stability(model)
+    if found.stable:
+        assert (found.status, found.margin.status) == (Status.CERTIFIED, Status.CERTIFIED)
+        assert found.margin.lower > 1.0
+    elif found.stable is False:
+        assert found.status is Status.CERTIFIED
+        assert 0 <= found.radius < found.root.real
+    return found.stable
+
+
+@pytest.mark.parametrize("k", [0.4, 1.0, 7.0])
+def test_the_longest_delay_of_an_integrator(k):
+    limit = np.pi / (2 * k)
+    assert verdict((k * INTEGRATOR @ rl.delay(0.98 * limit)).feedback()) is True
+    assert verdict((k * INTEGRATOR @ rl.delay(1.02 * limit)).feedback()) is False
+
+
+@pytest.mark.parametrize("tau", [0.2, 1.0, 5.0])
+def test_the_largest_gain_of_a_lag_with_a_delay(tau):
+    from scipy.optimize import brentq
+
+    # w tau + atan w = pi, and the gain there is sqrt(1 + w^2)
+    w = brentq(lambda w: w * tau + np.arctan(w) - np.pi, 1e-6, np.pi / tau)
+    limit = np.sqrt(1 + w * w)
+    assert verdict((0.97 * limit * LAG @ rl.delay(tau)).feedback()) is True
+    assert verdict((1.03 * limit * LAG @ rl.delay(tau)).feedback()) is False
+
+
+def test_a_delay_that_saves_a_loop_and_one_that_spoils_it_again():
+    # x'' + x = 0.2 x(t - tau): unstable without delay (no damping), damped by a delay with sin(w tau) < 0
+    oscillator = rl.StateSpaceModel([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    spring = {tau: (0.2 * oscillator @ rl.delay(tau)).feedback(sign=1) for tau in (2.0, 4.5)}
+    # at small gain k the root moves by -k sin(tau) / 2 from j
+    assert verdict(spring[2.0]) is True
+    assert verdict(spring[4.5]) is False
+
+
+def roots_to_the_right(f, size: float, n: int = 200_000) -> int:
+    """Number of zeros in the right half plane by the argument principle, along the axis and a half circle."""
+    turn = size * np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, n))
+    path = np.concatenate([turn, 1j * np.linspace(size, -size, n)])
+    return round(float(np.unwrap(np.angle(f(path)))[[0, -1]] @ [-1, 1] / (2 * np.pi)))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "first", "second"), [(0.5, 0.5, 0.5, 1.5), (1.0, 0.6, 0.4, 1.1), (1.0, 1.0, 0.8, 1.9)]
+)
+def test_two_delays_in_one_loop(a, b, first, second):
+    loop = (INTEGRATOR @ (a * rl.delay(first) + b * rl.delay(second))).feedback()
+    count = roots_to_the_right(lambda s: s + a * np.exp(-s * first) + b * np.exp(-s * second), 5.0)
+    assert verdict(loop) is (count == 0)
+
+
+def test_the_root_is_one_of_the_characteristic_equation():
+    found = rl.delay_stability((INTEGRATOR @ rl.delay(2.0)).feedback())
+    assert abs(found.root + np.exp(-2.0 * found.root)) < 1e-12
+    # s = -exp(-2 s) is s = W(-2) / 2 with Lambert's function
+    assert abs(found.root - lambertw(-2.0, 0) / 2) <= found.radius < 1e-12
+
+
+def test_a_loop_that_jumps_for_ever_is_not_called_stable_without_proof():
+    through = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]]))
+    growing = rl.delay_stability(through.feedback(1.5 * rl.delay(1.0)))
+    assert growing.stable is False
+    assert growing.root.real == pytest.approx(np.log(1.5))
+    fading = rl.delay_stability(through.feedback(0.9 * rl.delay(1.0)))
+    assert fading.stable is None
+    assert fading.status is Status.INCONCLUSIVE
+    assert fading.root.real == pytest.approx(np.log(0.9))
+
+
+def test_without_delays_it_is_the_models_own_stability():
+    assert rl.delay_stability(LAG).stable is True
+
+
+def test_what_is_wrong_is_said():
+    with pytest.raises(InputError, match="from 1 to 16"):
+        rl.delay_stability(rl.delay(1.0), highest_order=0)
+    with pytest.raises(InputError, match="uncertain model"):
+        rl.delay_stability(rl.delay(1.0).uncertain(2))
+    assert _newton(rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])), 1j) is None
+
+
+# --- proofs of a set that holds the loop ----------------------------------------------------------------------------
+
+
+def test_the_proved_gain_holds_the_exact_peak():
+    loop = (2.0 * LAG @ rl.delay(0.5)).feedback()
+    peak = np.abs(rl.frequency_response(loop, np.linspace(0.01, 20, 20_000))).max()
+    for order, weight_order, above in ((4, 3, 1.03), (8, 7, 1.001)):
+        found = rl.worst_case_gain(loop.uncertain(order, weight_order=weight_order))
+        assert found.status is Status.CERTIFIED
+        assert peak <= found.upper <= above * peak
+
+
+def test_the_proved_disk_margin_is_below_the_exact_one():
+    open_loop = 2.0 * LAG @ rl.delay(0.5)
+    L = rl.frequency_response(open_loop, np.linspace(0.01, 20, 20_000))[:, 0, 0]
+    exact = 1 / np.abs(0.5 * (1 - L) / (1 + L)).max()  # of S - T, balanced
+    found = rl.worst_case_disk_margin(open_loop.uncertain(4))
+    assert 0.97 * exact <= found.lower <= exact * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("k", "tau"), [(2.0, 0.5), (1.9, 1.0), (0.5, 3.0), (6.0, 0.2)])
+def test_the_gain_of_a_loop_is_bracketed(k, tau):
+    s = 1j * np.linspace(0.0, 60, 600_001)
+    L = k * np.exp(-tau * s) / (s + 1)
+    found = rl.delay_gain((k * LAG @ rl.delay(tau)).feedback())
+    peak = np.abs(L / (1 + L)).max()
+    assert found.status is Status.CERTIFIED
+    assert found.lower == pytest.approx(peak, rel=1e-8)
+    assert peak <= found.upper <= 1.01 * peak
+
+
+@pytest.mark.parametrize(("skew", "sign"), [(0.0, -1), (1.0, -1), (-1.0, -1), (0.0, 1)])
+def test_the_disk_margin_of_a_loop_is_bracketed(skew, sign):
+    s = 1j * np.linspace(1e-6, 60, 600_001)
+    gain = 2.0 if sign < 0 else -2.0
+    loop = gain * LAG @ rl.delay(0.5)
+    exact = 1 / np.abs(1 / (1 + 2 * np.exp(-0.5 * s) / (s + 1)) + (skew - 1) / 2).max()
+    found = rl.delay_disk_margin(loop, skew=skew, sign=sign)
+    assert found.status is Status.CERTIFIED
+    assert 0.99 * exact <= found.lower <= exact <= found.upper * (1 + 1e-8)
+    assert found.upper == pytest.approx(exact, rel=1e-7)
+    if skew == 0.0:  # the guaranteed gain does not destabilise
+        assert rl.delay_stability((0.999 * found.gain_margin[1] * abs(gain) * LAG @ rl.delay(0.5)).feedback()).stable
+
+
+def test_gains_of_several_channels_and_of_no_delay():
+    plant = rl.StateSpaceModel(-np.diag([1.0, 2.0]), np.eye(2), [[1.0, 2.0], [0.5, 1.0]], np.zeros((2, 2)))
+    late = rl.with_delays(plant, inputs={0: 0.3}, outputs={1: 0.4})
+    found = rl.delay_gain(late)
+    s = np.linspace(0, 50, 50_001)
+    exact = np.linalg.svd(rl.frequency_response(late, s), compute_uv=False).max()
+    assert found.lower == pytest.approx(exact, rel=1e-6)
+    assert found.status is Status.CERTIFIED
+    assert rl.delay_gain(LAG).upper == pytest.approx(1.0, rel=1e-3)
+    with pytest.raises(InputError, match="one channel"):
+        rl.delay_disk_margin(late)
+
+
+def test_without_a_proof_there_is_no_margin():
+    with pytest.raises(NoTrustworthyNumber, match="proves the loop stable"):
+        rl.delay_disk_margin(3.0 * LAG @ rl.delay(1.0))
+    assert rl.delay_gain((3.0 * LAG @ rl.delay(1.0)).feedback()).status is Status.INCONCLUSIVE
+
+
+def test_an_uncertain_plant_with_a_delay():
+    plant = rl.parametric([["-1/T"]], [["k/T"]], [[1]], [[0]], {"k": (2.0, 0.1), "T": (1.0, 0.2)})
+    loop = (plant @ rl.delay(0.5).uncertain(3)).feedback()
+    proved = rl.robust_stability(loop)
+    assert proved.status is Status.CERTIFIED
+    assert proved.lower > 1.0
+    # mu of the loop with its exact delay, at points: not above what the set proves
+    channels = [s.name for s in plant.M.inputs[:-1]], [s.name for s in plant.M.outputs[:-1]]
+    exact = rl.with_delays(plant.M, inputs={"u1": 0.5})
+    omega = np.geomspace(0.1, 20, 60)
+    m = rl.frequency_response(exact, omega)
+    n = len(channels[0])
+    closed = m[:, :n, :n] - m[:, :n, n:] @ m[:, n:, :n] / (1 + m[:, n:, n:])
+    assert (rl.mu(closed, plant.blocks).upper <= 1 / proved.lower).all()

@@ -1,0 +1,372 @@
+"""Exact delays against closed forms: responses, rational approximations, what their error is, and weights."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+from math import comb, factorial
+
+import control
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import robustlab as rl
+from robustlab.delays.neglected import covers_delay, positive_between
+from robustlab.delays.pade import error_bound, error_weight, high_pass, pade, phase_bound, phase_error
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+
+OMEGA = np.geomspace(1e-3, 1e3, 301)
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def response(model, omega=OMEGA):
+    return rl.frequency_response(model, omega)[:, 0, 0]
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+def test_a_delay_turns_the_phase_and_nothing_else():
+    assert np.abs(response(rl.delay(0.7)) - np.exp(-0.7j * OMEGA)).max() < 1e-14
+
+
+def test_a_loop_with_a_delay_is_its_closed_form():
+    loop = (3.0 * LAG @ rl.delay(0.4)).feedback()
+    open_loop = 3.0 * np.exp(-0.4j * OMEGA) / (1j * OMEGA + 1)
+    assert np.abs(response(loop) - open_loop / (1 + open_loop)).max() < 1e-13
+
+
+def test_a_smith_predictor_leaves_the_delay_outside_its_loop():
+    plant, pi = LAG @ rl.delay(2.0), rl.StateSpaceModel([[0.0]], [[1.0]], [[0.5]], [[1.0]])
+    predictor = LAG - LAG @ rl.delay(2.0)
+    controller = rl.with_delays(pi).feedback(predictor)
+    loop = (plant @ controller).feedback()
+    s = 1j * OMEGA
+    inner = (1 + 0.5 / s) / (s + 1)
+    assert np.abs(response(loop) - np.exp(-2.0 * s) * inner / (1 + inner)).max() < 1e-10
+
+
+def test_delays_at_inputs_and_outputs_by_name_and_number():
+    plant = rl.StateSpaceModel(
+        -np.eye(2), np.eye(2), [[1.0, 2.0], [3.0, 4.0]], np.zeros((2, 2)), inputs=["u", "v"], outputs=["y", "z"]
+    )
+    model = rl.with_delays(plant, inputs={"u": 0.1, 1: 0.2}, outputs={"z": 0.3})
+    assert (model.input_names, model.output_names) == (("u", "v"), ("y", "z"))
+    turn = [[0.1, 0.2], [0.4, 0.5]]
+    expected = rl.frequency_response(plant, OMEGA) * np.exp(-1j * OMEGA[:, None, None] * np.array(turn))
+    assert np.abs(rl.frequency_response(model, OMEGA) - expected).max() < 1e-13
+
+
+def test_names_like_those_of_the_delays_channels_are_kept_apart():
+    plant = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["w:0.5 s"], outputs=["z:0.5 s"])
+    model = rl.with_delays(plant, inputs={0: 0.5})
+    assert model.input_names == ("w:0.5 s",)
+    assert model.output_names == ("z:0.5 s",)
+
+
+def test_delays_that_follow_each_other_are_one_and_zero_is_none():
+    twice = rl.delay(0.25) @ rl.delay(0.5)
+    assert twice.delays.tolist() == [0.75]
+    assert rl.delay(0.0).delays.tolist() == []
+    assert (2.0 * rl.delay(0.25) @ (3.0 * rl.delay(0.5))).delays.tolist() == [0.75]
+    assert np.abs(response(2.0 * rl.delay(0.25) @ (3.0 * rl.delay(0.5))) - 6 * np.exp(-0.75j * OMEGA)).max() < 1e-14
+
+
+def test_a_delayed_signal_that_is_used_twice_is_delayed_once():
+    both = rl.stacked(LAG, 2.0 * LAG) @ rl.delay(0.5)
+    assert both.delays.tolist() == [0.5]
+    same = rl.beside(rl.delay(0.5), rl.delay(0.5))
+    assert same.delays.tolist() == [0.5]  # (u1 + u2) late is u1 late + u2 late
+
+
+def test_the_star_product_takes_delayed_models():
+    found = rl.star(np.array([[0.0, 1.0], [1.0, 0.0]]), rl.delay(0.3))
+    assert np.abs(response(found) - np.exp(-0.3j * OMEGA)).max() < 1e-14
+
+
+def test_a_model_with_a_delay_has_an_inverse_where_something_passes_at_once():
+    model = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])) + 0.5 * rl.delay(0.3)
+    assert np.abs(response(model.inverse()) * response(model) - 1).max() < 1e-13
+    with pytest.raises(NoTrustworthyNumber, match="inverse"):
+        rl.delay(0.3).inverse()
+
+
+def test_a_discrete_delay_is_a_row_of_states():
+    plant = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1, inputs=["u"])
+    late = rl.with_delays(plant, inputs={"u": 0.3}, outputs={0: 0.1})
+    assert late.n_states == 5
+    w = np.linspace(0.1, 30, 50)
+    expected = rl.frequency_response(plant, w)[:, 0, 0] * np.exp(-0.4j * w)
+    assert np.abs(response(late, w) - expected).max() < 1e-13
+    with pytest.raises(InputError, match="whole number of samples"):
+        rl.with_delays(plant, inputs={"u": 0.25})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: rl.delay(-1.0), "0 s or more"),
+        (lambda: rl.delay(np.inf), "finite"),
+        (lambda: rl.delay(1.0, n=0), "1 or more"),
+        (lambda: rl.delay(True), "real numbers"),
+        (lambda: rl.delay("1 s"), "real numbers"),
+        (lambda: rl.with_delays(LAG, inputs={"none": 1.0}), "one of u1"),
+        (lambda: rl.DelayedModel(LAG, [1.0, 2.0]), "at least 2"),
+        (lambda: rl.hinf_norm(rl.delay(1.0)), r"pade\(order\)"),
+        (lambda: rl.delay(1.0) @ rl.delay(1.0).uncertain(2), "cover the delays first"),
+        (lambda: rl.delay(1.0).pade(-1), "from 0 to 40"),
+        (lambda: rl.delay(1.0).uncertain(2, spread=2.0), "the delay itself"),
+        (lambda: rl.frequency_response(rl.delay(1.0), [np.inf]), "finite"),
+        (lambda: rl.neglected_delay(0.0), "positive"),
+        (lambda: rl.neglected_delay(1.0, 2), "1 or 3"),
+        (lambda: rl.neglected_lag(-1.0), "positive"),
+    ],
+)
+def test_what_is_wrong_is_said(wrong, said):
+    with pytest.raises(InputError, match=said):
+        wrong()
+
+
+def test_a_loop_without_delay_that_is_not_well_posed_is_refused():
+    one = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, -1.0]])
+    direct = rl.DelayedModel(one, [0.3])
+    with pytest.raises(NoTrustworthyNumber, match="without delay"):
+        direct.feedback()
+    with pytest.raises(NoTrustworthyNumber, match="delay of zero"):
+        rl.DelayedModel(rl.StateSpaceModel([], [], [], [[1.0, 1.0], [1.0, 0.0]]), [0.0])
+
+
+def test_units_that_meet_are_compared():
+    sensor = rl.StateSpaceModel([], [], [], [[1.0]], inputs=[("x", "m")], outputs=[("y", "V")])
+    with pytest.raises(UnitMismatch):
+        rl.with_delays(sensor, outputs={"y": 0.1}) @ sensor
+
+
+def test_it_shows_itself():
+    model = rl.with_delays(LAG, inputs={0: 0.125})
+    assert repr(model) == "DelayedModel(1 state, delays of 0.125 s, [u1] -> [y1])"
+    assert "delays   0.125 s" in model.summary()
+
+
+# --- Padé -------------------------------------------------------------------------------------------------------------
+
+
+def exact_phase_error(x: float, n: int) -> tuple[float, float]:
+    """Real and imaginary part of R_n(jx) from the textbook sum, in rational numbers."""
+    v = Fraction(x)
+    terms = [Fraction(factorial(2 * n - k) * comb(n, k), factorial(2 * n)) for k in range(n + 1)]
+    re = sum(c * v**k * (-1) ** (k // 2) for k, c in enumerate(terms) if k % 2 == 0)
+    im = sum(c * v**k * (-1) ** (k // 2) for k, c in enumerate(terms) if k % 2)
+    size = re * re + im * im
+    return float((re * re - im * im) / size), float(-2 * re * im / size)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5, 8, 13, 20, 40])
+def test_the_realisation_is_the_textbook_fraction_and_an_all_pass(order):
+    x = np.array([0.01, 0.3, 1.0, 4.0, 20.0, 100.0])
+    model = pade(0.5, order)
+    found = response(model, x / 0.5)
+    expected = np.array([complex(*exact_phase_error(v, order)) for v in x])
+    assert np.abs(found - expected).max() < 2e-14 * order
+    assert np.abs(np.abs(response(model)) - 1).max() < 1e-13
+    assert model.is_stable()
+    # balanced: both Gramians are the identity
+    assert np.abs(model.A + model.A.T + model.B @ model.B.T).max() < 1e-12 * np.abs(model.A).max()
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 7])
+def test_the_realisation_is_that_of_python_control(order):
+    w = np.geomspace(1e-2, 1e2, 40)
+    theirs = control.tf(*control.pade(0.3, order))
+    assert np.abs(response(pade(0.3, order), w) - theirs(1j * w)).max() < 1e-9
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 6])
+def test_the_phase_error_is_the_integral_of_its_derivative(order):
+    # |Q|^2 from the product over python-control's poles: another way than the recursion
+    _, den = control.pade(1.0, order)
+    ratio = 1.0 / den[-1]  # Q_n(0) = 1
+    leading = den[0] * ratio
+
+    def rate(x):
+        return (leading * x**order) ** 2 / abs(np.polyval(den, 1j * x) * ratio) ** 2
+
+    for x in (0.5, 1.5, 3.0):
+        expected, _ = quad(rate, 0, x, epsabs=1e-14)
+        assert phase_error(x, order) == pytest.approx((expected + np.pi) % (2 * np.pi) - np.pi, abs=1e-9)
+        assert expected <= phase_bound(order).coefficient * x ** (2 * order + 1)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3, 4, 6, 9, 15, 25, 40])
+def test_the_bound_and_the_weight_lie_above_the_true_error(order):
+    x = np.sort(np.concatenate([np.geomspace(1e-3, 1e3, 1500), np.linspace(0.1, 80, 3000)]))
+    turn = np.exp(-1j * x)
+    error = np.abs(turn - response(pade(1.0, order), x))
+    assert (error <= error_bound(x, 1.0, order) + 1e-13).all()
+    for k in {1, min(3, 2 * order + 1), 2 * order + 1 if order < 5 else 3}:
+        weight = error_weight(order, k)
+        size = np.abs(response(weight.scaled(1.0), x))
+        assert (error <= size + 1e-13).all()
+        formula = weight.gain * x**k / np.sqrt(x ** (2 * k) + weight.corner ** (2 * k))
+        assert size == pytest.approx(formula, rel=1e-6)
+    # and not needlessly: somewhere the default weight is within 1 % of it, except where slopes are equal
+    if order > 1:
+        near = error > 1e-6
+        size = np.abs(response(error_weight(order, 3).scaled(1.0), x))
+        assert (size[near] / error[near]).min() < 1.01
+
+
+@pytest.mark.parametrize(("order", "k"), [(1, 3), (2, 3), (3, 3), (3, 1), (4, 3), (4, 9), (6, 3), (8, 3), (12, 3)])
+def test_the_weight_is_proved_again_in_ball_arithmetic(order, k):
+    """Between points that lie close, as error and weight both rise; every number with its rounding."""
+    flint = pytest.importorskip("flint")
+    weight = error_weight(order, k)
+    gain, corner = flint.arb(weight.gain), flint.arb(weight.corner)
+    # P_n = (2n)! / n! Q_n, from its closed form
+    p = [factorial(2 * order - i) * comb(order, i) // factorial(order) for i in range(order + 1)]
+    poly = flint.acb_poly([flint.acb(c) for c in p])
+    mirror = flint.acb_poly([flint.acb(c * (-1) ** i) for i, c in enumerate(p)])
+    bound = phase_bound(order)
+
+    def error(x):
+        s = flint.acb(0, flint.arb(x))
+        return abs((-s).exp() - mirror(s) / poly(s))
+
+    def size(x):
+        ratio = (flint.arb(x) / corner) ** (2 * k)
+        return gain * (ratio / (1 + ratio)).sqrt()
+
+    first = (1e-4 / bound.coefficient) ** (1.0 / bound.power)
+    # below: c x^m against g x^k / sqrt(x^2k + a^2k), whose ratio falls with x as k <= m
+    assert flint.arb(bound.coefficient) * flint.arb(first) ** bound.power <= size(first)
+    x = np.linspace(first, 2 * first + 3 * order + 8, 8001)
+    theta = np.unwrap(phase_error(x, order))
+    beyond = int(np.argmax(theta >= 3.1))
+    assert beyond > 0
+    assert all(error(b) <= size(a) for a, b in pairwise(x[: beyond + 1]))
+    assert size(x[beyond]) >= 2
+
+
+def test_the_test_of_the_weight_can_fail():
+    weight = error_weight(4, 3)
+    x = np.linspace(1, 40, 4000)
+    error = np.abs(np.exp(-1j * x) - response(pade(1.0, 4), x))
+    assert (error > np.abs(response(high_pass(weight.gain, 1.02 * weight.corner, 3), x))).any()
+
+
+def test_pade_in_a_model_is_pade_in_its_place():
+    loop = (3.0 * LAG @ rl.delay(0.4)).feedback()
+    s = 1j * OMEGA
+    rational = response(pade(0.4, 5))
+    expected = 3 * rational / (s + 1 + 3 * rational)
+    model = loop.pade(5)
+    assert model.n_states == 6
+    assert np.abs(response(model) - expected).max() < 1e-12
+    assert loop.pade(0).n_states == 1
+
+
+@pytest.mark.parametrize(("order", "spread", "true"), [(1, 0.0, 0.4), (3, 0.0, 0.4), (3, 0.1, 0.33), (2, 0.4, 0.8)])
+def test_the_set_holds_the_model_with_its_delay(order, spread, true):
+    model = 3.0 * LAG @ rl.delay(0.4)
+    cover = model.uncertain(order, spread)
+    names = [b.name for b in cover.blocks]
+    assert names[0] == f"delay of 0.4 s (order {order}, slope 3)"
+    assert len(names) == 1 + (spread > 0)
+    for w in (0.05, 1.0, 7.0, 40.0):
+        turn = np.exp(-0.4j * w)
+        delta = {
+            names[0]: (turn - response(pade(0.4, order), [w])[0]) / response(error_weight(order, 3).scaled(0.4), [w])[0]
+        }
+        if spread:
+            delta[names[1]] = (np.exp(-1j * w * true) - turn) / response(rl.neglected_delay(spread), [w])[0]
+        assert all(abs(d) <= 1.0 for d in delta.values())
+        found = cover.response([w], {k: complex(d) for k, d in delta.items()})[0, 0, 0]
+        assert found == pytest.approx(3 * np.exp(-1j * w * true) / (1j * w + 1), abs=1e-9)
+
+
+def test_delays_of_one_length_share_a_block():
+    plant = rl.StateSpaceModel(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
+    cover = rl.with_delays(plant, inputs={0: 0.1, 1: 0.1}).uncertain(2)
+    assert [(b.name, b.rows) for b in cover.blocks] == [("delay of 0.1 s (order 2, slope 3)", 2)]
+
+
+def test_sets_of_other_orders_do_not_share_a_block():
+    names = {b.name for b in (rl.delay(0.4).uncertain(2) @ rl.delay(0.4).uncertain(3)).blocks}
+    assert len(names) == 2
+
+
+def test_an_uncertain_model_with_a_delay_in_a_range():
+    plant = rl.parametric([["-1/T"]], [["1/T"]], [[1]], [[0]], {"T": (1.0, 0.2)})
+    late = rl.uncertain_delays(plant, inputs={"u1": (0.1, 0.3)}, outputs={0: 0.2})
+    names = [b.name for b in late.blocks]
+    assert set(names) == {"T", "delay of 0.2 s (order 3, slope 3)", "u1: spread 1 of 0.2 s +- 0.1 s"}
+    w, rational = 3.0, response(pade(0.2, 3), [3.0])[0]
+    turn, true = np.exp(-0.2j * w), np.exp(-0.14j * w)
+    delta = {
+        "T": 0.5,
+        names[names.index("delay of 0.2 s (order 3, slope 3)")]: complex(
+            (turn - rational) / response(error_weight(3, 3).scaled(0.2), [w])[0]
+        ),
+        "u1: spread 1 of 0.2 s +- 0.1 s": complex((true - turn) / response(rl.neglected_delay(0.1), [w])[0]),
+    }
+    assert all(abs(d) <= 1 for d in delta.values())
+    expected = turn * true / (1 + 1j * w * plant.physical({"T": 0.5})["T"][0])
+    assert late.response([w], delta)[0, 0, 0] == pytest.approx(expected, abs=1e-12)
+    with pytest.raises(InputError, match="range of such"):
+        rl.uncertain_delays(plant, inputs={0: (0.3, 0.1)})
+    with pytest.raises(InputError, match="uncertain_delays takes ranges"):
+        rl.with_delays(LAG, inputs={0: (0.1, 0.3)})
+
+
+# --- weights for what is left out -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_the_weight_of_a_neglected_delay_covers_all_shorter_ones(order):
+    weight = np.abs(response(rl.neglected_delay(0.2, order)))
+    for tau in np.linspace(0.0, 0.2, 21):
+        assert (np.abs(np.exp(-1j * OMEGA * tau) - 1) <= weight).all()
+    fine = np.linspace(0.01, 30, 20000) / 0.2
+    error = 2 * np.sin(np.minimum(fine * 0.2, np.pi) / 2)
+    ratio = np.abs(response(rl.neglected_delay(0.2, order), fine)) / error
+    assert 1.0 < ratio.min() < 1.003
+    assert ratio.max() < (1.42 if order == 1 else 1.021)
+
+
+def test_the_realised_weights_are_those_of_the_proof():
+    from robustlab.delays.neglected import _FORMS
+
+    for order, (numerator, denominator) in _FORMS.items():
+        s = 1j * OMEGA
+        above, below = (sum(float(c) * s**k for k, c in enumerate(p)) for p in (numerator, denominator))
+        assert response(rl.neglected_delay(1.0, order)) == pytest.approx(above / below, rel=1e-8)
+
+
+def test_a_weight_that_does_not_cover_is_not_proved():
+    one, half = Fraction(1), Fraction(1, 2)
+    # tau s / (tau s / 2 + 1), which is often used, lies below the error
+    assert not covers_delay([Fraction(0), one], [one, half])
+    assert covers_delay([Fraction(0), 2 * one], [one, half])
+
+
+@pytest.mark.parametrize(
+    ("roots", "low", "high", "positive"),
+    [
+        ([1, 2], 3, None, True),
+        ([1, 2], 0, 3, False),
+        ([1, 1], 0, 3, False),
+        ([-1, -2], 0, None, True),
+        ([5, 6], 0, 4, True),
+    ],
+)
+def test_polynomials_are_judged_by_sturm(roots, low, high, positive):
+    p = [Fraction(int(c)) for c in np.poly(roots)[::-1]]
+    assert positive_between(p, Fraction(low), None if high is None else Fraction(high)) is positive
+
+
+def test_the_weight_of_a_neglected_lag_covers_all_shorter_ones():
+    weight = np.abs(response(rl.neglected_lag(0.3)))
+    for tau in np.linspace(0.0, 0.3, 16):
+        assert (np.abs(1 / (1 + 1j * OMEGA * tau) - 1) <= weight).all()
+    assert weight == pytest.approx(np.abs(0.3j * OMEGA / (1 + 0.3j * OMEGA)), rel=1e-8)
