@@ -31,7 +31,10 @@ from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
+from robustlab.norms import h2_norm as h2_norm
 from robustlab.norms import hinf_norm as hinf_norm
+from robustlab.norms import linf_norm as linf_norm
+from robustlab.norms import passivity as passivity
 from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
@@ -151,6 +154,9 @@ __all__ = [
     "nu_gap",
     "coprime_margin",
     "hinf_norm",
+    "h2_norm",
+    "linf_norm",
+    "passivity",
     "zeros",
     "controllability",
     "observability",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +19,19 @@ from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = [
+    "FAR",
     "QUIET",
     "HinfNorm",
     "NormTuning",
+    "axis_grid",
+    "axis_point",
+    "balanced",
+    "bracketed_norm",
+    "eigenvalue_blur",
     "gain_rounding",
     "hinf_norm",
     "norm_as_given",
+    "pole_text",
     "unstable_norm",
     "well_scaled",
 ]
@@ -152,7 +160,7 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     if not 1e-12 <= rtol < 1:
         raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
     ordinary = moderated(given, "hinf_norm")
-    return norm_as_given(_bracketed(ordinary, rtol, tuning), ordinary)
+    return norm_as_given(bracketed_norm(ordinary, rtol, tuning, unstable_norm), ordinary)
 
 
 def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
@@ -169,17 +177,25 @@ def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
     return HinfNorm(value, ordinary.frequency(norm.frequency), lower, upper, norm.status, norm.reason)
 
 
-def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm:
-    """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given."""
+def bracketed_norm(
+    ordinary: Moderated,
+    rtol: float,
+    tuning: NormTuning,
+    infinite: Callable[[StateSpaceModel, int], HinfNorm | None],
+) -> HinfNorm:
+    """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given.
+
+    The level test needs no stability: ``infinite`` says which poles make the norm infinite.
+    """
     m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
-        return (unstable_norm(m) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
+        return (infinite(m, ordinary.rate) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
         return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)
-    unstable = unstable_norm(m, ordinary.rate)
-    if unstable is not None:
-        return unstable
+    without_bracket = infinite(m, ordinary.rate)
+    if without_bracket is not None:
+        return without_bracket
     try:
         scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         lower, omega, upper, trusted = _bracket(scaled, rtol, tuning)
@@ -199,7 +215,7 @@ def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    error = gain_rounding(m.A, m.B, m.C, m.D, _point(m, omega))
+    error = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
     if error > LOUD * attained:
         upper += error
         nothing = None if blind else _nothing(m, scaled, tuning.nothing_points)
@@ -212,7 +228,7 @@ def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm
     return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
 
-def _point(m: StateSpaceModel, omega: float) -> complex:
+def axis_point(m: StateSpaceModel, omega: float) -> complex:
     """The point s or z of a frequency."""
     if m.is_discrete:
         return complex(np.exp(1j * omega * m.dt))
@@ -246,14 +262,14 @@ def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNo
     Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
     test is sharper than that, but at the bound of the rounding it must agree.
     """
-    omega = _grid(m, points)
+    omega = axis_grid(m, points)
     try:
         sigma = _sigma(m, omega)
-        size, error = np.array([_terms(m.A, m.B, m.C, m.D, _point(m, w)) for w in omega]).T
+        size, error = np.array([_terms(m.A, m.B, m.C, m.D, axis_point(m, w)) for w in omega]).T
         upper = float((sigma + error).max())
         if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
             return None
-        again = np.concatenate([_grid(scaled, points), _candidates(scaled, upper)])
+        again = np.concatenate([axis_grid(scaled, points), _candidates(scaled, upper)])
         if not _sigma(scaled, again).max() <= upper:
             return None
     except (np.linalg.LinAlgError, NoTrustworthyNumber):
@@ -264,8 +280,7 @@ def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNo
 def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     """The infinite norm of a model that is not stable, or None; poles are told times ``2^rate``."""
     abscissa = m.spectral_abscissa()
-    # Eigenvalues are known to about eps times the norm of the balanced A; a pole closer to the boundary has no sign.
-    blur = 10 * EPS * max(float(np.linalg.norm(_balanced(m.A), 1)), 1.0 if m.is_discrete else 0.0)
+    blur = eigenvalue_blur(m)
     if abscissa < -blur:
         return None
     poles = m.poles()
@@ -275,18 +290,25 @@ def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     # Eigenvalues of Jordan blocks are known to far fewer digits; well outside there is no doubt.
     stable = exactly_stable(m.A, m.is_discrete) if abscissa < FAR * blur else False
     if stable or (stable is None and abscissa < 0):
-        text = f"pole {_text(worst)} cannot be told from the stability boundary"
+        text = f"pole {pole_text(worst)} cannot be told from the stability boundary"
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, text)
     word = "unstable" if abscissa > blur else "on the stability boundary"
-    return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {_text(worst)} is {word}")
+    return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {pole_text(worst)} is {word}")
 
 
-def _balanced(matrix: AnyArray) -> AnyArray:
+def eigenvalue_blur(m: StateSpaceModel) -> float:
+    """Eigenvalues are known to about eps times the norm of the balanced A: a nearer pole has no sign."""
+    return 10 * EPS * max(float(np.linalg.norm(balanced(m.A), 1)), 1.0 if m.is_discrete else 0.0)
+
+
+def balanced(matrix: AnyArray) -> AnyArray:
+    """The matrix in the states in which its rows and columns are alike in size."""
     t = balancing_factors(matrix)
     return matrix / t[:, None] * t
 
 
-def _text(pole: complex) -> str:
+def pole_text(pole: complex) -> str:
+    """A pole as error messages show it."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
 
 
@@ -321,7 +343,7 @@ def _sigma(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     return np.linalg.svd(response, compute_uv=False)[:, 0]
 
 
-def _grid(m: StateSpaceModel, points: int) -> AnyArray:
+def axis_grid(m: StateSpaceModel, points: int) -> AnyArray:
     """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
     poles = m.poles()
     if m.is_discrete:
@@ -340,7 +362,7 @@ def _bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[float
     """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
     size = np.abs(m.poles())
     decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
-    omega = _grid(m, int(tuning.points_per_decade * decades))
+    omega = axis_grid(m, int(tuning.points_per_decade * decades))
     sigma = _sigma(m, omega)
     peak = int(np.argmax(sigma))
     lower, at = float(sigma[peak]), float(omega[peak])
@@ -383,7 +405,7 @@ def _candidates(m: StateSpaceModel, level: float) -> AnyArray:
     hamiltonian = np.block([[a1, b @ np.linalg.solve(r, b.T)], [-c.T @ np.linalg.solve(s, c), -a1.T]])
     if not np.isfinite(hamiltonian).all():
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(_balanced(hamiltonian)).imag)]))
+    crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)]))
     between = 0.5 * (crossing[:-1] + crossing[1:])
     beyond = [2 * crossing[-1], 10 * crossing[-1]]
     return np.concatenate([crossing, between, beyond])
