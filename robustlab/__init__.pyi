@@ -19,6 +19,11 @@ from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import DataCover as DataCover
 from robustlab.identification.validation.data_cover import data_cover as data_cover
 from robustlab.invariant_zeros import zeros as zeros
+from robustlab.linear_matrix_equations import dlyap as dlyap
+from robustlab.linear_matrix_equations import lyap as lyap
+from robustlab.linear_matrix_equations import sylvester as sylvester
+from robustlab.matrix_equations import care as care
+from robustlab.matrix_equations import dare as dare
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis import robust_stability as robust_stability
@@ -157,6 +162,11 @@ __all__ = [
     "h2_norm",
     "linf_norm",
     "passivity",
+    "lyap",
+    "dlyap",
+    "sylvester",
+    "care",
+    "dare",
     "zeros",
     "controllability",
     "observability",

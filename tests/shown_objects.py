@@ -195,6 +195,8 @@ OBJECTS: dict[str, Any] = {
     "ClassicalMargins": lambda: rl.classical_margins(lag()),
     "Zeros": lambda: rl.zeros(lag()),
     "RobustGain": lambda: rl.robust_gain(loop(), 4.0),
+    "LinearSolution": lambda: rl.lyap([[-0.5]], [[2.0]]),
+    "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "Passivity": lambda: rl.passivity(lag()),
     "InputPassivity": lambda: rl.passivity(lag()).input_index,
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,

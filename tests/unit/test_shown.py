@@ -33,7 +33,8 @@ PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange",
 NUMBERS = {
     "Conflict", "Conservatism", "CoprimeMargin", "GapMetric", "H2Norm", "HinfNorm", "Influence", "NuGap", "Result",
     "Reduction", "PlantSamples", "StreamedResponses", "Trim", "WellPosedness", "DcMotor", "PerformanceLimits",
-    "Passivity", "InputPassivity", "ClassicalMargins", "Zeros", "RobustGain",
+    "Passivity", "InputPassivity", "ClassicalMargins", "Zeros", "RobustGain", "LinearSolution",
+    "RiccatiSolution",
 }  # fmt: skip
 
 
