@@ -87,6 +87,8 @@ _PUBLIC = {
     "lqr": "synthesis.h2.state_feedback",
     "lqg": "synthesis.h2.state_feedback",
     "place": "synthesis.h2.state_feedback",
+    "kalman": "synthesis.h2.kalman_filter",
+    "lqi": "synthesis.h2.integral_feedback",
     "mixsyn": "synthesis.hinf.mixed_sensitivity",
     "ncf": "synthesis.hinf.loop_shaping",
     "dk": "synthesis.dk.dk_iteration",
