@@ -547,9 +547,13 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
 
 def accepted_residual(where: str, terms: tuple[AnyArray, ...], tolerance: float) -> float:
     """Norm of the sum of an equation's terms, relative to the sum of their norms."""
-    size = sum(np.linalg.norm(term) for term in terms)
-    residual = float(np.linalg.norm(sum(terms)) / size) if size else 0.0
-    if residual > tolerance:
+    refuse_overflow(where, *terms)
+    # Squares of entries overflow or vanish long before the entries do: a power of two first, which costs no digit.
+    top = max((float(np.abs(term).max(initial=0.0)) for term in terms), default=0.0)
+    scaled = [np.ldexp(term, -int(np.frexp(top)[1])) for term in terms]
+    size = sum(np.linalg.norm(term) for term in scaled)
+    residual = float(np.linalg.norm(sum(scaled)) / size) if size else 0.0
+    if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return residual
 

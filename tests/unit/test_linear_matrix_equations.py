@@ -63,3 +63,15 @@ def test_empty_equations():
     nothing = np.zeros((0, 0))
     assert rl.sylvester(nothing, [[1.0]], np.zeros((0, 1))).X.shape == (0, 1)
     assert rl.lyap(nothing, nothing).X.shape == (0, 0)
+
+
+def test_a_residual_of_huge_terms_is_still_a_residual():
+    """Squares of 1e200 overflow: the quotient of such norms would be 0 or NaN for any X."""
+    from robustlab.matrix_equations import accepted_residual
+
+    huge = np.array([[1e200]])
+    assert accepted_residual("lyap", (huge, huge, -2 * huge), 1e-6) == 0.0
+    with pytest.raises(NoTrustworthyNumber, match=r"^lyap: relative residual 3\.3e-01"):
+        accepted_residual("lyap", (huge, huge, -huge), 1e-6)
+    with pytest.raises(NoTrustworthyNumber, match="overflows"):
+        accepted_residual("lyap", (huge, np.array([[np.inf]])), 1e-6)

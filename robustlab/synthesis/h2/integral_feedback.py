@@ -131,7 +131,11 @@ def lqi(
     loop = lower_lft(_seen_by(g, chosen), controller)
     if not surely_stable(loop):
         raise NoTrustworthyNumber("lqi", "the rebuilt loop is not surely stable: a pole lies on the boundary")
-    error = float(np.abs(np.eye(len(chosen)) - loop.dc_gain()).max(initial=0.0))
+    try:
+        steady = loop.dc_gain()
+    except InputError as refused:
+        raise NoTrustworthyNumber("lqi", f"no steady-state gain of the rebuilt loop: {refused.found}") from None
+    error = float(np.abs(np.eye(len(chosen)) - steady).max(initial=0.0))
     status = Status.CONVERGED if error <= STEADY else Status.INACCURATE
     reason = f"rebuilt loop stable, its steady-state error {error:.1e}; {found.reason.rpartition('; ')[2]}"
     assert found.X is not None

@@ -21,7 +21,7 @@ from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 
 __all__ = ["KalmanFilter", "kalman"]
 
-# Covariances by the Riccati and by the Lyapunov equation may differ by this share of their norm.
+# Covariances by the Riccati and by the Lyapunov equation may differ by this share of their largest entry.
 AGREE = 1e-6
 
 
@@ -131,7 +131,10 @@ def kalman(G: Any, W: ArrayLike, V: ArrayLike, N: ArrayLike | None = None) -> Ka
     estimator = _as_model(g, L)
     if not surely_stable(estimator):
         raise NoTrustworthyNumber("kalman", "the error dynamics are not surely stable: a pole lies on the boundary")
-    status, reason = _again(estimator, P, w + L @ v @ L.T - s @ L.T - L @ s.T)
+    with np.errstate(over="ignore", invalid="ignore"):
+        noise = w + L @ v @ L.T - s @ L.T - L @ s.T
+    refuse_overflow("kalman", noise)
+    status, reason = _again(estimator, P, noise)
     return KalmanFilter(L, P, estimator, estimator.poles(), status, f"{reason}; Riccati residual {found.residual:.1e}")
 
 
@@ -141,8 +144,8 @@ def _again(estimator: StateSpaceModel, P: AnyArray, noise: AnyArray) -> tuple[St
         covariance = lyapunov(estimator.A, noise, estimator.is_discrete)
     except NoTrustworthyNumber as error:
         return Status.INACCURATE, f"no second covariance: {error.found}"
-    size = max(float(np.linalg.norm(P)), float(np.linalg.norm(covariance)), 1e-300)
-    share = float(np.linalg.norm(covariance - P)) / size
+    size = max(float(np.abs(x).max(initial=0.0)) for x in (P, covariance))  # a sum of squares might overflow
+    share = float(np.abs(covariance - P).max(initial=0.0)) / max(size, 1e-300)
     text = f"the Lyapunov equation of the error gives the covariance again to {share:.1e}"
     return (Status.CONVERGED if share <= AGREE else Status.INACCURATE), text
 
