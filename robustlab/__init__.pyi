@@ -25,6 +25,11 @@ from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import DataCover as DataCover
 from robustlab.identification.validation.data_cover import data_cover as data_cover
 from robustlab.invariant_zeros import zeros as zeros
+from robustlab.linear_matrix_equations import dlyap as dlyap
+from robustlab.linear_matrix_equations import lyap as lyap
+from robustlab.linear_matrix_equations import sylvester as sylvester
+from robustlab.matrix_equations import care as care
+from robustlab.matrix_equations import dare as dare
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis import robust_stability as robust_stability
@@ -40,7 +45,10 @@ from robustlab.mu_analysis.margins.delay_stability import delay_stability as del
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
+from robustlab.norms import h2_norm as h2_norm
 from robustlab.norms import hinf_norm as hinf_norm
+from robustlab.norms import linf_norm as linf_norm
+from robustlab.norms import passivity as passivity
 from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
@@ -53,6 +61,8 @@ from robustlab.structural import observability as observability
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.h2.h2_synthesis import h2 as h2
+from robustlab.synthesis.h2.integral_feedback import lqi as lqi
+from robustlab.synthesis.h2.kalman_filter import kalman as kalman
 from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.h2.state_feedback import lqg as lqg
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
@@ -169,6 +179,14 @@ __all__ = [
     "nu_gap",
     "coprime_margin",
     "hinf_norm",
+    "h2_norm",
+    "linf_norm",
+    "passivity",
+    "lyap",
+    "dlyap",
+    "sylvester",
+    "care",
+    "dare",
     "zeros",
     "controllability",
     "observability",
@@ -181,6 +199,8 @@ __all__ = [
     "lqr",
     "lqg",
     "place",
+    "kalman",
+    "lqi",
     "mixsyn",
     "ncf",
     "dk",

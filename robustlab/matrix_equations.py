@@ -21,17 +21,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import refuse_overflow
+from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
 __all__ = [
+    "MIRRORED",
     "RiccatiSolution",
+    "accepted_residual",
     "balanced_eigenvalues",
     "care",
     "dare",
     "gramians",
     "hamiltonian_riccati",
+    "judged_afterwards",
     "lapack",
     "lyapunov",
     "lyapunov_factor",
@@ -48,7 +52,7 @@ MIRRORED = "no unique solution: eigenvalues mirror each other"
 
 
 @dataclass(frozen=True, eq=False)
-class RiccatiSolution:
+class RiccatiSolution(Shown):
     """Stabilising solution of a Riccati equation.
 
     Attributes
@@ -65,7 +69,17 @@ class RiccatiSolution:
     gain: AnyArray
     residual: float
 
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        residual = number(self.residual, digits=2)
+        return [("X", in_words(self.X)), ("gain", in_words(self.gain)), ("relative residual", residual)]
 
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return vars(self).copy()
+
+
+@told_as("care")
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
@@ -81,6 +95,11 @@ def care(
         Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
     tolerance
         Largest relative residual that is accepted.
+
+    Returns
+    -------
+    RiccatiSolution
+        X, the gain F and the residual.
 
     Raises
     ------
@@ -123,6 +142,7 @@ def care(
     raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
 
 
+@told_as("dare")
 def dare(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
@@ -138,6 +158,11 @@ def dare(
         Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
     tolerance
         Largest relative residual that is accepted.
+
+    Returns
+    -------
+    RiccatiSolution
+        X, the gain F and the residual.
 
     Raises
     ------
@@ -169,7 +194,7 @@ def dare(
             raise none from None
     if not np.isfinite(X).all() or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
         raise none
-    residual = _accepted_residual("dare", (a.T @ X @ a, -X, q, coupling.T @ gain), tolerance)
+    residual = accepted_residual("dare", (a.T @ X @ a, -X, q, coupling.T @ gain), tolerance)
     return RiccatiSolution(X, gain, residual)
 
 
@@ -317,7 +342,7 @@ def _extended_pencil(equation: _Equation, discrete: bool = False) -> AnyArray | 
     from scipy.linalg import LinAlgError, solve_continuous_are, solve_discrete_are
 
     solve = solve_discrete_are if discrete else solve_continuous_are
-    with _judged_afterwards():
+    with judged_afterwards():
         try:
             X = solve(equation.a, equation.b, equation.q, equation.r, s=equation.s)
         except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
@@ -346,7 +371,7 @@ def _newton_step(loop: AnyArray, left: AnyArray) -> AnyArray | None:
     """Symmetric dX with ``loop^T dX + dX loop + left = 0``; None where there is none."""
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
-    with _judged_afterwards():  # eigenvalues may nearly mirror each other
+    with judged_afterwards():  # eigenvalues may nearly mirror each other
         try:
             step = solve_continuous_lyapunov(loop.T, -0.5 * (left + left.T))
         except (LinAlgError, ValueError):
@@ -387,14 +412,14 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
     gap = np.abs(np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)).min()
     if gap <= 10 * np.finfo(float).eps * float(np.abs(poles).max() if not discrete else 1.0):
         raise NoTrustworthyNumber("lyapunov", MIRRORED)
-    with _judged_afterwards():
+    with judged_afterwards():
         try:
             X = solve_discrete_lyapunov(a, q) if discrete else solve_continuous_lyapunov(a, -q)
         except (LinAlgError, ValueError):
             raise NoTrustworthyNumber("lyapunov", MIRRORED) from None
     if not np.isfinite(X).all():
         raise NoTrustworthyNumber("lyapunov", "the solution is not finite")
-    _accepted_residual("lyapunov", (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q), tolerance)
+    accepted_residual("lyapunov", (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q), tolerance)
     return np.asarray(X)
 
 
@@ -520,17 +545,21 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
 # --- judging, and the door to LAPACK ---------------------------------------------------------------------------------
 
 
-def _accepted_residual(where: str, terms: tuple[AnyArray, ...], tolerance: float) -> float:
+def accepted_residual(where: str, terms: tuple[AnyArray, ...], tolerance: float) -> float:
     """Norm of the sum of an equation's terms, relative to the sum of their norms."""
-    size = sum(np.linalg.norm(term) for term in terms)
-    residual = float(np.linalg.norm(sum(terms)) / size) if size else 0.0
-    if residual > tolerance:
+    refuse_overflow(where, *terms)
+    # Squares of entries overflow or vanish long before the entries do: a power of two first, which costs no digit.
+    top = max((float(np.abs(term).max(initial=0.0)) for term in terms), default=0.0)
+    scaled = [np.ldexp(term, -int(np.frexp(top)[1])) for term in terms]
+    size = sum(np.linalg.norm(term) for term in scaled)
+    residual = float(np.linalg.norm(sum(scaled)) / size) if size else 0.0
+    if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return residual
 
 
 @contextmanager
-def _judged_afterwards() -> Iterator[None]:
+def judged_afterwards() -> Iterator[None]:
     """An ill-conditioned step is judged by the residual after it, not by a warning."""
     from scipy.linalg import LinAlgWarning
 

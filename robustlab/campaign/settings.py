@@ -32,7 +32,7 @@ _CODE = (
     "exact_stability.py",
     "frequency.py",
     "matrix_equations.py",
-    "norms.py",
+    "norms",
     "statespace.py",
     "structural.py",
     "uncertainty",

@@ -11,7 +11,7 @@ from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.delays import delay_model, stability_lines
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
-from robustlab.cli.offers import FORMULAS, one_of, plant_or_file
+from robustlab.cli.offers import FORMULAS, NORMS, one_of, plant_or_file
 from robustlab.cli.options import (
     DtOption,
     JsonOption,
@@ -25,7 +25,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import plot_model
-from robustlab.errors import NoTrustworthyNumber, UsageError
+from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from robustlab.statespace import Signal, StateSpaceModel
@@ -269,6 +269,37 @@ def convert(
     else:
         save(target, loaded.object, origin)
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
+
+
+@app.command()
+@grouped
+def norm(
+    *,
+    file: FileArgument,
+    kind: Annotated[
+        str, typer.Option("--kind", help="hinf, linf, h2 or passivity.", autocompletion=one_of(*NORMS))
+    ] = "hinf",
+    options: ReadOptions,
+    as_json: JsonOption = False,
+) -> None:
+    """A norm of a model with its evidence: peak gain (hinf; linf of unstable models), white noise (h2), passivity.
+
+    Exit code 4: the number cannot be vouched for.
+
+    Example: robustlab model norm motor.h5 --kind h2
+    """
+    from robustlab.norms import h2_norm, hinf_norm, linf_norm, passivity
+
+    functions: dict[str, Any] = dict(zip(NORMS, (hinf_norm, linf_norm, h2_norm, passivity), strict=True))
+    if kind not in functions:
+        raise UsageError(f"--kind {kind}", "no such norm", ", ".join(NORMS), did_you_mean(kind, NORMS))
+    loaded = options.read(file)
+    found = [(name, functions[kind](model)) for name, model in _models(loaded)]
+    text = "\n".join(f"{name}{value.summary()}" for name, value in found)
+    result = {name.rstrip(": ") or "model": value for name, value in found}
+    emit("model norm", {"file": file, "kind": kind, **result}, text, as_json)
+    for _, value in found:
+        require_trust(value.status)
 
 
 app.command()(margins)

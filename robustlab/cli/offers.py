@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-__all__ = ["COVERS", "FORMULAS", "METRICS", "PLANTS", "Offer", "one_of", "plant_or_file", "recipe_or_file"]
+__all__ = ["COVERS", "FORMULAS", "METRICS", "NORMS", "PLANTS", "Offer", "one_of", "plant_or_file", "recipe_or_file"]
 
 Offer = Callable[[str], list[str]]
 
@@ -24,6 +24,7 @@ METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
     "controllability", "hankel",
 )  # fmt: skip
+NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 COVERS = (
     "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",

@@ -68,6 +68,8 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "SampledController": {"loop": "design_figures.loop_picture"},
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
+    "KalmanFilter": {"pzmap": "result_figures.estimator_figure"},
+    "IntegralFeedback": {"pzmap": "result_figures.estimator_figure"},
     "DesignWeights": {"weights": "result_figures.weights_figure"},
     # measurements
     "Comparison": {

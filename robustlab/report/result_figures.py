@@ -33,6 +33,8 @@ from robustlab.report.figures import (
 )
 from robustlab.report.worst_case_figures import exceedance_figure, response_figure
 from robustlab.structural import StructuralTest
+from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
+from robustlab.synthesis.h2.kalman_filter import KalmanFilter
 from robustlab.synthesis.h2.state_feedback import StateFeedback
 from robustlab.synthesis.reduction.model_reduction import ReducedModel
 from robustlab.synthesis.sampled.sampled_norm import SampledDataNorm
@@ -227,6 +229,14 @@ def feedback_figure(found: StateFeedback, dt: float = 0.0) -> Figure:
     from robustlab.report.model_figures import poles_figure
 
     return poles_figure(np.asarray(found.poles), np.zeros(0), dt)
+
+
+def estimator_figure(found: KalmanFilter | IntegralFeedback) -> Figure:
+    """Poles of a filter, or of a loop with integral action."""
+    from robustlab.report.model_figures import poles_figure
+
+    model = found.estimator if isinstance(found, KalmanFilter) else found.closed_loop
+    return poles_figure(np.asarray(found.poles), np.zeros(0), model.dt)
 
 
 def hankel_figure(found: ReducedModel) -> Figure:

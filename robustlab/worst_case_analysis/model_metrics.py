@@ -126,9 +126,9 @@ class H2Gain(Metric):
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
         """See `Metric.of_model`; `robustlab.norms.h2_norm` is the second way."""
-        from robustlab.norms import h2_norm
+        from robustlab.norms import h2_by_gramians
 
-        norm = h2_norm(model)
+        norm = h2_by_gramians(model)
         return Evaluation(norm.value, accurate=norm.status.trustworthy, reason=norm.reason)
 
     def slope(self, ensemble: Ensemble) -> tuple[float, Array] | None:

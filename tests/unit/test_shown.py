@@ -31,9 +31,10 @@ NAMES = [*shown_objects.OBJECTS, "CampaignResult"]
 PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations"}
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability", "GapMetric", "H2Norm",
-    "HinfNorm", "Influence", "NuGap", "PerformanceLimits", "PlantSamples", "Reduction", "Result", "StreamedResponses",
-    "Trim", "WellPosedness",
+    "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability",
+    "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "LinearSolution", "NuGap", "Passivity",
+    "PerformanceLimits", "PlantSamples", "Reduction", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses",
+    "Trim", "WellPosedness", "Zeros",
 }  # fmt: skip
 
 

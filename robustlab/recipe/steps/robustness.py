@@ -1,4 +1,4 @@
-"""Steps that prove: the norm of a model, and the stability of a whole set."""
+"""Steps that prove: the norms of a model, its passivity, and the stability of a whole set."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 import robustlab as rl
+from robustlab.norms import HinfNorm
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -26,13 +27,64 @@ class HinfNormStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """H-infinity norm of a model, as a proved bracket."""
-        norm = rl.hinf_norm(work.values[self.of])
-        numbers = picked(norm, "value", "frequency", "lower", "upper")
+        return _peak(rl.hinf_norm(work.values[self.of]), "H-infinity norm", self.of)
+
+
+@step
+class LinfNormStep(Step):
+    """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis."""
+
+    do: Literal["linf-norm"]
+    of: ToModel
+
+    def run(self, work: Workspace) -> Outcome:
+        """Peak gain over the frequency axis, as a proved bracket."""
+        return _peak(rl.linf_norm(work.values[self.of]), "L-infinity norm", self.of)
+
+
+def _peak(norm: HinfNorm, title: str, of: str) -> Outcome:
+    numbers = picked(norm, "value", "frequency", "lower", "upper")
+    facts = (
+        Fact(title, f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
+        Fact("attained at", quantity(norm.frequency, "rad/s")),
+    )
+    return Outcome(None, f"{title} of {of}.", numbers, facts, norm.status)
+
+
+@step
+class H2NormStep(Step):
+    """H2 norm of a model."""
+
+    do: Literal["h2-norm"]
+    of: ToModel
+
+    def run(self, work: Workspace) -> Outcome:
+        """H2 norm by both Gramians and by the integral over the frequency axis."""
+        norm = rl.h2_norm(work.values[self.of])
+        facts = [Fact("H2 norm, by the Gramians", quantity(norm.value, digits=8))]
+        if norm.integral is not None:
+            facts.append(Fact("by the integral over frequency", quantity(norm.integral, digits=8)))
+        numbers = picked(norm, "value", "integral")
+        return Outcome(None, f"H2 norm of {self.of}.", numbers, tuple(facts), norm.status)
+
+
+@step
+class PassivityStep(Step):
+    """Relative passivity index of a square model."""
+
+    do: Literal["passivity"]
+    of: ToModel = Field(description="A square model, input k belonging to output k.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """Relative passivity index, as a proved bracket; below 1 the model is passive."""
+        found = rl.passivity(work.values[self.of])
+        numbers = picked(found, "lower", "upper", "frequency") | {"passive": found.passive}
         facts = (
-            Fact("H-infinity norm", f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
-            Fact("attained at", quantity(norm.frequency, "rad/s")),
+            Fact("Relative index", f"{quantity(found.lower, digits=8)} (at most {quantity(found.upper, digits=8)})"),
+            Fact("attained at", quantity(found.frequency, "rad/s")),
         )
-        return Outcome(None, f"H-infinity norm of {self.of}.", numbers, facts, norm.status)
+        word = {True: "passive", False: "not passive", None: "on the boundary of passivity, or not decided"}
+        return Outcome(None, f"{self.of} is {word[found.passive]}.", numbers, facts, found.status)
 
 
 @step

@@ -15,7 +15,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
-from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
+from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -480,7 +480,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     try:
         K = model_of(law, start.p, first.model.dt, first.measurements, first.controls)
         loops = tuple(plant.close(K) for plant in plants)
-        norms = tuple(hinf_norm(loop) if objective == "hinf" else h2_norm(loop) for loop in loops)
+        norms = tuple(hinf_norm(loop) if objective == "hinf" else h2_by_gramians(loop) for loop in loops)
     except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
         return None
     bounds = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)

@@ -13,7 +13,7 @@ from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
-from robustlab.norms import H2Norm, h2_norm
+from robustlab.norms import H2Norm, h2_by_gramians
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -275,7 +275,7 @@ class _Search:
             loop = cancelled_direct_term(loop, self.matrices.D11, K.D)
             if loop is None:
                 return None
-        norm = h2_norm(loop)
+        norm = h2_by_gramians(loop)
         return (full, loop, norm) if np.isfinite(norm.value) else None
 
     def _with_modes(self, trial: _Trial) -> Iterator[_Trial]:
@@ -407,7 +407,7 @@ def _regularised_norm(best: _Trial, dt: float) -> float:
     model = best.regularised.model()
     scaled = StateSpaceModel(*Realisation.of(model), dt)
     bare = StateSpaceModel(*Realisation.of(best.bare), dt)
-    return h2_norm(lower_lft(scaled, bare)).value * np.sqrt(best.scaling.rate) / best.scaling.gain
+    return h2_by_gramians(lower_lft(scaled, bare)).value * np.sqrt(best.scaling.rate) / best.scaling.gain
 
 
 def _lacking(plant: GeneralizedPlant, p: PlantMatrices) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
+from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import Signal, StateSpaceModel
@@ -280,7 +280,7 @@ class _Mixed:
             if cleared is None:
                 return None
             noisy = cleared
-        h2_found, hinf_found = h2_norm(noisy), hinf_norm(self.hinf.of_loop(loop))
+        h2_found, hinf_found = h2_by_gramians(noisy), hinf_norm(self.hinf.of_loop(loop))
         sound = h2_found.status.trustworthy and hinf_found.status.trustworthy and np.isfinite(h2_found.value)
         if sound and hinf_found.upper <= self.gamma:
             self.found.append(_Verified(named, loop, noisy, h2_found, hinf_found, how))

@@ -24,7 +24,7 @@ from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 
-__all__ = ["StateFeedback", "lqg", "lqr", "place"]
+__all__ = ["StateFeedback", "checked_weight", "lqg", "lqr", "place", "require_definite", "require_semidefinite"]
 
 
 # Eigenvalues of a weight below this share of its largest count as zero.
@@ -105,14 +105,14 @@ def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> State
     """
     g = as_model(G, "lqr: G")
     n, m = g.n_states, g.n_inputs
-    q = _weight("lqr: Q", Q, n)
-    r = _weight("lqr: R", R, m)
+    q = checked_weight("lqr: Q", Q, n)
+    r = checked_weight("lqr: R", R, m)
     s = np.zeros((n, m)) if N is None else real_array("N", N, 2, "lqr")
     if s.shape != (n, m):
         raise InputError("lqr: N", f"shape {s.shape}", f"{(n, m)}")
     if not g.is_discrete:
-        _definite("lqr: R", r, [f"control {name} costs nothing" for name in g.input_names])
-    _semidefinite("lqr: [Q N; N' R]", np.block([[q, s], [s.T, r]]))
+        require_definite("lqr: R", r, [f"control {name} costs nothing" for name in g.input_names])
+    require_semidefinite("lqr: [Q N; N' R]", np.block([[q, s], [s.T, r]]))
     try:
         found: RiccatiSolution = (dare if g.is_discrete else care)(g.A, g.B, q, r, s)
     except NoTrustworthyNumber as error:
@@ -245,12 +245,12 @@ def lqg(
     n, p, m = g.n_states, g.n_outputs, g.n_inputs
     if not p or not m:
         raise InputError("lqg: G", f"{p} outputs and {m} inputs", "at least one of each")
-    q, r = _weight("lqg: Q", Q, n), _weight("lqg: R", R, m)
-    w, v = _weight("lqg: W", W, n), _weight("lqg: V", V, p)
-    _semidefinite("lqg: Q", q)
-    _semidefinite("lqg: W", w)
-    _definite("lqg: R", r, [f"control {name} costs nothing" for name in g.input_names])
-    _definite("lqg: V", v, [f"measurement {name} has no noise" for name in g.output_names])
+    q, r = checked_weight("lqg: Q", Q, n), checked_weight("lqg: R", R, m)
+    w, v = checked_weight("lqg: W", W, n), checked_weight("lqg: V", V, p)
+    require_semidefinite("lqg: Q", q)
+    require_semidefinite("lqg: W", w)
+    require_definite("lqg: R", r, [f"control {name} costs nothing" for name in g.input_names])
+    require_definite("lqg: V", v, [f"measurement {name} has no noise" for name in g.output_names])
     cost, noise = _root(q), _root(w).T
     A, nothing = g.A, np.zeros
     B = np.hstack([noise, nothing((n, p)), g.B])
@@ -275,7 +275,8 @@ def lqg(
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 
-def _weight(where: str, given: ArrayLike, n: int) -> AnyArray:
+def checked_weight(where: str, given: ArrayLike, n: int) -> AnyArray:
+    """A symmetric matrix of n rows; ``where`` is ``"function: name"``."""
     matrix = real_array(where.rsplit(": ", 1)[-1], given, 2, where.split(":", 1)[0])
     if matrix.shape != (n, n):
         raise InputError(where, f"shape {matrix.shape}", f"{(n, n)}")
@@ -284,13 +285,15 @@ def _weight(where: str, given: ArrayLike, n: int) -> AnyArray:
     return 0.5 * (matrix + matrix.T)
 
 
-def _semidefinite(where: str, matrix: AnyArray) -> None:
+def require_semidefinite(where: str, matrix: AnyArray) -> None:
+    """Refuse a symmetric matrix with a negative eigenvalue."""
     values = np.linalg.eigvalsh(matrix)
     if len(values) and values[0] < -RANK * len(values) * max(float(np.abs(values).max()), 1e-300):
         raise InputError(where, f"eigenvalue {values[0]:.3g}", "a positive semidefinite matrix")
 
 
-def _definite(where: str, matrix: AnyArray, meanings: list[str]) -> None:
+def require_definite(where: str, matrix: AnyArray, meanings: list[str]) -> None:
+    """Refuse a symmetric matrix that is not positive definite; ``meanings`` says what each row stands for."""
     values, vectors = np.linalg.eigh(matrix)
     if len(values) and values[0] <= RANK * max(float(values[-1]), 0.0):
         worst = int(np.argmax(np.abs(vectors[:, 0])))

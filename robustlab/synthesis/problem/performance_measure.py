@@ -23,7 +23,7 @@ from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, with_performance
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import points_work
-from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_norm, hinf_norm
+from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.problem.independent_check import norm_doubt
@@ -114,7 +114,7 @@ class PerformanceMeasure:
         plant = self.scaled or self.plant
         loop = plant.close(K)
         self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
-        norm = h2_norm(loop) if self.name == "h2" else hinf_norm(loop)
+        norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)
         value, frequency = (norm.value, np.nan) if isinstance(norm, H2Norm) else (norm.upper, norm.frequency)
         if not np.isfinite(value):
             return Performance(value, norm, frequency)
@@ -140,7 +140,7 @@ class PerformanceMeasure:
             if not loop.is_stable():
                 return np.inf
             if self.name == "h2":
-                return h2_norm(loop).value
+                return h2_by_gramians(loop).value
             omega = default_grid(loop, self.tuning.measure_grid)
             response = frequency_response(loop, omega)
         except (InputError, NoTrustworthyNumber):

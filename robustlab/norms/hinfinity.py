@@ -1,7 +1,8 @@
-"""System norms: H-infinity as a proved bracket, H2 by both Gramians."""
+"""H-infinity norm as a proved bracket."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,30 +12,34 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.exact_stability import exactly_stable
 from robustlab.frequency import frequency_response
-from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
-from robustlab.matrix_equations import gramians
+from robustlab.magnitude import Moderated, balancing_factors, moderated
+from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = [
+    "FAR",
     "QUIET",
-    "H2Norm",
     "HinfNorm",
-    "bilinear_to_continuous",
-    "bilinear_to_discrete",
+    "NormTuning",
+    "axis_grid",
+    "axis_point",
+    "balanced",
+    "bracketed_norm",
+    "eigenvalue_blur",
     "gain_rounding",
-    "h2_norm",
     "hinf_norm",
     "norm_as_given",
+    "pole_text",
+    "unstable_norm",
+    "well_scaled",
 ]
 
 EPS = float(np.finfo(float).eps)
 # Eigenvalues of a Jordan block of four may be off by this many times those of a matrix with a basis of eigenvectors.
 FAR = 1e12
 
-# Poles in z beyond this all become s = 2/dt to the last digit.
-OUTSIDE = 1e15
 # Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
 # unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
@@ -105,23 +110,6 @@ class HinfNorm(Shown):
         return vars(self).copy()
 
 
-@dataclass(frozen=True)
-class H2Norm(Shown):
-    """H2 norm of a model: value, status, and why it is infinite or inaccurate."""
-
-    value: float
-    status: Status
-    reason: str = ""
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [("norm", number(self.value, digits=6)), ("reason", self.reason)]
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
-
-
 # --- H-infinity ------------------------------------------------------------------------------------------------------
 
 
@@ -172,7 +160,7 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     if not 1e-12 <= rtol < 1:
         raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
     ordinary = moderated(given, "hinf_norm")
-    return norm_as_given(_bracketed(ordinary, rtol, tuning), ordinary)
+    return norm_as_given(bracketed_norm(ordinary, rtol, tuning, unstable_norm), ordinary)
 
 
 def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
@@ -189,19 +177,27 @@ def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
     return HinfNorm(value, ordinary.frequency(norm.frequency), lower, upper, norm.status, norm.reason)
 
 
-def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm:
-    """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given."""
+def bracketed_norm(
+    ordinary: Moderated,
+    rtol: float,
+    tuning: NormTuning,
+    infinite: Callable[[StateSpaceModel, int], HinfNorm | None],
+) -> HinfNorm:
+    """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given.
+
+    The level test needs no stability: ``infinite`` says which poles make the norm infinite.
+    """
     m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
-        return (_unstable(m) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
+        return (infinite(m, ordinary.rate) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
         return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)
-    unstable = _unstable(m, ordinary.rate)
-    if unstable is not None:
-        return unstable
+    without_bracket = infinite(m, ordinary.rate)
+    if without_bracket is not None:
+        return without_bracket
     try:
-        scaled, rate = _well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
+        scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         lower, omega, upper, trusted = _bracket(scaled, rtol, tuning)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
@@ -219,7 +215,7 @@ def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    error = gain_rounding(m.A, m.B, m.C, m.D, _point(m, omega))
+    error = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
     if error > LOUD * attained:
         upper += error
         nothing = None if blind else _nothing(m, scaled, tuning.nothing_points)
@@ -232,7 +228,7 @@ def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm
     return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
 
-def _point(m: StateSpaceModel, omega: float) -> complex:
+def axis_point(m: StateSpaceModel, omega: float) -> complex:
     """The point s or z of a frequency."""
     if m.is_discrete:
         return complex(np.exp(1j * omega * m.dt))
@@ -266,14 +262,14 @@ def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNo
     Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
     test is sharper than that, but at the bound of the rounding it must agree.
     """
-    omega = _grid(m, points)
+    omega = axis_grid(m, points)
     try:
         sigma = _sigma(m, omega)
-        size, error = np.array([_terms(m.A, m.B, m.C, m.D, _point(m, w)) for w in omega]).T
+        size, error = np.array([_terms(m.A, m.B, m.C, m.D, axis_point(m, w)) for w in omega]).T
         upper = float((sigma + error).max())
         if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
             return None
-        again = np.concatenate([_grid(scaled, points), _candidates(scaled, upper)])
+        again = np.concatenate([axis_grid(scaled, points), _candidates(scaled, upper)])
         if not _sigma(scaled, again).max() <= upper:
             return None
     except (np.linalg.LinAlgError, NoTrustworthyNumber):
@@ -281,11 +277,10 @@ def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNo
     return HinfNorm(0.0, float(omega[np.argmax(sigma)]), 0.0, upper, Status.CERTIFIED)
 
 
-def _unstable(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
+def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     """The infinite norm of a model that is not stable, or None; poles are told times ``2^rate``."""
     abscissa = m.spectral_abscissa()
-    # Eigenvalues are known to about eps times the norm of the balanced A; a pole closer to the boundary has no sign.
-    blur = 10 * EPS * max(float(np.linalg.norm(_balanced(m.A), 1)), 1.0 if m.is_discrete else 0.0)
+    blur = eigenvalue_blur(m)
     if abscissa < -blur:
         return None
     poles = m.poles()
@@ -295,22 +290,29 @@ def _unstable(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     # Eigenvalues of Jordan blocks are known to far fewer digits; well outside there is no doubt.
     stable = exactly_stable(m.A, m.is_discrete) if abscissa < FAR * blur else False
     if stable or (stable is None and abscissa < 0):
-        text = f"pole {_text(worst)} cannot be told from the stability boundary"
+        text = f"pole {pole_text(worst)} cannot be told from the stability boundary"
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, text)
     word = "unstable" if abscissa > blur else "on the stability boundary"
-    return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {_text(worst)} is {word}")
+    return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {pole_text(worst)} is {word}")
 
 
-def _balanced(matrix: AnyArray) -> AnyArray:
+def eigenvalue_blur(m: StateSpaceModel) -> float:
+    """Eigenvalues are known to about eps times the norm of the balanced A: a nearer pole has no sign."""
+    return 10 * EPS * max(float(np.linalg.norm(balanced(m.A), 1)), 1.0 if m.is_discrete else 0.0)
+
+
+def balanced(matrix: AnyArray) -> AnyArray:
+    """The matrix in the states in which its rows and columns are alike in size."""
     t = balancing_factors(matrix)
     return matrix / t[:, None] * t
 
 
-def _text(pole: complex) -> str:
+def pole_text(pole: complex) -> str:
+    """A pole as error messages show it."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
 
 
-def _well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
     size = np.abs(m.poles())
     size = size[size > 1e-12 * size.max()]
@@ -341,7 +343,7 @@ def _sigma(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     return np.linalg.svd(response, compute_uv=False)[:, 0]
 
 
-def _grid(m: StateSpaceModel, points: int) -> AnyArray:
+def axis_grid(m: StateSpaceModel, points: int) -> AnyArray:
     """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
     poles = m.poles()
     if m.is_discrete:
@@ -360,7 +362,7 @@ def _bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[float
     """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
     size = np.abs(m.poles())
     decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
-    omega = _grid(m, int(tuning.points_per_decade * decades))
+    omega = axis_grid(m, int(tuning.points_per_decade * decades))
     sigma = _sigma(m, omega)
     peak = int(np.argmax(sigma))
     lower, at = float(sigma[peak]), float(omega[peak])
@@ -403,7 +405,7 @@ def _candidates(m: StateSpaceModel, level: float) -> AnyArray:
     hamiltonian = np.block([[a1, b @ np.linalg.solve(r, b.T)], [-c.T @ np.linalg.solve(s, c), -a1.T]])
     if not np.isfinite(hamiltonian).all():
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(_balanced(hamiltonian)).imag)]))
+    crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)]))
     between = 0.5 * (crossing[:-1] + crossing[1:])
     beyond = [2 * crossing[-1], 10 * crossing[-1]]
     return np.concatenate([crossing, between, beyond])
@@ -441,130 +443,3 @@ def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray, tuning: NormTuni
             break
         low, high = low[open_], high[open_]
     return best, at
-
-
-# --- H2 --------------------------------------------------------------------------------------------------------------
-
-
-@told_as("h2_norm")
-def h2_norm(model: Any) -> H2Norm:
-    r"""H2 norm from both Gramians, which must agree.
-
-    .. math:: \|G\|_2^2 = \mathrm{tr}(C P C^T) = \mathrm{tr}(B^T Q B), \quad A P + P A^T + B B^T = 0, \quad A^T Q + Q A
-    + C^T C = 0
-
-    and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``.
-    Infinite for an unstable model, and for a continuous one with D != 0.
-    INACCURATE where the two Gramians differ by more than 1e-6.
-    """
-    ordinary = moderated(as_model(model, "h2_norm"), "h2_norm")
-    m = ordinary.model
-    outside = _unstable(m, ordinary.rate) if m.n_states else None
-    if outside is not None and (outside.status is Status.CERTIFIED or not m.is_stable()):
-        return H2Norm(np.inf, outside.status, outside.reason)
-    if not m.is_discrete and m.D.any():
-        return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term")
-    if not m.n_states:
-        return H2Norm(ordinary.value(float(np.linalg.norm(m.D)), "h2_norm"), Status.CERTIFIED)
-    # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
-    s, rate = (m, 1.0) if m.is_discrete else _well_scaled(m)
-    found = _by_gramians(ordinary, s, rate)
-    if found.status is not Status.CONVERGED:
-        # States that weigh inputs and outputs alike may make A lopsided, whose Schur form then loses small entries.
-        t = balancing_factors(s.A)
-        again = StateSpaceModel(s.A / t[:, None] * t, s.B / t[:, None], s.C * t, s.D, s.dt)
-        other = _by_gramians(ordinary, again, rate) if (t != t[0]).any() else found
-        found = other if other.status is Status.CONVERGED else found
-    if outside is not None and exactly_stable(m.A, m.is_discrete) is None and found.status is Status.CONVERGED:
-        return H2Norm(found.value, Status.INACCURATE, outside.reason)
-    return found
-
-
-def _by_gramians(ordinary: Moderated, s: StateSpaceModel, rate: float) -> H2Norm:
-    """The H2 norm of the model as given from s, which is the ordinary one in other states and in the unit 1/rate."""
-    try:
-        reach, see = gramians(s.A, s.B, s.C, s.is_discrete)
-    except NoTrustworthyNumber as error:
-        return H2Norm(np.inf, Status.FAILED, error.line)
-    traces = [float(np.trace(s.C @ reach @ s.C.T)), float(np.trace(s.B.T @ see @ s.B))]
-    terms = [np.abs(s.C) @ np.abs(reach) @ np.abs(s.C.T), np.abs(s.B.T) @ np.abs(see) @ np.abs(s.B)]
-    lost = any(x < -len(s.A) * EPS * np.trace(t) for x, t in zip(traces, terms, strict=True))
-    squares = [max(x, 0.0) for x in traces]
-    # A discrete sum has no time unit; a continuous integral has that of the ordinary model.
-    power, direct = (0.0, float((s.D**2).sum())) if s.is_discrete else (0.5, 0.0)
-    one, two = (ordinary.value(float(np.sqrt(rate * x + direct)), "h2_norm", power) for x in squares)
-    agree = not lost and abs(one - two) <= 1e-6 * max(one, two)
-    reason = "a Gramian came out indefinite" if lost else f"the two Gramians give {one:.9g} and {two:.9g}"
-    reason = "" if agree else reason
-    return H2Norm(float(max(one, two)), Status.CONVERGED if agree else Status.INACCURATE, reason)
-
-
-# --- the bilinear map keeps stability and the H-infinity norm ---------------------------------------------------------
-
-
-def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
-    r"""Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are
-    the same.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        A pole at z = -1, which the map sends to infinity, or one so far outside that it comes from there.
-    """
-    a = 2 / model.dt
-    t, m, b, c = _in_balanced_states(model)
-    plus = np.eye(model.n_states) + m
-    if model.n_states and float(np.abs(np.linalg.eigvals(m)).max()) > OUTSIDE:
-        found = f"a pole of modulus above {OUTSIDE:g}: the map cannot tell it from infinity"
-        raise NoTrustworthyNumber("bilinear map", found, None, "a shorter sample time")
-    if _is_singular(plus, 1e12):
-        raise NoTrustworthyNumber("bilinear map", "a pole at z = -1 has no place in continuous time")
-    e, root = np.linalg.inv(plus), np.sqrt(2 * a)
-    with np.errstate(over="ignore", invalid="ignore"):
-        D = model.D - c @ e @ b
-        # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
-        D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(c @ e) @ np.abs(b))] = 0.0
-        return _mapped(model, 0.0, t, a * e @ (m - np.eye(model.n_states)), root * e @ b, root * c @ e, D)
-
-
-def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
-    r"""Inverse of `bilinear_to_continuous` (Tustin's rule, with the input and output scaling that keeps Gramians).
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        A pole at s = 2 / dt, which the map sends to infinity.
-    """
-    a = 2 / dt
-    t, m, b, c = _in_balanced_states(model)
-    minus = a * np.eye(model.n_states) - m
-    if _is_singular(minus, 1e14):
-        raise NoTrustworthyNumber("bilinear map", f"a pole at s = 2/dt = {a:g} has no place in discrete time")
-    e, root = np.linalg.inv(minus), np.sqrt(2 * a)
-    with np.errstate(over="ignore", invalid="ignore"):
-        D = model.D + c @ e @ b
-        return _mapped(model, dt, t, e @ (a * np.eye(model.n_states) + m), root * e @ b, root * c @ e, D)
-
-
-def _mapped(
-    model: StateSpaceModel, dt: float, t: AnyArray, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray
-) -> StateSpaceModel:
-    """The mapped model, brought back from the balanced states ``x / t``."""
-    A, B, C = t[:, None] * A / t, t[:, None] * B, C / t
-    refuse_overflow("bilinear map", A, B, C, D)
-    signals = model.inputs, model.outputs, model.states
-    return StateSpaceModel(A, B, C, D, dt, *signals, where="bilinear map")
-
-
-def _is_singular(matrix: AnyArray, limit: float) -> bool:
-    """Whether the condition number stays above ``limit`` with every row as long: one fast pole is no singularity."""
-    if not matrix.size or np.linalg.cond(matrix) <= limit:
-        return False
-    length = np.abs(matrix).max(axis=1, keepdims=True)
-    return not length.all() or bool(np.linalg.cond(matrix / length) > limit)
-
-
-def _in_balanced_states(model: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Factors t, and A, B, C in the states ``x / t``: a condition number says something about poles there only."""
-    t = balancing_factors(model.A)
-    return t, model.A / t[:, None] * t, model.B / t[:, None], model.C * t

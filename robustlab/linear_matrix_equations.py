@@ -1,0 +1,179 @@
+r"""Lyapunov and Sylvester equations for users: the solution with its residual.
+
+The rooms take `robustlab.matrix_equations.lyapunov` and its factored forms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import AnyArray, Array
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.matrix_equations import MIRRORED, accepted_residual, judged_afterwards, lyapunov
+from robustlab.shown import Facts, Shown, in_words, number
+from robustlab.statespace import real_array
+
+__all__ = ["LinearSolution", "dlyap", "lyap", "sylvester"]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolution(Shown):
+    """Solution of a linear matrix equation.
+
+    Attributes
+    ----------
+    X
+        The solution.
+    residual
+        Norm of what is left of the equation divided by the sum of the norms of its terms.
+    """
+
+    X: AnyArray
+    residual: float
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [("X", in_words(self.X)), ("relative residual", number(self.residual, digits=2))]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return vars(self).copy()
+
+
+@told_as("lyap")
+def lyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSolution:
+    r"""Continuous Lyapunov equation.
+
+    .. math:: A X + X A^T + Q = 0
+
+    Parameters
+    ----------
+    A, Q
+        Real, shapes (n, n); Q need not be symmetric.
+    tolerance
+        Largest relative residual that is accepted.
+
+    Returns
+    -------
+    LinearSolution
+        X, shape (n, n); for a stable A and ``Q = B B^T`` the controllability Gramian.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN or Inf.
+    NoTrustworthyNumber
+        No unique solution (two eigenvalues of A add up to zero), or a residual that is too large.
+
+    References
+    ----------
+    Bartels, Stewart 1972 (LAPACK, through scipy).
+
+    Examples
+    --------
+    >>> float(lyap([[-0.5]], [[2.0]]).X[0, 0])
+    2.0
+    """
+    X = lyapunov(A, Q, tolerance=tolerance)
+    a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
+    return LinearSolution(X, accepted_residual("lyap", (a @ X, X @ a.T, q), tolerance))
+
+
+@told_as("dlyap")
+def dlyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSolution:
+    r"""Discrete Lyapunov (Stein) equation.
+
+    .. math:: A X A^T - X + Q = 0
+
+    Parameters
+    ----------
+    A, Q
+        Real, shapes (n, n); Q need not be symmetric.
+    tolerance
+        Largest relative residual that is accepted.
+
+    Returns
+    -------
+    LinearSolution
+        X, shape (n, n); for a stable A the sum of ``A^k Q (A^T)^k``.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN or Inf.
+    NoTrustworthyNumber
+        No unique solution (the product of two eigenvalues of A is one), or a residual that is too large.
+
+    Examples
+    --------
+    >>> float(dlyap([[0.5]], [[3.0]]).X[0, 0])
+    4.0
+    """
+    X = lyapunov(A, Q, True, tolerance=tolerance)
+    a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
+    return LinearSolution(X, accepted_residual("dlyap", (a @ X @ a.T, -X, q), tolerance))
+
+
+@told_as("sylvester")
+def sylvester(A: ArrayLike, B: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSolution:
+    r"""Sylvester equation, with the signs of scipy and MATLAB's ``sylvester``.
+
+    .. math:: A X + X B = Q
+
+    Parameters
+    ----------
+    A, B, Q
+        Real, shapes (n, n), (m, m), (n, m).
+    tolerance
+        Largest relative residual that is accepted.
+
+    Returns
+    -------
+    LinearSolution
+        X, shape (n, m).
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN or Inf.
+    NoTrustworthyNumber
+        No unique solution (an eigenvalue of A and one of B add up to zero), or a residual that is too large.
+
+    References
+    ----------
+    Bartels, Stewart 1972 (LAPACK, through scipy).
+
+    Examples
+    --------
+    >>> float(sylvester([[1.0]], [[3.0]], [[8.0]]).X[0, 0])
+    2.0
+    """
+    from scipy.linalg import LinAlgError, solve_sylvester
+
+    a, b, q = (_checked(name, given) for name, given in (("A", A), ("B", B), ("Q", Q)))
+    n, m = len(a), len(b)
+    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (m, m)), ("Q", q, (n, m))):
+        if matrix.shape != shape:
+            raise InputError("sylvester", f"{name} is {matrix.shape}", f"{shape}")
+    if not n or not m:
+        return LinearSolution(np.zeros((n, m)), 0.0)
+    one, two = np.linalg.eigvals(a), np.linalg.eigvals(b)
+    size = max(float(np.abs(one).max()), float(np.abs(two).max()))
+    # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
+    if np.abs(np.add.outer(one, two)).min() <= 10 * np.finfo(float).eps * size:
+        raise NoTrustworthyNumber("sylvester", MIRRORED)
+    with judged_afterwards():
+        try:
+            X = np.asarray(solve_sylvester(a, b, q))
+        except (LinAlgError, ValueError):
+            raise NoTrustworthyNumber("sylvester", MIRRORED) from None
+    if not np.isfinite(X).all():
+        raise NoTrustworthyNumber("sylvester", "the solution is not finite")
+    return LinearSolution(X, accepted_residual("sylvester", (a @ X, X @ b, -q), tolerance))
+
+
+def _checked(name: str, given: ArrayLike) -> Array:
+    return real_array(name, given, 2, "sylvester")

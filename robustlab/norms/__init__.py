@@ -1,0 +1,23 @@
+"""System norms with their evidence, the passivity index, and the bilinear map, which keeps the H-infinity norm."""
+
+from robustlab.norms.axis_peak import linf_norm
+from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.norms.hinfinity import QUIET, HinfNorm, gain_rounding, hinf_norm, norm_as_given
+from robustlab.norms.impulse_energy import H2Norm, h2_by_gramians, h2_norm
+from robustlab.norms.positive_real import Passivity, passivity
+
+__all__ = [
+    "QUIET",
+    "H2Norm",
+    "HinfNorm",
+    "Passivity",
+    "bilinear_to_continuous",
+    "bilinear_to_discrete",
+    "gain_rounding",
+    "h2_by_gramians",
+    "h2_norm",
+    "hinf_norm",
+    "linf_norm",
+    "norm_as_given",
+    "passivity",
+]

@@ -1,0 +1,251 @@
+"""Passivity: the relative index as an H-infinity norm, the input index as a proved bracket over the axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import frequency_response
+from robustlab.magnitude import moderated, refuse_overflow
+from robustlab.norms.bilinear_map import bilinear_to_continuous
+from robustlab.norms.hinfinity import (
+    QUIET,
+    HinfNorm,
+    axis_grid,
+    axis_point,
+    balanced,
+    gain_rounding,
+    hinf_norm,
+    unstable_norm,
+    well_scaled,
+)
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.statespace import StateSpaceModel, as_model, is_rank_deficient
+
+__all__ = ["InputPassivity", "Passivity", "passivity"]
+
+LEVELS, GRID = 60, 400
+
+
+@dataclass(frozen=True)
+class InputPassivity(Shown):
+    r"""Input passivity index ``nu``, the smallest eigenvalue of ``(G + G^*) / 2`` over the axis.
+
+    Attributes
+    ----------
+    lower
+        Level below which no eigenvalue lies, by a Hamiltonian test: proved.
+    upper
+        The smallest eigenvalue at ``frequency``, evaluated: attained.
+    frequency
+        In rad/s; may be infinite.
+    status
+        CERTIFIED, or INACCURATE where the test did not settle.
+    """
+
+    lower: float
+    upper: float
+    frequency: float
+    status: Status
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("index", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("at", number(self.frequency, "rad/s")),
+        ]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return vars(self).copy()
+
+
+@dataclass(frozen=True)
+class Passivity(Shown):
+    r"""Whether a model is passive, and by how much.
+
+    Attributes
+    ----------
+    passive
+        True where ``R <= 1`` is proved, False where ``R > 1`` is attained, None where the bracket holds 1: lossless and
+        strictly proper models have R = 1 exactly or reach it at infinity, and are passive to within the bracket's
+        width at best.
+    lower, upper
+        Bracket of the relative index R.
+    frequency
+        Frequency in rad/s at which ``lower`` is attained.
+    input_index
+        Input passivity index; None for a model that is not stable, which has none.
+    status
+        That of the bracket of R; of the input index too where there is one.
+    reason
+        Why R is infinite or inaccurate; else empty.
+    """
+
+    passive: bool | None
+    lower: float
+    upper: float
+    frequency: float
+    input_index: InputPassivity | None
+    status: Status
+    reason: str = ""
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        words = {True: "yes", False: "no", None: f"to within {number(self.upper - 1)} of the relative index"}
+        nu = [] if self.input_index is None else self.input_index.facts()
+        return [
+            ("passive", words[self.passive]),
+            ("relative index", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("at", number(self.frequency, "rad/s")),
+            *((f"input {label}" if label == "index" else "there", text) for label, text in nu),
+            ("reason", self.reason),
+        ]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return vars(self).copy()
+
+
+@told_as("passivity")
+def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
+    r"""Relative passivity index R as a proved bracket, and the input passivity index.
+
+    .. math:: R = \|(I - G)(I + G)^{-1}\|_\infty, \qquad G \text{ passive} \iff R \le 1, \qquad
+        \nu = \inf_\omega \tfrac{1}{2} \lambda_{min}(G(j\omega) + G(j\omega)^*)
+
+    R < 1: the model stays passive in spite of a shortage elsewhere; R > 1: it lacks passivity by that factor. Poles on
+    the imaginary axis are allowed, as of integrators. A stable model with nu > 0 is input strictly passive, with
+    nu < 0 a feedthrough of -nu would make it passive.
+
+    Parameters
+    ----------
+    model
+        Square model, input k belonging to output k (force and speed, for example); continuous or discrete.
+    rtol
+        Relative width of the bracket of R; that of nu is this share of the largest ``|G + G^*| / 2`` on a grid.
+
+    Returns
+    -------
+    Passivity
+        R is infinite where ``(I + G)^-1`` is unstable or not proper, and where G has hidden modes that are not stable.
+
+    Raises
+    ------
+    InputError
+        A model that is not square or has no inputs, or an ``rtol`` that is not between 1e-12 and 1.
+    NoTrustworthyNumber
+        Products of the model's entries overflow.
+
+    References
+    ----------
+    Desoer, Vidyasagar, *Feedback Systems: Input-Output Properties* (1975), chapter VI; Boyd, Balakrishnan 1990 for the
+    level test; Bao, Lee, *Process Control: The Passive Systems Approach* (2007), chapter 2.
+
+    Examples
+    --------
+    >>> damper = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])  # 1 + 1 / (s + 1)
+    >>> found = passivity(damper)
+    >>> found.passive, round(found.lower, 6), round(found.input_index.lower, 4)
+    (True, 0.333333, 1.0)
+    """
+    g = as_model(model, "passivity")
+    if g.n_inputs != g.n_outputs or not g.n_inputs:
+        raise InputError("passivity", f"{g.n_outputs} outputs, {g.n_inputs} inputs", "a square model")
+    if not 1e-12 <= rtol < 1:
+        raise InputError("passivity", f"rtol is {rtol}", "between 1e-12 and 1")
+    one = np.eye(g.n_inputs)
+    if is_rank_deficient(one + g.D):
+        text = "I + D is singular: some v has v^T (D + D^T) v < 0"
+        relative = HinfNorm(np.inf, np.inf, np.inf, np.inf, Status.CERTIFIED, text)
+    else:
+        relative = hinf_norm(_reflection(g, one), rtol)
+    nu = _input_index(g, rtol)
+    statuses = [relative.status] if nu is None else [relative.status, nu.status]
+    status = Status.CERTIFIED if set(statuses) == {Status.CERTIFIED} else Status.INACCURATE
+    return Passivity(
+        _verdict(relative), relative.lower, relative.upper, relative.frequency, nu, status, relative.reason
+    )
+
+
+def _verdict(relative: HinfNorm) -> bool | None:
+    """What the bracket of R says; a lower end is known to the rounding that a norm does not tell."""
+    if relative.status is not Status.CERTIFIED:
+        return None
+    if relative.upper <= 1:
+        return True
+    return False if relative.lower > 1 + QUIET else None
+
+
+def _reflection(g: StateSpaceModel, one: AnyArray) -> StateSpaceModel:
+    """``(I - G)(I + G)^-1 = 2 (I + G)^-1 - I``, with the states of G."""
+    e = np.linalg.inv(one + g.D)
+    with np.errstate(over="ignore", invalid="ignore"):
+        A, B, C, D = g.A - g.B @ e @ g.C, g.B @ e, -2 * e @ g.C, 2 * e - one
+    refuse_overflow("passivity", A, B, C, D)
+    return StateSpaceModel(A, B, C, D, g.dt, where="passivity")
+
+
+def _input_index(g: StateSpaceModel, rtol: float) -> InputPassivity | None:
+    """The bracket of nu; None for a model that is not stable."""
+    ordinary = moderated(g, "passivity")
+    m = ordinary.model
+    if m.n_states and unstable_norm(m) is not None:
+        return None
+    if not m.n_states:
+        value = ordinary.value(float(_lowest(m, np.zeros(1))[0]), "passivity")
+        return InputPassivity(value, value, 0.0, Status.CERTIFIED)
+    scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
+    omega = axis_grid(scaled, GRID)
+    part = np.linalg.eigvalsh(_symmetric(scaled, omega))
+    size, smallest = float(np.abs(part).max()), part[:, 0]
+    at, upper = float(omega[smallest.argmin()]), float(smallest.min())
+    trusted, level = size == 0, upper
+    for _ in range(LEVELS if size else 0):
+        level = upper - rtol * size
+        tried = _crossings(scaled, level)
+        values = _lowest(scaled, tried)
+        if values.min() < upper:
+            at, upper = float(tried[values.argmin()]), float(values.min())
+        if upper >= level:
+            trusted = True
+            break
+    omega_at = at * rate
+    if m.is_discrete:  # the bilinear map bends the frequency axis
+        omega_at = 2 / m.dt * float(np.arctan(omega_at * m.dt / 2)) if np.isfinite(omega_at) else np.pi / m.dt
+    attained = float(_lowest(m, np.array([omega_at]))[0])
+    error = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega_at))
+    if abs(attained - upper) > 10 * rtol * size + error:
+        trusted = False
+    slack = error if error > QUIET * size else 0.0
+    lower, upper = (ordinary.value(x, "passivity") for x in (min(level, attained) - slack, attained + slack))
+    status = Status.CERTIFIED if trusted else Status.INACCURATE
+    return InputPassivity(lower, upper, ordinary.frequency(omega_at), status)
+
+
+def _symmetric(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
+    response = frequency_response(m, omega)
+    return 0.5 * (response + response.conj().transpose(0, 2, 1))
+
+
+def _lowest(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
+    """Smallest eigenvalue of ``(G + G^*) / 2`` at each frequency, shape (n_omega,)."""
+    return np.linalg.eigvalsh(_symmetric(m, omega))[:, 0]
+
+
+def _crossings(m: StateSpaceModel, level: float) -> AnyArray:
+    """Imaginary parts of all zeros of ``G + G~ - 2 level I``, and points between and beyond them, and infinity."""
+    weight = m.D + m.D.T - 2 * level * np.eye(m.n_inputs)
+    into, out = np.vstack([m.B, -m.C.T]), np.hstack([m.C, m.B.T])
+    nothing = np.zeros_like(m.A)
+    hamiltonian = np.block([[m.A, nothing], [nothing, -m.A.T]]) - into @ np.linalg.solve(weight, out)
+    if not np.isfinite(hamiltonian).all():
+        raise NoTrustworthyNumber("passivity", "the Hamiltonian overflows")
+    crossing = np.unique(np.append(0.0, np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)))
+    between = 0.5 * (crossing[:-1] + crossing[1:])
+    return np.concatenate([crossing, between, [2 * crossing[-1], 10 * crossing[-1], np.inf]])
