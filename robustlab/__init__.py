@@ -41,6 +41,7 @@ _PUBLIC = {
     "star": "uncertainty.algebra",
     "beside": "uncertainty.algebra",
     "stacked": "uncertainty.algebra",
+    "connect": "uncertainty.named_wiring",
     "unstructured": "uncertainty.unstructured",
     "cover": "mu_analysis.margins.cover",
     "conservatism": "mu_analysis.margins.cover",

@@ -87,6 +87,7 @@ from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import by_cause as by_cause
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
 from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
@@ -127,6 +128,7 @@ __all__ = [
     "star",
     "beside",
     "stacked",
+    "connect",
     "unstructured",
     "cover",
     "conservatism",

@@ -259,6 +259,30 @@ def convert(
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
+@app.command()
+@grouped
+def connect(
+    *,
+    files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],
+    inputs: Annotated[list[str] | None, typer.Option("--input", help="Signal from outside; repeatable.")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", help="Signal to show; repeatable.")] = None,
+    sums: Annotated[
+        list[str] | None, typer.Option("--sum", help='Summing junction: "e = r - y"; repeatable.', show_default=False)
+    ] = None,
+    output: OutputOptions,
+) -> None:
+    """Wire models by the names of their signals: an output feeds every input of the same name.
+
+    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --input r --output omega --out loop.h5
+    """
+    from robustlab.storage import load
+    from robustlab.uncertainty.named_wiring import connected
+
+    found = connected([load(file) for file in files], files, inputs or [], outputs or [], sums or [])
+    rows = [*found.facts(), *output.keep_made("model connect", found, files)]
+    emit("model connect", {"model": found}, table(rows), output.as_json)
+
+
 app.command()(margins)
 app.command()(gap)
 app.command("plot")(plot_model)
