@@ -100,6 +100,8 @@ _PUBLIC = {
     "reduce_model": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "discretise": "synthesis.sampled.discretisation",
+    "d2c": "synthesis.sampled.resampling",
+    "d2d": "synthesis.sampled.resampling",
     "discretise_controller": "synthesis.sampled.sampled_controller",
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
     "sampled_robustness": "synthesis.sampled.sampled_robustness",

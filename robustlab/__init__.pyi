@@ -59,6 +59,8 @@ from robustlab.synthesis.reduction.model_reduction import balanced_truncation as
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.discretisation import discretise as discretise
+from robustlab.synthesis.sampled.resampling import d2c as d2c
+from robustlab.synthesis.sampled.resampling import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise_controller as discretise_controller
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
@@ -184,6 +186,8 @@ __all__ = [
     "reduce_model",
     "reduce_controller",
     "discretise",
+    "d2c",
+    "d2d",
     "discretise_controller",
     "sampled_data_norm",
     "sampled_robustness",

@@ -10,12 +10,10 @@ import typer
 from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
-from robustlab.cli.offers import FORMULAS, one_of, plant_or_file
+from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
-    DtOption,
     JsonOption,
     OutputOptions,
-    PrewarpOption,
     assignments,
     ends,
     grouped,
@@ -24,6 +22,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import plot_model
+from robustlab.cli.sampling import d2c, d2d, discretise
 from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
@@ -325,42 +324,9 @@ def reduce(
     require_trust(found.status)
 
 
-@app.command()
-@grouped
-def discretise(
-    *,
-    file: ModelArgument,
-    dt: DtOption,
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            help="tustin, tustin-prewarp, zoh, foh, impulse or matched.",
-            autocompletion=one_of(*FORMULAS),
-        ),
-    ] = "tustin",
-    prewarp: PrewarpOption = None,
-    output: OutputOptions,
-) -> None:
-    """A discrete model of a continuous one, by formula.
-
-    What a loop loses by it is what "synth discretise" computes.
-
-    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
-    """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.sampled.discretisation import discretise as discretised
-    from robustlab.synthesis.sampled.discretisation import merged_modes
-
-    model = as_model(load(file), file)
-    method_given: Any = method
-    found = discretised(model, dt, method_given, prewarp=prewarp)
-    merged = merged_modes(model, dt)
-    for pair in merged:
-        note(f"warning: {file}: {pair}")
-    rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]
-    emit("model discretise", {"method": method, "model": found, "pathological": merged}, table(rows), output.as_json)
+app.command()(discretise)
+app.command()(d2c)
+app.command()(d2d)
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------
