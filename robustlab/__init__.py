@@ -13,6 +13,7 @@ _PUBLIC = {
     # models
     "StateSpaceModel": "statespace",
     "Signal": "statespace",
+    "descriptor": "dynamics.descriptor_elimination",
     "Record": "record",
     "load": "storage",
     "save": "storage",

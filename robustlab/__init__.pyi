@@ -3,6 +3,7 @@ from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
 from robustlab.dynamics import trim as trim
+from robustlab.dynamics.descriptor_elimination import descriptor as descriptor
 from robustlab.dynamics.effects.catalogue import effect_names as effect_names
 from robustlab.dynamics.extended.extended_plant import with_effects as with_effects
 from robustlab.dynamics.fmu import FmuPlant as FmuPlant
@@ -104,6 +105,7 @@ __version__: str
 __all__ = [
     "StateSpaceModel",
     "Signal",
+    "descriptor",
     "Record",
     "load",
     "save",
