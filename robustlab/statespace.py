@@ -18,6 +18,7 @@ from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.signals import (
+    COMPLEX,
     MAX_NAME,
     Signal,
     SignalLike,
@@ -335,7 +336,8 @@ def as_model(system: Any, where: str = "model") -> StateSpaceModel:
         return as_model(to_model(), where)
     if type(system).__module__.split(".")[0] == "control":
         return StateSpaceModel.from_control(system)
-    raise InputError(where, f"{type(system).__name__}", "a StateSpaceModel or a control.StateSpace")
+    hint = COMPLEX if isinstance(system, complex) else None
+    raise InputError(where, f"{type(system).__name__}", "a StateSpaceModel or a control.StateSpace", hint)
 
 
 # --- interconnection -------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from robustlab.arrays import Array, not_finite
 from robustlab.dynamics.descriptor_elimination import Eliminated, eliminated
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread, type_name
+from robustlab.signals import COMPLEX
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
 __all__ = [
@@ -212,7 +213,7 @@ def _real(node: Tree, name: str, problems: Problems) -> Array | None:
     """One matrix, once it is 2-D, real and finite."""
     values, path = node.datasets[name].values, node.child_path(name)
     if isinstance(values, Unread) or values.dtype.kind not in "fi":
-        hint = None
+        hint = COMPLEX if not isinstance(values, Unread) and values.dtype.kind == "c" else None
         if isinstance(values, Unread) and values.dtype.startswith("MATLAB object"):
             hint = "MATLAB's own objects cannot be read: save the matrices, [A,B,C,D] = ssdata(sys)"
         problems.add(f"{path} has dtype {type_name(values)}, expected real numbers", hint)
