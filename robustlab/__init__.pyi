@@ -9,6 +9,7 @@ from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
 from robustlab.dynamics import trim as trim
+from robustlab.dynamics.descriptor_elimination import descriptor as descriptor
 from robustlab.dynamics.effects.catalogue import effect_names as effect_names
 from robustlab.dynamics.extended.extended_plant import with_effects as with_effects
 from robustlab.dynamics.fmu import FmuPlant as FmuPlant
@@ -78,6 +79,8 @@ from robustlab.synthesis.reduction.model_reduction import balanced_truncation as
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.discretisation import discretise as discretise
+from robustlab.synthesis.sampled.resampling import d2c as d2c
+from robustlab.synthesis.sampled.resampling import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise_controller as discretise_controller
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
@@ -106,6 +109,7 @@ from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import by_cause as by_cause
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
 from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
@@ -120,6 +124,7 @@ __version__: str
 __all__ = [
     "StateSpaceModel",
     "Signal",
+    "descriptor",
     "Record",
     "load",
     "save",
@@ -152,6 +157,7 @@ __all__ = [
     "star",
     "beside",
     "stacked",
+    "connect",
     "unstructured",
     "cover",
     "conservatism",
@@ -220,6 +226,8 @@ __all__ = [
     "reduce_model",
     "reduce_controller",
     "discretise",
+    "d2c",
+    "d2d",
     "discretise_controller",
     "sampled_data_norm",
     "sampled_robustness",

@@ -12,6 +12,7 @@ from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 
 __all__ = [
+    "COMPLEX",
     "MAX_NAME",
     "Signal",
     "SignalLike",
@@ -26,6 +27,11 @@ __all__ = [
 ]
 
 MAX_NAME = 200
+# Why complex entries are refused, and what to do with them.
+COMPLEX = (
+    "margins, norms and designs take frequencies from 0 up, which is enough for real models alone; write a complex one "
+    "as a real one of twice the size, [[Re, -Im], [Im, Re]] in the place of each matrix; .real where Im is rounding"
+)
 
 
 class Signal(NamedTuple):
@@ -59,7 +65,8 @@ def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceM
     except ValueError as error:
         raise InputError(where, f"{name} is ragged ({error})", "a rectangular array of real numbers") from None
     if raw.dtype.kind not in "fiu":
-        raise InputError(where, f"{name} has dtype {raw.dtype}", "real numbers")
+        hint = COMPLEX if raw.dtype.kind == "c" else None
+        raise InputError(where, f"{name} has dtype {raw.dtype}", "real numbers", hint)
     array = np.array(raw, dtype=np.float64, order="C")
     if ndim == 2 and array.ndim == 0:
         array = array.reshape(1, 1)

@@ -18,6 +18,7 @@ from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.signals import (
+    COMPLEX,
     MAX_NAME,
     Signal,
     SignalLike,
@@ -335,8 +336,8 @@ def as_model(system: Any, where: str = "model") -> StateSpaceModel:
         return as_model(to_model(), where)
     if type(system).__module__.split(".")[0] == "control":
         return StateSpaceModel.from_control(system)
-    found, hint = type(system).__name__, getattr(system, "no_model", None)
-    raise InputError(where, found, "a StateSpaceModel or a control.StateSpace", hint)
+    hint = COMPLEX if isinstance(system, complex) else getattr(system, "no_model", None)
+    raise InputError(where, type(system).__name__, "a StateSpaceModel or a control.StateSpace", hint)
 
 
 # --- interconnection -------------------------------------------------------------------------------------------------

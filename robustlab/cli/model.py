@@ -11,12 +11,10 @@ from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.delays import delay_model, stability_lines
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
-from robustlab.cli.offers import FORMULAS, NORMS, one_of, plant_or_file
+from robustlab.cli.offers import NORMS, one_of, plant_or_file
 from robustlab.cli.options import (
-    DtOption,
     JsonOption,
     OutputOptions,
-    PrewarpOption,
     assignments,
     ends,
     grouped,
@@ -25,6 +23,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import plot_model
+from robustlab.cli.sampling import d2c, d2d, discretise
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -302,6 +301,30 @@ def norm(
         require_trust(value.status)
 
 
+@app.command()
+@grouped
+def connect(
+    *,
+    files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],
+    inputs: Annotated[list[str] | None, typer.Option("--input", help="Signal from outside; repeatable.")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", help="Signal to show; repeatable.")] = None,
+    sums: Annotated[
+        list[str] | None, typer.Option("--sum", help='Summing junction: "e = r - y"; repeatable.', show_default=False)
+    ] = None,
+    output: OutputOptions,
+) -> None:
+    """Wire models by the names of their signals: an output feeds every input of the same name.
+
+    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --input r --output omega --out loop.h5
+    """
+    from robustlab.storage import load
+    from robustlab.uncertainty.named_wiring import connected
+
+    found = connected([load(file) for file in files], files, inputs or [], outputs or [], sums or [])
+    rows = [*found.facts(), *output.keep_made("model connect", found, files)]
+    emit("model connect", {"model": found}, table(rows), output.as_json)
+
+
 app.command()(margins)
 app.command()(gap)
 app.command("delay")(delay_model)
@@ -345,42 +368,9 @@ def reduce(
     require_trust(found.status)
 
 
-@app.command()
-@grouped
-def discretise(
-    *,
-    file: ModelArgument,
-    dt: DtOption,
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            help="tustin, tustin-prewarp, zoh, foh, impulse or matched.",
-            autocompletion=one_of(*FORMULAS),
-        ),
-    ] = "tustin",
-    prewarp: PrewarpOption = None,
-    output: OutputOptions,
-) -> None:
-    """A discrete model of a continuous one, by formula.
-
-    What a loop loses by it is what "synth discretise" computes.
-
-    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
-    """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.sampled.discretisation import discretise as discretised
-    from robustlab.synthesis.sampled.discretisation import merged_modes
-
-    model = as_model(load(file), file)
-    method_given: Any = method
-    found = discretised(model, dt, method_given, prewarp=prewarp)
-    merged = merged_modes(model, dt)
-    for pair in merged:
-        note(f"warning: {file}: {pair}")
-    rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]
-    emit("model discretise", {"method": method, "model": found, "pathological": merged}, table(rows), output.as_json)
+app.command()(discretise)
+app.command()(d2c)
+app.command()(d2d)
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------

@@ -183,25 +183,27 @@ def read(
         keywords = read_record(path, RecordOptions(group), limits, isolate)
         return Loaded(_record(keywords, where), "record", where, False)
     tree = _tree(path, group, limits, isolate)
+    problems = Problems(where)
     if is_stamped(tree) and group is None:
         kind, found = check_header(tree, no_verify)
-        thing = _of_kind(kind, tree, transpose)
+        thing = _of_kind(kind, tree, problems, transpose)
         verified = not found and not (no_verify and text_attr(tree.attrs, "content_sha256") is None)
-        return Loaded(thing, kind, where, verified, (*found, *_unit_warnings(thing)), decode_provenance(tree))
+        return Loaded(
+            thing, kind, where, verified, (*found, *problems.notes, *_unit_warnings(thing)), decode_provenance(tree)
+        )
     node = tree.find(group) if group else tree
     if node is None:
         names = ", ".join(tree.group_names())
         raise InputError(where, f"missing group /{group}", f"one of {names}" if names else "a file with groups")
-    kind, thing = _plain(node, where, group, transpose=transpose, limits=limits, isolate=isolate)
-    return Loaded(thing, kind, where, False, _unit_warnings(thing))
+    kind, thing = _plain(node, problems, group, transpose=transpose, limits=limits, isolate=isolate)
+    return Loaded(thing, kind, where, False, (*problems.notes, *_unit_warnings(thing)))
 
 
 def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Tree:
     return read_tree(path, group, limits, isolate)
 
 
-def _of_kind(kind: str, tree: Tree, transpose: bool) -> Stored:
-    problems = Problems(tree.file)
+def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stored:
     if kind == "uncertain":
         return decode_uncertain(tree, problems, transpose)
     if kind == "delayed":
@@ -218,16 +220,16 @@ def _of_kind(kind: str, tree: Tree, transpose: bool) -> Stored:
 
 
 def _plain(
-    node: Tree, where: str, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
+    node: Tree, problems: Problems, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
 ) -> tuple[str, Any]:
     """A file without header: a model by its matrices, a pair by its groups, a record by its clock."""
+    where = problems.file
     matrices = [name for name in "ABCD" if name in node.datasets]
     if not matrices and looks_like_a_pair(node):
-        return "pair", decode_pair(node, Problems(where), transpose)
+        return "pair", decode_pair(node, problems, transpose)
     has_signals = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
     if has_signals and len(matrices) < 2:
         return "record", _record(read_record(where, RecordOptions(group), limits, isolate), where)
-    problems = Problems(where)
     if not matrices and node.groups:
         problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one (group=, --group)"
     return "state-space", _model(node, problems, transpose)

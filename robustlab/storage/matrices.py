@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array, not_finite
+from robustlab.dynamics.descriptor_elimination import Eliminated, eliminated
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread, type_name
+from robustlab.signals import COMPLEX
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
 __all__ = [
@@ -41,11 +43,14 @@ class Problems:
         One finding each, beginning with the path in the file.
     hint
         What to do; the first hint given stays.
+    notes
+        What a reader should know of a file that is right.
     """
 
     file: str
     lines: list[str] = field(default_factory=list)
     hint: str | None = None
+    notes: list[str] = field(default_factory=list)
 
     def add(self, line: str, hint: str | None = None) -> None:
         """Note a finding."""
@@ -100,12 +105,12 @@ def decode_model(
     like: StateSpaceModel | None = None,
     dt: float | None = None,
 ) -> StateSpaceModel | None:
-    """The model in ``node``, or None with the reasons in ``problems``.
+    """The model in ``node``, or None with the reasons in ``problems``; a descriptor form (with E) is noted there.
 
     Parameters
     ----------
     transpose
-        The file was written column by column: swap the two axes of A, B, C and D.
+        The file was written column by column: swap the two axes of A, B, C, D and E.
     like
         A model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this one
         has none.
@@ -117,6 +122,7 @@ def decode_model(
     if len(problems.lines) > found:
         return None
     matrices = _fitting(matrices, node, problems, like)
+    e = _descriptor_matrix(node, problems, transpose, matrices["A"].shape)
     own_dt = sample_time(node, problems)
     signals = _signals(node, problems)
     point = decode_point(node, problems)
@@ -129,10 +135,23 @@ def decode_model(
     where = problems.file if node.path == "/" else f"{problems.file}: {node.path}"
     try:
         a, b, c, d = (matrices[name] for name in NAMES)
-        return StateSpaceModel(a, b, c, d, step, inputs, outputs, states, point, where=where)
+        if e is None:
+            return StateSpaceModel(a, b, c, d, step, inputs, outputs, states, point, where=where)
+        found = eliminated(a, b, c, d, e, step, inputs, outputs, states, where)
+        problems.notes.append(str(found))
+        return _at_point(found, point)
     except InputError as error:
         problems.absorb(error)
         return None
+
+
+def _at_point(found: Eliminated, point: OperatingPoint | None) -> StateSpaceModel:
+    """The model at its operating point, as far as it has the states of the descriptor form."""
+    if point is None or found.kept is None:
+        return found.model
+    if len(point.x) != found.n_given:
+        raise InputError("", f"operating_point.x has {len(point.x)} entries", f"{found.n_given}")
+    return replace(found.model, operating_point=replace(point, x=np.asarray(point.x)[list(found.kept)]))
 
 
 # --- matrices --------------------------------------------------------------------------------------------------------
@@ -164,7 +183,7 @@ def find_children(
 
 
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
-    find_children(node, NAMES, problems)
+    find_children(node, NAMES, problems, known=("E",))
     matrices = {}
     for name in NAMES:
         if name in node.groups:
@@ -176,11 +195,25 @@ def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Arra
     return matrices
 
 
+def _descriptor_matrix(node: Tree, problems: Problems, transpose: bool, shape: Shape) -> Array | None:
+    """E of a descriptor form, in the shape of A; None where there is none (MATLAB writes [] for the identity)."""
+    values = node.datasets["E"].values if "E" in node.datasets else np.zeros(0)
+    if not isinstance(values, Unread) and not values.size:
+        return None
+    matrix = _real(node, "E", problems)
+    if matrix is None:
+        return None
+    if matrix.shape != shape:
+        problems.add(f"{node.child_path('E')} is {matrix.shape}, expected {shape} as {node.child_path('A')}")
+        return None
+    return np.ascontiguousarray(matrix.T) if transpose else matrix
+
+
 def _real(node: Tree, name: str, problems: Problems) -> Array | None:
     """One matrix, once it is 2-D, real and finite."""
     values, path = node.datasets[name].values, node.child_path(name)
     if isinstance(values, Unread) or values.dtype.kind not in "fi":
-        hint = None
+        hint = COMPLEX if not isinstance(values, Unread) and values.dtype.kind == "c" else None
         if isinstance(values, Unread) and values.dtype.startswith("MATLAB object"):
             hint = "MATLAB's own objects cannot be read: save the matrices, [A,B,C,D] = ssdata(sys)"
         problems.add(f"{path} has dtype {type_name(values)}, expected real numbers", hint)

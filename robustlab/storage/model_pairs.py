@@ -37,7 +37,10 @@ def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tupl
     dt = sample_time(tree, problems)
     models: dict[str, StateSpaceModel | None] = {}
     for name in GROUPS:
-        if name in tree.groups:
+        if name in tree.groups and "E" in tree.groups[name].datasets:
+            hint = "--group nominal, or --group perturbed, reads one model (group=)"
+            problems.add(f"/{name}/E: a pair in descriptor form: its entries are no entries of A, B, C, D", hint)
+        elif name in tree.groups:
             models[name] = decode_model(tree.groups[name], problems, transpose, models.get("nominal"), dt)
         elif name in tree.datasets:
             problems.add(f"/{name} is a dataset, expected a group with A B C D")

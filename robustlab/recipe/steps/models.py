@@ -14,6 +14,7 @@ from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, leas
 from robustlab.recipe.steps.vocabulary import (
     FileName,
     NumberOrPair,
+    RefersTo,
     RelativeTolerance,
     Text,
     ToAnything,
@@ -272,6 +273,34 @@ class UncertainStep(Step):
         kind = "Sampled" if model.sampled else "Exact"
         summary = f"{kind} uncertain model of {self.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
         return Outcome(model, summary, uncertain_numbers(model), tuple(facts), notes=model.remarks)
+
+
+ToPart = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "any"))]
+
+
+@step
+class ConnectStep(Step):
+    """Models wired by the names of their signals: an output feeds every input of the same name."""
+
+    gives: ClassVar[str] = "any"  # an uncertain model where a part is one
+    do: Literal["connect"]
+    parts: Annotated[list[ToPart], Field(min_length=1, max_length=100)]
+    inputs: list[str] = Field(description="Signals from outside, in this order.")
+    outputs: list[str] = Field(description="Signals to show, in this order.")
+    sums: list[Text] = Field([], description='Summing junctions: "e = r - y" makes the signal e.')
+
+    def run(self, work: Workspace) -> Outcome:
+        """The parts in one model, from the asked inputs to the asked outputs."""
+        from robustlab.statespace import as_model
+        from robustlab.uncertainty.named_wiring import connected
+
+        given = [work.values[name] for name in self.parts]
+        found = connected(given, self.parts, self.inputs, self.outputs, self.sums)
+        numbers = uncertain_numbers(found) if isinstance(found, rl.UncertainModel) else {}
+        model = as_model(found)
+        sums = f" and {len(self.sums)} sums" if self.sums else ""
+        summary = f"{', '.join(self.parts)}{sums}, wired by the names of their signals."
+        return Outcome(found, summary, {**numbers, **_model_numbers(model)}, _model_facts(model))
 
 
 @step

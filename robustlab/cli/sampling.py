@@ -1,0 +1,96 @@
+"""``robustlab model discretise | d2c | d2d``: models in discrete and continuous time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, note, require_trust, table
+from robustlab.cli.offers import FORMULAS, one_of
+from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, grouped
+
+if TYPE_CHECKING:
+    from robustlab.synthesis.sampled.resampling import Resampled
+
+__all__ = ["d2c", "d2d", "discretise"]
+
+ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
+HoldOption = Annotated[
+    str, typer.Option("--method", help="zoh, foh or tustin.", autocompletion=one_of("zoh", "foh", "tustin"))
+]
+
+
+@grouped
+def discretise(
+    *,
+    file: ModelArgument,
+    dt: DtOption,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="tustin, tustin-prewarp, zoh, foh, impulse or matched.",
+            autocompletion=one_of(*FORMULAS),
+        ),
+    ] = "tustin",
+    prewarp: PrewarpOption = None,
+    output: OutputOptions,
+) -> None:
+    """A discrete model of a continuous one, by formula.
+
+    What a loop loses by it is what "synth discretise" computes.
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.sampled.discretisation import discretise as discretised
+    from robustlab.synthesis.sampled.discretisation import merged_modes
+
+    model = as_model(load(file), file)
+    method_given: Any = method
+    found = discretised(model, dt, method_given, prewarp=prewarp)
+    merged = merged_modes(model, dt)
+    for pair in merged:
+        note(f"warning: {file}: {pair}")
+    rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]
+    emit("model discretise", {"method": method, "model": found, "pathological": merged}, table(rows), output.as_json)
+
+
+@grouped
+def d2c(*, file: ModelArgument, method: HoldOption = "zoh", output: OutputOptions) -> None:
+    """A continuous model of a discrete one, with the error with which discretising gives it back.
+
+    Exit code 4: there is none (a pole on the negative real axis), or digits were lost.
+
+    Example: robustlab model d2c sampled.h5 --out plant.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.sampled.resampling import d2c as continuous
+
+    method_given: Any = method
+    _told("model d2c", continuous(as_model(load(file), file), method_given), file, output)
+
+
+@grouped
+def d2d(*, file: ModelArgument, dt: DtOption, method: HoldOption = "zoh", output: OutputOptions) -> None:
+    """A discrete model with another sample time; a whole multiple needs no continuous model on the way.
+
+    Exit code 4: there is none, or digits were lost.
+
+    Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.sampled.resampling import d2d as resampled
+
+    method_given: Any = method
+    _told("model d2d", resampled(as_model(load(file), file), dt, method_given), file, output)
+
+
+def _told(command: str, found: Resampled, file: str, output: OutputOptions) -> None:
+    rows = [*found.facts(), *output.keep_made(command, found.model, [file])]
+    emit(command, found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)

@@ -1,0 +1,278 @@
+r"""Interconnection by the names of signals: an output feeds every input that has its name.
+
+The parts stand side by side, a static matrix of ones wires them, and the loop is closed as every interconnection of
+LFTs is (`robustlab.uncertainty.interconnection`):
+
+.. math:: u = K y + E v, \qquad o = F y
+
+with y all outputs and u all inputs of the parts, v the inputs and o the outputs that were asked for. A summing junction
+is a part like any other, a static gain of ones and minus ones.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
+from robustlab.signals import Signal, is_constant
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.interconnection import Wiring
+from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected
+
+__all__ = ["connect", "connected"]
+
+FORM = '"e = r - y": a new name, then names with + or - between them'
+_SUM = re.compile(r"([^\s=+-]+)\s*=(.*)", re.DOTALL)
+_TERM = re.compile(r"\s*([+-]?)\s*([^\s=+-]+)")
+
+
+class _Part(NamedTuple):
+    """A part of the interconnection; ``label`` is what messages call it."""
+
+    label: str
+    model: UncertainModel
+
+
+def connect(
+    *parts: Any, inputs: Sequence[str] | str, outputs: Sequence[str] | str, sums: Sequence[str] | str = ()
+) -> StateSpaceModel | UncertainModel:
+    r"""Models wired by the names of their signals: an output feeds every input of the same name.
+
+    Parameters
+    ----------
+    *parts
+        Models, sets, designs and python-control's objects. A gain needs names too: a StateSpaceModel without states.
+    inputs
+        Names of the inputs from outside, in the order that the result is to have. Each feeds every input of its name.
+    outputs
+        Names of the signals that the result shows, in this order: outputs of parts, sums, or inputs from outside.
+    sums
+        Summing junctions, each a text: ``"e = r - y"`` makes the signal e. They carry one signal each; a name in a sum
+        has no spaces, signs or equals signs.
+
+    Returns
+    -------
+    StateSpaceModel or UncertainModel
+        An uncertain model where a part is one. All states of all parts are kept, in their order. A block name that
+        occurs in several parts is one and the same uncertainty. A unit that is stated at one place of a signal, or at
+        one term of a sum, is the unit of all.
+
+    Raises
+    ------
+    InputError
+        A signal that two outputs make, an input that nobody feeds, a name that there is not, a text that is no sum,
+        different sample times, a block name that stands for two different uncertainties.
+    UnitMismatch
+        A signal whose stated units differ from place to place, or a sum of different units.
+    NoTrustworthyNumber
+        An algebraic loop that is not well posed (of a set: at Delta = 0).
+
+    Examples
+    --------
+    >>> plant = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+    >>> gain = StateSpaceModel([], [], [], [[4.0]], inputs=["e"], outputs=["u"])
+    >>> loop = connect(plant, gain, inputs=["r"], outputs=["y", "e"], sums=["e = r - y"])
+    >>> loop.poles(), loop.dc_gain().ravel()
+    (array([-5.+0.j]), array([0.8, 0.2]))
+    """
+    return connected(parts, [f"part {k + 1}" for k in range(len(parts))], inputs, outputs, sums)
+
+
+def connected(
+    parts: Sequence[Any],
+    labels: Sequence[str],
+    inputs: Sequence[str] | str,
+    outputs: Sequence[str] | str,
+    sums: Sequence[str] | str = (),
+) -> StateSpaceModel | UncertainModel:
+    """`connect` with what messages call each part, a file for example."""
+    ins, outs, texts = ([given] if isinstance(given, str) else list(given) for given in (inputs, outputs, sums))
+    given = [_named(part, label) for part, label in zip(parts, labels, strict=True)]
+    uncertain = any(isinstance(part, UncertainModel) for part in parts)
+    wired_parts = [*given, *(_summing(text) for text in texts)]
+    if not wired_parts:
+        raise InputError("connect", "no part", "at least one")
+    _same_sample_times(given)
+    made = _made_once(wired_parts)
+    _check_names(wired_parts, made, ins, outs)
+    units = _units(wired_parts)
+    # What comes from outside and is shown goes through a part of its own: outputs are outputs of parts.
+    wired_parts += [_Part(f"output {name!r}", _gain([[1.0]], [name], name)) for name in outs if name in ins]
+    makers = [s.name for part in wired_parts for s in part.model.outputs]
+    fed = [s.name for part in wired_parts for s in part.model.inputs]
+    made_by_part = [None if name in ins else name for name in makers]
+    wiring = Wiring(
+        K=_ones(fed, made_by_part),
+        E=_ones(fed, ins),
+        # A name from outside is made by its own part only, which comes last.
+        F=_ones(outs, makers),
+    )
+    sides = [[Signal(name, units.get(name, "")) for name in side] for side in (ins, outs)]
+    try:
+        found = interconnected([part.model for part in wired_parts], wiring, sides[0], sides[1], "connect")
+    except NoTrustworthyNumber as error:
+        raise _with_loop(error, wired_parts, wiring, makers) from None
+    return found if uncertain else found.nominal
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
+
+
+def _named(part: Any, label: str) -> _Part:
+    where = f"connect: {label}"
+    if is_constant(part):
+        hint = 'rl.StateSpaceModel([], [], [], D, inputs=["e"], outputs=["u"]) is a gain with names'
+        raise InputError(where, "a number or a matrix: its signals have no names", "a model", hint)
+    return _Part(label, as_uncertain(getattr(part, "K", part), where))
+
+
+def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
+    return as_uncertain(StateSpaceModel([], [], [], d, 0.0, inputs, [output]))
+
+
+def _summing(text: str) -> _Part:
+    """The part that a text like ``"e = r - y"`` stands for."""
+    where = f"connect: sum {text!r}"
+    found = _SUM.fullmatch(text.strip()) if isinstance(text, str) and len(text) <= 10_000 else None
+    if found is None:
+        raise InputError(where, "no sum", FORM)
+    signs: dict[str, float] = {}
+    rest = found[2].strip()
+    while rest:
+        term = _TERM.match(rest)
+        if term is None or not (term[1] or not signs):
+            raise InputError(where, f"{rest!r} is no term", FORM)
+        if term[2] in signs:
+            raise InputError(where, f"{term[2]!r} stands there twice", "each signal once")
+        signs[term[2]] = -1.0 if term[1] == "-" else 1.0
+        rest = rest[term.end() :].strip()
+    if not signs:
+        raise InputError(where, "nothing to add", FORM)
+    return _Part(f"sum {text!r}", _gain([list(signs.values())], list(signs), found[1]))
+
+
+def _same_sample_times(parts: Sequence[_Part]) -> None:
+    timed = [part for part in parts if part.model.M.n_states or part.model.dt]
+    for part in timed[1:]:
+        first = timed[0]
+        if part.model.dt != first.model.dt:
+            hint = "rl.discretise, rl.d2c and rl.d2d change sample times"
+            expected = f"{first.model.dt:g} s as in {first.label}"
+            raise InputError(f"connect: {part.label}", f"sample time {part.model.dt:g} s", expected, hint)
+
+
+# --- names and units --------------------------------------------------------------------------------------------------
+
+
+def _made_once(parts: Sequence[_Part]) -> dict[str, str]:
+    """Name of each signal that is made, with the label of the part that makes it."""
+    made: dict[str, str] = {}
+    for part in parts:
+        for signal in part.model.outputs:
+            if signal.name in made:
+                found = f"{made[signal.name]} and {part.label} both make it"
+                hint = f"rename one output, and add both in a sum: sums=['{signal.name} = ...']"
+                raise InputError(f"connect: signal {signal.name!r}", found, "one output for a name", hint)
+            made[signal.name] = part.label
+    return made
+
+
+def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], outs: list[str]) -> None:
+    """Every input is fed, by one; every name that is asked for is there."""
+    fed = {s.name for part in parts for s in part.model.inputs}
+    for side, names in (("input", ins), ("output", outs)):
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise InputError(f"connect: {side} {twice[0]!r}", "is asked for twice", "each name once")
+    for name in ins:
+        where = f"connect: input {name!r}"
+        if name in made:
+            hint = f"add both in a sum with a new name: sums=['{name}_sum = {name} + ...']"
+            raise InputError(where, f"{made[name]} makes this signal", "a signal that no part makes", hint)
+        if name not in fed:
+            free = sorted(fed - set(made))
+            expected = f"one of {', '.join(free)}" if free else "none: every input is fed by a part"
+            raise InputError(where, "no part and no sum takes it", expected, did_you_mean(name, free))
+    known = [*made, *ins]
+    for name in outs:
+        if name not in known:
+            expected = f"one of {', '.join(known)}"
+            raise InputError(f"connect: output {name!r}", "no such signal", expected, did_you_mean(name, known))
+    _check_fed(parts, known)
+
+
+def _check_fed(parts: Sequence[_Part], known: list[str]) -> None:
+    unfed = [(part.label, s.name) for part in parts for s in part.model.inputs if s.name not in known]
+    if unfed:
+        lines = [f"connect: {label}: input {name!r}: nobody feeds it" for label, name in unfed]
+        where, _, found = lines[0].rpartition(": ")
+        hint = did_you_mean(unfed[0][1], known) or "name it among inputs= where it comes from outside"
+        raise InputError(where, found, "an output or a sum of this name, or it among inputs=", hint, tuple(lines[1:]))
+
+
+def _units(parts: Sequence[_Part]) -> dict[str, str]:
+    """The unit of each signal for which one is stated anywhere; terms of a sum have one unit.
+
+    Raises
+    ------
+    UnitMismatch
+        Two units for one signal, or for one sum.
+    """
+    group = {s.name: s.name for part in parts for s in (*part.model.inputs, *part.model.outputs)}
+
+    def root(name: str) -> str:
+        while group[name] != name:
+            name = group[name]
+        return name
+
+    for part in parts:
+        if part.label.startswith("sum "):
+            for term in part.model.inputs:
+                group[root(term.name)] = root(part.model.outputs[0].name)
+    stated: dict[str, tuple[str, str, str]] = {}
+    for part in parts:
+        for signal in (*part.model.inputs, *part.model.outputs):
+            if not signal.unit:
+                continue
+            name, unit, label = stated.setdefault(root(signal.name), (signal.name, signal.unit, part.label))
+            if unit != signal.unit:
+                found = f"[{signal.unit}] in {part.label}"
+                other = f"[{unit}] as {name!r} in {label}"
+                through = "" if name == signal.name else ", for a sum adds them"
+                raise UnitMismatch(f"connect: signal {signal.name!r}", found, other + through)
+    return {name: stated[root(name)][1] for name in group if root(name) in stated}
+
+
+# --- wires ------------------------------------------------------------------------------------------------------------
+
+
+def _ones(rows: Sequence[str], columns: Iterable[str | None]) -> Array:
+    """1 where a row and a column have one name; shape (rows, columns)."""
+    wanted = list(columns)
+    matrix = np.zeros((len(rows), len(wanted)))
+    for j, name in enumerate(wanted):
+        matrix[[i for i, row in enumerate(rows) if row == name], j] = 1.0
+    return matrix
+
+
+def _with_loop(
+    error: NoTrustworthyNumber, parts: Sequence[_Part], wiring: Wiring, makers: Sequence[str]
+) -> NoTrustworthyNumber:
+    """The refusal of an algebraic loop, with the signals that are on one."""
+    from scipy.linalg import block_diag
+    from scipy.sparse.csgraph import connected_components
+
+    direct = [part.model.nominal.D for part in parts]
+    around = np.asarray(block_diag(*direct)) @ wiring.K != 0
+    _, label = connected_components(around, directed=True, connection="strong")
+    size = np.bincount(label)
+    names = [name for k, name in enumerate(makers) if size[label[k]] > 1 or around[k, k]]
+    at = " at Delta = 0" if any(part.model.blocks for part in parts) else ""
+    found = f"the algebraic loop through {', '.join(names)} is not well posed{at}: the gain around it is one"
+    hint = "a sign in a sum, or a part without its dynamics (a lag, a sample of delay) makes such a loop"
+    return NoTrustworthyNumber(error.where, found, "direct paths that do not close a loop of gain one", hint)

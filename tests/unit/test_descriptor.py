@@ -1,0 +1,214 @@
+"""rl.descriptor: transfer functions by hand, C (sE - A)^-1 B + D at random points, indices, files, refusals."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+from scipy.linalg import block_diag, eigvals, expm
+
+import robustlab as rl
+from robustlab.cli import model as model_app
+from robustlab.cli.console import main_guard
+from robustlab.dynamics.descriptor_elimination import eliminated
+from robustlab.errors import InputError, NoTrustworthyNumber
+
+POINTS = np.array([0.3 + 0.2j, 2.0j, 4.0 - 1.0j, 30.0j])
+
+
+def transfer(e, a, b, c, d, s):
+    return d + c @ np.linalg.inv(s * e - a) @ b
+
+
+def agrees(model, e, a, b, c, d, tolerance=1e-8):
+    for s in POINTS:
+        truth = transfer(e, a, b, c, d, s)
+        got = transfer(np.eye(model.n_states), model.A, model.B, model.C, model.D, s)
+        assert np.abs(got - truth).max() <= tolerance * max(1.0, np.abs(truth).max())
+
+
+def chain(k):
+    """Nilpotent shift of size k."""
+    return np.eye(k, k=1)
+
+
+def test_an_invertible_e_keeps_the_states():
+    # mass 2 kg on a spring of 8 N/m: 2 v' = -8 q + f
+    m = rl.descriptor([[0, 1], [-8, 0]], [[0], [1]], [[1, 0]], [[0]], np.diag([1.0, 2.0]), states=["q", ("v", "m/s")])
+    assert m.A.tolist() == [[0, 1], [-4, 0]]
+    assert m.B.tolist() == [[0], [0.5]]
+    assert [tuple(s) for s in m.states] == [("q", ""), ("v", "m/s")]
+
+
+def test_rates_of_very_different_sizes_are_no_algebraic_equations():
+    found = eliminated(-np.eye(2), np.ones((2, 1)), np.eye(2), np.zeros((2, 1)), np.diag([1e-9, 1e9]))
+    assert found.index == 0
+    assert found.model.A.diagonal() == pytest.approx([-1e9, -1e-9], rel=1e-14)
+
+
+def test_algebraic_equations_are_eliminated_and_the_other_states_keep_their_names():
+    # v' = i / C, 0 = u - v - R i, y = i with R = 2, C = 0.5; the algebraic state first
+    e, a = [[0, 0.5], [0, 0]], [[1, 0], [-2, -1]]
+    found = eliminated(a, [[0], [1]], [[1, 0]], [[0]], e, states=[("i", "A"), ("v", "V")])
+    assert (found.index, found.kept, found.n_given) == (1, (1,), 2)
+    m = found.model
+    assert (m.A.item(), m.B.item(), m.C.item(), m.D.item()) == (-1.0, 1.0, -0.5, 0.5)
+    assert [tuple(s) for s in m.states] == [("v", "V")]
+
+
+def test_no_rate_at_all_is_a_gain():
+    m = rl.descriptor([[2.0, 0.0], [1.0, -1.0]], [[1.0], [0.0]], [[0.0, 1.0]], [[0.0]], np.zeros((2, 2)))
+    assert (m.n_states, m.D.item()) == (0, -0.5)
+
+
+def test_a_pendulum_of_index_three_without_impulses():
+    # linearised pendulum in Cartesian coordinates: m x'' = -k x - s + u, 0 = x (the constraint), y = s: s = u
+    e = np.diag([1.0, 1.0, 0.0])
+    a = np.array([[0.0, 1.0, 0.0], [-3.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    found = eliminated(a, [[0.0], [1.0], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]], e)
+    assert (found.index, found.model.n_states) == (3, 0)
+    assert found.model.D.item() == pytest.approx(1.0)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 100_000), st.integers(0, 4), st.lists(st.integers(1, 3), max_size=3), st.booleans())
+def test_hidden_finite_and_infinite_parts_come_apart(seed, n, chains, mixed):
+    """Weierstrass form with known poles and chains at infinity, mixed by random transformations."""
+    rng = np.random.default_rng(seed)
+    if n + len(chains) == 0:
+        return
+    total = n + sum(chains)
+    j = rng.standard_normal((n, n)) - 2 * np.eye(n)
+    e, a = np.zeros((total, total)), np.eye(total)
+    e[:n, :n], a[:n, :n] = np.eye(n), j
+    b, c, d = rng.standard_normal((total, 2)), rng.standard_normal((2, total)), rng.standard_normal((2, 2))
+    at = n
+    for k in chains:
+        e[at : at + k, at : at + k] = chain(k)
+        b[at + 1 : at + k] = 0.0  # e_1 alone is driven: N e_1 = 0, nothing is differentiated
+        at += k
+    if mixed:
+        p, q = (expm(0.4 * rng.standard_normal((total, total))) for _ in range(2))
+        e, a, b, c = p @ e @ q, p @ a @ q, p @ b, c @ q
+    found = eliminated(a, b, c, d, e)
+    assert found.index == max(chains, default=0)
+    assert found.model.n_states == n
+    assert found.residual < 1e-9
+    agrees(found.model, e, a, b, c, d)
+    np.testing.assert_allclose(np.sort_complex(found.model.poles()), np.sort_complex(eigvals(j)), atol=1e-7)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize(("k", "word"), [(2, "once"), (3, "2 times")])
+def test_an_improper_one_is_refused_with_index_and_differentiations(k, word, mixed):
+    e, a = block_diag(np.eye(1), chain(k)), block_diag([[-1.0]], np.eye(k))
+    b, c = np.zeros((k + 1, 2)), np.zeros((2, k + 1))
+    b[0, 0], b[k, 1], c[0, 0], c[1, 1] = 1.0, 1.0, 1.0, 1.0  # y2 = -d^(k-1) u2
+    if mixed:
+        rng = np.random.default_rng(k)
+        p, q = rng.standard_normal((2, k + 1, k + 1))
+        e, a, b, c = p @ e @ q, p @ a @ q, p @ b, c @ q
+    words = f"index {k}: the transfer matrix is improper, output 'y2' has input 'force' differentiated {word}"
+    with pytest.raises(InputError, match=words) as caught:
+        rl.descriptor(a, b, c, np.zeros((2, 2)), e, inputs=["u", "force"])
+    assert f"a lag of order {k - 1}" in str(caught.value.hint)
+    with pytest.raises(InputError, match=f"needs input 'u2' {k - 1} samples ahead"):
+        rl.descriptor(a, b, c, np.zeros((2, 2)), e, dt=0.1)
+
+
+def test_a_discrete_descriptor_form():
+    e, a = np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([[0.5, 0.0], [1.0, -1.0]])
+    b, c, d = np.array([[1.0], [1.0]]), np.array([[1.0, 2.0]]), np.zeros((1, 1))
+    m = rl.descriptor(a, b, c, d, e, dt=0.1)
+    assert (m.dt, m.n_states) == (0.1, 1)
+    agrees(m, e, a, b, c, d)
+
+
+def test_units_of_the_equations_do_not_matter():
+    rng = np.random.default_rng(5)
+    e, a = rng.standard_normal((2, 5, 5))
+    e = e @ np.diag([1, 1, 1, 0, 0]) @ rng.standard_normal((5, 5))
+    b, c, d = rng.standard_normal((5, 1)), rng.standard_normal((1, 5)), np.zeros((1, 1))
+    rows, columns = np.diag(10.0 ** rng.integers(-6, 7, 5)), np.diag(10.0 ** rng.integers(-6, 7, 5))
+    agrees(rl.descriptor(rows @ a @ columns, rows @ b, c @ columns, d, rows @ e @ columns), e, a, b, c, d)
+
+
+def test_what_is_refused():
+    one = np.ones((2, 1)), np.ones((1, 2)), [[0.0]]
+    with pytest.raises(InputError, match="descriptor: s E - A is singular for every s"):
+        rl.descriptor([[1.0, 1.0], [1.0, 1.0]], *one, np.zeros((2, 2)))
+    with pytest.raises(InputError, match=r"file.h5: E is \(1, 1\), expected \(2, 2\) as A"):
+        rl.descriptor(np.eye(2), *one, [[1.0]], where="file.h5")
+    with pytest.raises(InputError, match=r"descriptor: E\[0,1\] is NaN"):
+        rl.descriptor(np.eye(2), *one, [[1.0, np.nan], [0.0, 1.0]])
+
+
+def test_a_wrong_elimination_would_be_seen(monkeypatch):
+    from robustlab.dynamics import descriptor_elimination as module
+
+    wrong = module._semi_explicit
+
+    def off(form):
+        found = wrong(form)
+        return module._Reduced(found.A * (1 + 1e-6), found.B, found.C, found.D, found.index, found.kept)
+
+    monkeypatch.setattr(module, "_semi_explicit", off)
+    with pytest.raises(NoTrustworthyNumber, match="differs from the descriptor form by"):
+        rl.descriptor([[-1, 1], [0, -1]], [[0], [1]], [[1, 0]], [[0]], np.diag([1.0, 0.0]))
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+CIRCUIT = {
+    "A": np.array([[1.0, 0.0], [-2.0, -1.0]]), "B": np.array([[0.0], [1.0]]), "C": np.array([[1.0, 0.0]]),
+    "D": np.zeros((1, 1)), "E": np.array([[0.0, 0.5], [0.0, 0.0]]),
+}  # fmt: skip
+
+
+def hdf5(path, prefix="", **changed):
+    with h5py.File(path, "a") as file:
+        for name, matrix in {**CIRCUIT, **changed}.items():
+            file[f"{prefix}{name}"] = matrix
+    return str(path)
+
+
+def test_files_with_e(tmp_path, capsys):
+    path = hdf5(tmp_path / "circuit.h5")
+    savemat(tmp_path / "circuit.mat", CIRCUIT)
+    for name in (path, str(tmp_path / "circuit.mat")):
+        m = rl.load(name)
+        assert (m.A.item(), m.C.item(), m.D.item()) == (-1.0, -0.5, 0.5)
+    assert main_guard(lambda: model_app.app(["show", path], standalone_mode=False)) == 0
+    assert "descriptor form of index 1: 1 of 2 states eliminated; relative residual" in capsys.readouterr().err
+    turned = {name: matrix.T for name, matrix in CIRCUIT.items()}
+    assert rl.load(hdf5(tmp_path / "turned.h5", **turned), transpose=True).A.item() == -1.0
+    savemat(tmp_path / "plain.mat", {**CIRCUIT, "E": np.zeros((0, 0))})  # MATLAB's word for the identity
+    assert rl.load(tmp_path / "plain.mat").A.tolist() == CIRCUIT["A"].tolist()
+
+
+def test_an_operating_point_goes_with_the_states_that_stay(tmp_path):
+    path = hdf5(tmp_path / "circuit.h5")
+    with h5py.File(path, "a") as file:
+        for name, value in {"x": [3.0, 4.0], "u": [10.0], "y": [3.0]}.items():
+            file[f"operating_point/{name}"] = value
+    assert rl.load(path).operating_point.x.tolist() == [4.0]
+    with h5py.File(path, "a") as file:
+        del file["operating_point/x"]
+        file["operating_point/x"] = [3.0]
+    with pytest.raises(InputError, match=r"operating_point\.x has 1 entries, expected 2"):
+        rl.load(path)
+
+
+def test_files_that_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"/E is \(1, 1\), expected \(2, 2\) as /A"):
+        rl.load(hdf5(tmp_path / "small.h5", E=np.ones((1, 1))))
+    with pytest.raises(InputError, match="improper, output 'y1' has input 'u1' differentiated once"):
+        rl.load(hdf5(tmp_path / "improper.h5", A=np.eye(2), E=np.eye(2, k=1)))
+    path = hdf5(tmp_path / "pair.h5", "nominal/")
+    hdf5(path, "perturbed/")
+    with pytest.raises(InputError, match="/nominal/E: a pair in descriptor form"):
+        rl.load(path)
+    assert rl.load(path, group="nominal").A.item() == -1.0
