@@ -201,6 +201,7 @@ OBJECTS: dict[str, Any] = {
     "RobustGain": lambda: rl.robust_gain(loop(), 4.0),
     "LinearSolution": lambda: rl.lyap([[-0.5]], [[2.0]]),
     "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
+    "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),
     "Passivity": lambda: rl.passivity(lag()),
     "InputPassivity": lambda: rl.passivity(lag()).input_index,
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
