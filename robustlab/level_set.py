@@ -46,8 +46,8 @@ class NormTuning:
     # Frequencies at which a model without any gain is looked at, besides those of its poles.
     nothing_points: int = 200
     # Peaks that a zoom looks at before the first level test, and the share of rtol that a quick gain may be off by.
-    first_peaks: int = 1
-    quick: float = 1e-2
+    first_peaks: int = 3
+    quick: float = 0.1
 
 
 TUNING = NormTuning()
@@ -141,7 +141,7 @@ class _Gains:
         """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
         m = self.model
         out, direct = (4 * EPS * float(np.linalg.norm(part)) for part in (m.C, m.D))
-        if out * self.reach <= self.share * lower:  # the bound is coarse, and still nothing beside the norm
+        if out * self.reach <= 0.1 * self.share * lower:  # the bound is coarse, and still nothing beside the norm
             return out * self.reach + direct
         states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
         out, direct = (4 * EPS * float(np.linalg.norm(part, 2)) for part in (m.C, m.D))
