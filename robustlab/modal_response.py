@@ -74,8 +74,8 @@ class ModalResponse:
                 back @ left, _lengths(back @ missed, 1), _lengths(u * (np.abs(C) @ size), 0),
             )  # fmt: skip
 
-    def gains(self, s: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        r"""``sigma_max(G(s))`` at finite points s, shape (k,), bounds of its error, and of ``|(sI - A)^{-1} B|``.
+    def response(self, s: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        r"""``G(s)`` at finite points s, shape (k, p, m), bounds of its error, and of ``|(sI - A)^{-1} B|``.
 
         .. math:: |G - \hat G| \le |\hat C R| F |R \hat B| + |\hat C R| f_B + f_C |R \hat B| + \text{rounding},
            \qquad R = (s I - \Lambda)^{-1}
@@ -88,14 +88,37 @@ class ModalResponse:
             p, m = self.direct.shape
             # The sum over the modes of out[:, k] into[k] R_k is a product of (points, n) with (n, p m).
             terms = (self.out.T[:, :, None] * self.into[:, None, :]).reshape(len(self.poles), p * m)
-            gain = largest_gain((R @ terms).reshape(len(s), p, m) + self.direct)
+            found = (R @ terms).reshape(len(s), p, m) + self.direct
             near = np.abs(R)
             reach, see = near * into_size, near * out_size
             error = ((see @ self.defect) * reach).sum(1) + see @ self.into_defect + reach @ self.out_defect
             error += (len(self.poles) + 8) * EPS * (see @ into_size + direct_size)
+            sound = ((near * self.defect.sum(0)).max(1) < KNOWN) & (error < np.inf)
+        return found, np.where(sound, SECOND_ORDER * error, np.inf), reach @ modes
+
+    def gains(self, s: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """``sigma_max(G(s))``, shape (k,), with the bounds of `response`."""
+        found, error, reach = self.response(s)
+        with np.errstate(all="ignore"):
+            gain = largest_gain(found)
+        sound = np.isfinite(gain)
+        return np.where(sound, gain, 0.0), np.where(sound, error, np.inf), reach
+
+    def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
+        r"""``log det(sI - A)`` at finite points s, shape (k,), up to whole turns, and bounds of its error.
+
+        .. math:: \log\det(sI - A) = \sum_k \log(s - \lambda_k) + \log\det(I - R F), \qquad
+           |\log\det(I - X)| \le \mathrm{tr} |X| + n q^2 / (1 - q), \quad q = \||X|\|_1
+
+        Infinite where q is no small number.
+        """
+        with np.errstate(all="ignore"):
+            apart = s[:, None] - self.poles
+            logs, near = np.log(apart), 1.0 / np.abs(apart)
             worst = (near * self.defect.sum(0)).max(1)
-        sound = np.isfinite(gain) & (worst < KNOWN) & (error < np.inf)
-        return np.where(sound, gain, 0.0), np.where(sound, SECOND_ORDER * error, np.inf), reach @ modes
+            error = near @ np.diag(self.defect) + len(self.poles) * worst**2 / (1 - worst)
+            error += 8 * EPS * (np.abs(logs).sum(1) + len(self.poles))
+        return logs.sum(1), np.where((worst < KNOWN) & (error < np.inf), SECOND_ORDER * error, np.inf)
 
 
 def largest_gain(response: AnyArray) -> AnyArray:

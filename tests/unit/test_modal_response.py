@@ -77,6 +77,28 @@ def test_the_error_is_within_its_bound(damping, spread):
             assert np.linalg.norm(np.linalg.solve(s * np.eye(4) - A, B)) <= 1.01 * states or bound == np.inf
 
 
+@pytest.mark.parametrize("damping", [0.5, 1e-6])
+def test_the_determinant_is_within_its_bound(damping):
+    A, B, C, D = model(3, 4, damping, 1)
+    modes = ModalResponse.of(A, B, C, D)
+    p = characteristic([[Fraction(x) for x in row] for row in A.tolist()])
+    for s in (0.0, 1.0, 50.0, *np.abs(modes.poles.imag)):
+        (value,), (error,) = modes.log_determinant(np.array([1j * s]))
+        turned = [c * Fraction(s) ** (4 - k) * (1 if (4 - k) % 4 < 2 else -1) for k, c in enumerate(p)]  # i^2 = -1
+        real, imag = sum(turned[0::2]), sum(turned[1::2])
+        assert error < 1e-5
+        assert abs(np.exp(value) / complex(float(real), float(imag)) - 1) <= 1.01 * error
+
+
+def characteristic(A):
+    """Coefficients of det(xI - A), the highest power first, by Faddeev and Leverrier."""
+    n, M, c = len(A), [[Fraction(0)] * len(A) for _ in A], [Fraction(1)]
+    for k in range(1, n + 1):
+        M = [[sum(A[i][h] * M[h][j] for h in range(n)) + (c[-1] if i == j else 0) for j in range(n)] for i in range(n)]
+        c.append(-sum(A[i][h] * M[h][i] for i in range(n) for h in range(n)) / k)
+    return c
+
+
 def test_an_ordinary_model_has_small_bounds():
     gain, error, _ = ModalResponse.of(*model(0, 6, 0.1, 0)).gains(1j * np.geomspace(0.01, 100, 50))
     assert (error <= 1e-9 * gain.max()).all()

@@ -21,11 +21,13 @@ Rump, "Verification methods: rigorous results using floating-point arithmetic", 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -176,8 +178,7 @@ class SeparateLoop:
         rouche = np.zeros(len(omega))
         if polynomial:
             finite = np.isfinite(s)
-            shifted = _shifted(self.loop, s, kind)
-            ours = _solved(shifted, abs(shifted), kind)[2]
+            ours = self._rebuilt_polynomial(s, kind)
             total = P.log_det + K.log_det + log_det - self.log_direct - ours.log_det
             error = P.log_det_error + K.log_det_error + log_det_error + ours.log_det_error
             rouche = np.where(finite, np.abs(np.expm1(np.where(finite, total, 0))) + 1.5 * error, 0.0)
@@ -191,6 +192,26 @@ class SeparateLoop:
         error = frobenius(T_error) + 16 * EPS * gain
         error = np.where(np.isnan(error), np.inf, error)
         return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
+
+    @cached_property
+    def _modes(self) -> ModalResponse | None:
+        loop = self.loop
+        return ModalResponse.of(loop.A, loop.B, loop.C, loop.D) if loop.n_states else None
+
+    def _rebuilt_polynomial(self, s: AnyArray, kind: Any) -> _LogDet:
+        """Log det(sI - A) of the rebuilt loop: from its modes where these are known well enough, else by elimination.
+
+        An infinite s counts as zero.
+        """
+        s = np.where(np.isfinite(s), s, 0.0)
+        value, error = np.zeros(len(s), complex), np.full(len(s), np.inf)
+        if kind is _Doubles and self._modes is not None:
+            value, error = self._modes.log_determinant(s)
+        rest = ~(error <= self.tuning.modes)
+        if rest.any():
+            shifted = _shifted(self.loop, s[rest], kind)
+            value[rest], error[rest] = _solved(shifted, abs(shifted), kind)[2]
+        return _LogDet(value, error)
 
 
 class _Inverse(NamedTuple):
