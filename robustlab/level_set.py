@@ -74,7 +74,7 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
         factor = 2.0**power
         t, square = t * factor, factor**2
         off, into, out = off / square[:, None] * square, into / square, out * square
-    return m.with_matrices(a / t[:, None] * t, b / t[:, None], c * t, m.D, m.poles() / rate), rate
+    return m._with_matrices(a / t[:, None] * t, b / t[:, None], c * t, m.D, m.poles() / rate), rate
 
 
 def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:

@@ -112,7 +112,8 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
     imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
     and ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these
-    exceeds it. A zoom on the highest peaks looks for what rounding may have hidden.
+    exceeds it. A zoom on the highest peaks looks for what rounding may have hidden. Values come from the model's modes
+    where a bound of their error shows that this is enough (`ModalResponse`); what is told is solved for with A.
 
     Parameters
     ----------

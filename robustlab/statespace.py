@@ -135,7 +135,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
-    def with_matrices(
+    def _with_matrices(
         self, A: Array, B: Array, C: Array, D: Array, poles: NDArray[np.complex128] | None = None
     ) -> StateSpaceModel:
         """In other states of the same number, with poles that are known; nothing is checked or copied: for steps."""
