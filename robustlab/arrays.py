@@ -1,4 +1,4 @@
-"""Types of arrays in signatures, one set for the whole house; and which entry of an array is not finite."""
+"""Types of arrays in signatures, one set for the whole house; entries that are not finite, and singular matrices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AnyArray", "Array", "ComplexArray", "Indices", "Mask", "not_finite"]
+__all__ = ["AnyArray", "Array", "ComplexArray", "Indices", "Mask", "is_rank_deficient", "not_finite"]
 
 Array = NDArray[np.floating[Any]]  # real, double precision throughout
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -29,3 +29,14 @@ def not_finite(array: Array, entries: str = "entries") -> tuple[str, str] | None
         return None
     word = "NaN" if np.isnan(array[tuple(bad[0])]) else "infinite"
     return ",".join(map(str, bad[0])), f"is {word} ({len(bad)} of {array.size} {entries})"
+
+
+def is_rank_deficient(matrix: Array) -> bool:
+    """Whether a square matrix is singular, its rows and columns brought to one size first."""
+    scaled = matrix.copy()
+    for axis in (1, 0, 1):
+        size = np.abs(scaled).max(axis=axis, keepdims=True)
+        if not size.all():
+            return True
+        scaled = scaled / size
+    return not np.linalg.cond(scaled) <= 1e12

@@ -11,14 +11,20 @@ work done of the work there is. A search may end long before, so the rest is wha
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
 from math import inf
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from robustlab.errors import InputError
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 __all__ = [
     "MILLION",
@@ -178,10 +184,16 @@ def one_thread() -> Iterator[None]:
 
     A context, and a decorator: ``@one_thread()``.
     """
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):
+    with _thread_pools(len(sys.modules)).limit(limits=1):
         yield
+
+
+@lru_cache(maxsize=1)
+def _thread_pools(_modules: int) -> ThreadpoolController:
+    """The thread pools of the libraries that are loaded; looked for again once more modules are imported."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def child_environment() -> dict[str, str]:

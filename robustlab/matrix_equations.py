@@ -11,6 +11,7 @@ This is also the one door to LAPACK's own routines (`lapack`).
 from __future__ import annotations
 
 import functools
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -504,31 +505,35 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
     >>> float(lyapunov_factor([[-0.5]], [[2.0]])[0, 0])
     2.0
     """
-    from scipy.linalg import schur, solve_triangular
-
     a, b = real_array("A", A, 2, "lyapunov_factor"), real_array("B", B, 2, "lyapunov_factor")
     n = a.shape[0]
     _check_shapes("lyapunov_factor", A=(a, (n, n)), B=(b, (n, b.shape[1])))
     if n == 0 or not b.any():
         return np.zeros((n, n))
-    s, q = (np.asarray(part) for part in schur(a, output="complex")[:2])
-    poles = np.diag(s)
+    s, _, poles, q, _, info = lapack().zgees(lambda _: 0, a)
+    if info:
+        raise NoTrustworthyNumber("lyapunov_factor", "the QR algorithm did not converge")
     if np.real(poles).max() >= 0:
         raise NoTrustworthyNumber(
             "lyapunov_factor", f"A has the eigenvalue {poles[np.real(poles).argmax()]:.6g}", "a stable A"
         )
     rest, u = (q.conj().T @ b).astype(complex), np.zeros((n, n), complex)
     # Last row of U first; what is left of the right-hand side is again of the form B B^H.
+    solve, shifted, diagonal = lapack().ztrtrs, s.copy(order="F"), np.einsum("ii->i", s)
     for k in range(n - 1, -1, -1):
-        size = np.linalg.norm(rest[k])
+        direction = rest[k].conj()
+        size = math.sqrt(np.vdot(direction, direction).real)
         if size == 0:
             continue
-        decay, direction = np.sqrt(-2 * np.real(poles[k])), rest[k].conj() / size
+        decay, direction = math.sqrt(-2 * poles[k].real), direction / size
         u[k, k] = size / decay
         if k:
-            shifted = s[:k, :k] + poles[k].conj() * np.eye(k)
-            u[:k, k] = solve_triangular(shifted, -(decay * (rest[:k] @ direction) + s[:k, k] * u[k, k]))
-            rest[:k] -= decay * np.outer(u[:k, k], direction.conj())
+            np.einsum("ii->i", shifted)[:k] = diagonal[:k] + poles[k].conj()
+            x, info = solve(shifted[:k, :k], -(decay * (rest[:k] @ direction) + s[:k, k] * u[k, k]))
+            if info:
+                raise NoTrustworthyNumber("lyapunov_factor", MIRRORED)
+            u[:k, k] = x
+            rest[:k] -= (decay * x)[:, None] * direction.conj()
     factor = q @ u
     if not np.isfinite(factor).all():
         raise NoTrustworthyNumber("lyapunov_factor", "the factor is not finite")

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, is_rank_deficient
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -135,6 +136,19 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
+    def _with_matrices(
+        self, A: Array, B: Array, C: Array, D: Array, poles: NDArray[np.complex128] | None = None
+    ) -> StateSpaceModel:
+        """In other states of the same number, with poles that are known; nothing is checked or copied: for steps."""
+        model = object.__new__(type(self))
+        for matrix in (A, B, C, D):
+            matrix.setflags(write=False)
+        vars(model).update(vars(self), A=A, B=B, C=C, D=D, operating_point=None)
+        vars(model).pop("_poles", None)
+        if poles is not None:
+            vars(model)["_poles"] = poles
+        return model
+
     # --- sizes and names ---------------------------------------------------------------------------------------------
 
     @property
@@ -176,6 +190,11 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
 
     def poles(self) -> NDArray[np.complex128]:
         """Eigenvalues of A, shape (n_x,)."""
+        return self._poles.copy()
+
+    @cached_property
+    def _poles(self) -> NDArray[np.complex128]:
+        """Computed once: the model does not change."""
         return np.linalg.eigvals(self.A).astype(np.complex128) if self.n_states else np.zeros(0, np.complex128)
 
     def spectral_abscissa(self) -> float:
@@ -183,7 +202,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
 
         Negative means asymptotically stable in both cases.
         """
-        poles = self.poles()
+        poles = self._poles
         if not len(poles):
             return -np.inf
         return float(np.abs(poles).max() - 1.0) if self.is_discrete else float(poles.real.max())
@@ -458,17 +477,6 @@ def inverse(model: Any) -> StateSpaceModel:
     return StateSpaceModel(
         g.A - g.B @ d @ g.C, g.B @ d, -d @ g.C, d, g.dt, g.outputs, g.inputs, g.states, where="inverse"
     )
-
-
-def is_rank_deficient(matrix: Array) -> bool:
-    """Whether a square matrix is singular, its rows and columns brought to one size first."""
-    scaled = matrix.copy()
-    for axis in (1, 0, 1):
-        size = np.abs(scaled).max(axis=axis, keepdims=True)
-        if not size.all():
-            return True
-        scaled = scaled / size
-    return not np.linalg.cond(scaled) <= 1e12
 
 
 def feedback(plant: StateSpaceModel, controller: StateSpaceModel, sign: int = -1) -> StateSpaceModel:

@@ -11,14 +11,13 @@ from robustlab.exact_stability import exactly_on_boundary
 from robustlab.magnitude import moderated
 from robustlab.norms.hinfinity import (
     FAR,
-    TUNING,
     HinfNorm,
-    NormTuning,
     bracketed_norm,
     eigenvalue_blur,
     norm_as_given,
     pole_text,
 )
+from robustlab.norms.level_set import TUNING, NormTuning
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 

@@ -11,9 +11,17 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.exact_stability import exactly_stable
-from robustlab.frequency import frequency_response
 from robustlab.magnitude import Moderated, balancing_factors, moderated
 from robustlab.norms.bilinear_map import bilinear_to_continuous
+from robustlab.norms.level_set import (
+    TUNING,
+    NormTuning,
+    crossings,
+    largest_gains,
+    level_bracket,
+    search_grid,
+    well_scaled,
+)
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
@@ -22,8 +30,6 @@ __all__ = [
     "FAR",
     "QUIET",
     "HinfNorm",
-    "NormTuning",
-    "axis_grid",
     "axis_point",
     "balanced",
     "bracketed_norm",
@@ -33,7 +39,6 @@ __all__ = [
     "norm_as_given",
     "pole_text",
     "unstable_norm",
-    "well_scaled",
 ]
 
 EPS = float(np.finfo(float).eps)
@@ -43,28 +48,6 @@ FAR = 1e12
 # Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
 # unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
-
-
-@dataclass(frozen=True)
-class NormTuning:
-    """How hard the H-infinity norm is looked for; what is proved does not depend on it."""
-
-    # Levels before the bracket is given up as INACCURATE: most models need two or three.
-    levels: int = 60
-    # First grid, per decade between the poles: more find the highest peak at once, fewer leave it to the level test.
-    points_per_decade: int = 20
-    # Peaks that a zoom looks at, its steps and the points of each: a bracket shrinks by a factor of 6 in a step.
-    zoom_peaks: int = 6
-    zoom_steps: int = 8
-    zoom_points: int = 13
-    # A bracket is left where the fall from its top to the points beside it, times the first, is below the second.
-    zoom_rise: float = 4.0
-    zoom_flat: float = 1e-9
-    # Frequencies at which a model without any gain is looked at, besides those of its poles.
-    nothing_points: int = 200
-
-
-TUNING = NormTuning()
 
 
 @dataclass(frozen=True)
@@ -122,7 +105,8 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
     imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
     and ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these
-    exceeds it. A zoom on the highest peaks looks for what rounding may have hidden.
+    exceeds it. A zoom on the highest peaks looks for what rounding may have hidden. Values come from the model's modes
+    where a bound of their error shows that this is enough (`ModalResponse`); what is told is solved for with A.
 
     Parameters
     ----------
@@ -198,7 +182,7 @@ def bracketed_norm(
         return without_bracket
     try:
         scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
-        lower, omega, upper, trusted = _bracket(scaled, rtol, tuning)
+        lower, omega, upper, trusted = level_bracket(scaled, rtol, tuning)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
@@ -206,7 +190,7 @@ def bracketed_norm(
     omega *= rate
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
-    attained = float(_sigma(m, np.array([omega]))[0])
+    attained = float(largest_gains(m, np.array([omega]))[0])
     reason = "" if trusted else "the level test and a direct search disagreed; digits were lost"
     if abs(attained - lower) > 10 * rtol * lower and lower > upper - lower:
         trusted = False
@@ -262,15 +246,15 @@ def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNo
     Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
     test is sharper than that, but at the bound of the rounding it must agree.
     """
-    omega = axis_grid(m, points)
+    omega = search_grid(m, points)
     try:
-        sigma = _sigma(m, omega)
+        sigma = largest_gains(m, omega)
         size, error = np.array([_terms(m.A, m.B, m.C, m.D, axis_point(m, w)) for w in omega]).T
         upper = float((sigma + error).max())
         if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
             return None
-        again = np.concatenate([axis_grid(scaled, points), _candidates(scaled, upper)])
-        if not _sigma(scaled, again).max() <= upper:
+        again = np.concatenate([search_grid(scaled, points), crossings(scaled, upper)])
+        if not largest_gains(scaled, again).max() <= upper:
             return None
     except (np.linalg.LinAlgError, NoTrustworthyNumber):
         return None
@@ -280,6 +264,9 @@ def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNo
 def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     """The infinite norm of a model that is not stable, or None; poles are told times ``2^rate``."""
     abscissa = m.spectral_abscissa()
+    # Balancing does not make the sum of all entries larger: where that is enough it need not be done.
+    if abscissa < -10 * EPS * max(float(np.abs(m.A).sum()), 1.0 if m.is_discrete else 0.0):
+        return None
     blur = eigenvalue_blur(m)
     if abscissa < -blur:
         return None
@@ -310,136 +297,3 @@ def balanced(matrix: AnyArray) -> AnyArray:
 def pole_text(pole: complex) -> str:
     """A pole as error messages show it."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
-
-
-def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
-    """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
-    size = np.abs(m.poles())
-    size = size[size > 1e-12 * size.max()]
-    rate = float(2.0 ** np.round(np.log2(np.median(size))))
-    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
-    level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
-    n, t = m.n_states, np.ones(m.n_states)
-    c = c * level  # only for the balancing: B and C weigh the same
-    for _ in range(20):
-        row = np.sqrt((a**2).sum(1) - np.diag(a) ** 2 + (b**2).sum(1) + 1e-300)
-        column = np.sqrt((a**2).sum(0) - np.diag(a) ** 2 + (c**2).sum(0) + 1e-300)
-        factor = 2.0 ** np.clip(np.round(0.5 * np.log2(row / column)), -40, 40)
-        if n == 0 or (factor == 1).all():
-            break
-        # One state at a time would be Osborne's order; damped simultaneous steps need no Python loop over states.
-        factor = np.where(np.abs(np.log2(factor)) > 1, 2.0 ** np.round(0.5 * np.log2(factor)), factor)
-        a, b, c, t = a / factor[:, None] * factor, b / factor[:, None], c * factor, t * factor
-    return StateSpaceModel(a, b, c / level, m.D), rate
-
-
-def _sigma(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
-    """``sigma_max`` at each frequency, shape (n_omega,)."""
-    response = frequency_response(m, omega)
-    if not np.isfinite(response).all():
-        raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
-    if min(m.n_inputs, m.n_outputs) == 1:
-        return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
-    return np.linalg.svd(response, compute_uv=False)[:, 0]
-
-
-def axis_grid(m: StateSpaceModel, points: int) -> AnyArray:
-    """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
-    poles = m.poles()
-    if m.is_discrete:
-        poles = np.log(poles[np.abs(poles) > 1e-12]) / m.dt
-    size = np.abs(poles)
-    size = size[size > 0]
-    low, high = (size.min() / 10, size.max() * 10) if len(size) else (1e-1, 1e1)
-    resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
-    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, np.geomspace(low, high, points)])
-    if m.is_discrete:
-        return np.unique(np.append(omega[omega < np.pi / m.dt], np.pi / m.dt))
-    return np.append(np.unique(omega), np.inf)
-
-
-def _bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[float, float, float, bool]:
-    """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
-    size = np.abs(m.poles())
-    decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
-    omega = axis_grid(m, int(tuning.points_per_decade * decades))
-    sigma = _sigma(m, omega)
-    peak = int(np.argmax(sigma))
-    lower, at = float(sigma[peak]), float(omega[peak])
-    # What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero.
-    states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
-    floor = (
-        4 * EPS * (float(np.linalg.norm(m.C, 2)) * float(_sigma(states, omega).max()) + float(np.linalg.norm(m.D, 2)))
-    )
-    if floor == 0:
-        return 0.0, 0.0, 0.0, True
-    trusted, upper = True, np.inf
-    for _ in range(tuning.levels):
-        upper = lower * (1 + rtol) + floor
-        new_omega = _candidates(m, upper)
-        new_sigma = _sigma(m, new_omega)
-        omega, sigma = np.concatenate([omega, new_omega]), np.concatenate([sigma, new_sigma])
-        peak = int(np.argmax(new_sigma))
-        if new_sigma[peak] > upper:
-            lower, at = float(new_sigma[peak]), float(new_omega[peak])
-            continue
-        zoomed, zoomed_at = _zoom(m, omega, sigma, tuning)
-        if zoomed <= upper:
-            if zoomed > lower:
-                lower, at = zoomed, zoomed_at
-            return lower, at, upper, trusted
-        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say
-        # so.
-        lower, at = zoomed, zoomed_at
-        trusted = False
-    return lower, at, upper, False
-
-
-def _candidates(m: StateSpaceModel, level: float) -> AnyArray:
-    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them."""
-    root = np.sqrt(level)
-    b, c, d = m.B / root, m.C / root, m.D / level
-    r = np.eye(m.n_inputs) - d.T @ d
-    s = np.eye(m.n_outputs) - d @ d.T
-    a1 = m.A + b @ np.linalg.solve(r, d.T @ c)
-    hamiltonian = np.block([[a1, b @ np.linalg.solve(r, b.T)], [-c.T @ np.linalg.solve(s, c), -a1.T]])
-    if not np.isfinite(hamiltonian).all():
-        raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)]))
-    between = 0.5 * (crossing[:-1] + crossing[1:])
-    beyond = [2 * crossing[-1], 10 * crossing[-1]]
-    return np.concatenate([crossing, between, beyond])
-
-
-def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray, tuning: NormTuning) -> tuple[float, float]:
-    """Highest value near the highest local maxima of the points known so far, and its frequency."""
-    order = np.argsort(omega, kind="stable")
-    omega, sigma = omega[order], sigma[order]
-    omega, first = np.unique(omega, return_index=True)
-    sigma = sigma[first]
-    best, at = float(sigma.max()), float(omega[np.argmax(sigma)])
-    left, right = np.append(-np.inf, sigma[:-1]), np.append(sigma[1:], -np.inf)
-    peaks = np.flatnonzero((sigma >= left) & (sigma >= right) & np.isfinite(omega) & (sigma >= 0.9 * best))
-    peaks = peaks[np.argsort(-sigma[peaks])][: tuning.zoom_peaks]
-    if not len(peaks):
-        return best, at
-    low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
-    high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
-    share = np.linspace(0, 1, tuning.zoom_points)
-    for _ in range(tuning.zoom_steps):
-        points = low[:, None] + (high - low)[:, None] * share
-        values = _sigma(m, points.ravel()).reshape(points.shape)
-        top = values.argmax(axis=1)
-        rows = np.arange(len(points))
-        k = int(values[rows, top].argmax())
-        if values[k, top[k]] > best:
-            best, at = float(values[k, top[k]]), float(points[k, top[k]])
-        before, after = np.maximum(top - 1, 0), np.minimum(top + 1, tuning.zoom_points - 1)
-        low, high = points[rows, before], points[rows, after]
-        # Between the points next to the top of a smooth peak nothing rises by more than it fell towards them.
-        rise = values[rows, top] - np.minimum(values[rows, before], values[rows, after])
-        open_ = values[rows, top] + tuning.zoom_rise * rise > best * (1 + tuning.zoom_flat)
-        if not open_.any():
-            break
-        low, high = low[open_], high[open_]
-    return best, at

@@ -12,7 +12,8 @@ from robustlab.exact_stability import exactly_stable
 from robustlab.magnitude import Moderated, balancing_factors, moderated
 from robustlab.matrix_equations import gramians
 from robustlab.norms.axis_integral import mean_square_gain
-from robustlab.norms.hinfinity import unstable_norm, well_scaled
+from robustlab.norms.hinfinity import unstable_norm
+from robustlab.norms.level_set import well_scaled
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model

@@ -15,14 +15,13 @@ from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.hinfinity import (
     QUIET,
     HinfNorm,
-    axis_grid,
     axis_point,
     balanced,
     gain_rounding,
     hinf_norm,
     unstable_norm,
-    well_scaled,
 )
+from robustlab.norms.level_set import search_grid, well_scaled
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, is_rank_deficient
@@ -201,7 +200,7 @@ def _input_index(g: StateSpaceModel, rtol: float) -> InputPassivity | None:
         value = ordinary.value(float(_lowest(m, np.zeros(1))[0]), "passivity")
         return InputPassivity(value, value, 0.0, Status.CERTIFIED)
     scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
-    omega = axis_grid(scaled, GRID)
+    omega = search_grid(scaled, GRID)
     part = np.linalg.eigvalsh(_symmetric(scaled, omega))
     size, smallest = float(np.abs(part).max()), part[:, 0]
     at, upper = float(omega[smallest.argmin()]), float(smallest.min())

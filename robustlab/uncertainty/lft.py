@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import is_rank_deficient
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.signals import Signal, is_constant, is_number, names_of, picked, real_array, same_units
-from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, is_rank_deficient, lower_lft
+from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
 from robustlab.uncertainty.dynamic_blocks import weighted
 from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, wired

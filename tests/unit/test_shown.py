@@ -33,8 +33,8 @@ PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange",
 NUMBERS = {
     "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability",
     "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "LinearSolution", "NuGap", "Passivity",
-    "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses",
-    "Trim", "WellPosedness", "Zeros",
+    "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain",
+    "StreamedResponses", "Trim", "WellPosedness", "Zeros",
 }  # fmt: skip
 
 

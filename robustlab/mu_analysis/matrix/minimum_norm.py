@@ -196,8 +196,10 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
 
 def unit_rows(v: ComplexArray, instead: ComplexArray | None = None) -> ComplexArray:
     """Rows of unit length; rows of zeros (or not finite ones) stay, or become those of ``instead``."""
-    norm = np.linalg.norm(v, axis=1, keepdims=True)
-    good = np.isfinite(norm) & (norm > 0)
+    norm = np.sqrt((v.real**2 + v.imag**2).sum(axis=1, keepdims=True))
+    good = (norm > 0) & (norm < np.inf)
+    if good.all():
+        return v / norm
     return np.where(good, v / np.where(good, norm, 1.0), v if instead is None else instead)
 
 

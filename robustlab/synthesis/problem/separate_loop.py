@@ -21,11 +21,13 @@ Rump, "Verification methods: rigorous results using floating-point arithmetic", 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -176,7 +178,7 @@ class SeparateLoop:
         rouche = np.zeros(len(omega))
         if polynomial:
             finite = np.isfinite(s)
-            ours = _shifted(self.loop, s, kind)
+            ours = self._rebuilt_polynomial(s, kind)
             total = P.log_det + K.log_det + log_det - self.log_direct - ours.log_det
             error = P.log_det_error + K.log_det_error + log_det_error + ours.log_det_error
             rouche = np.where(finite, np.abs(np.expm1(np.where(finite, total, 0))) + 1.5 * error, 0.0)
@@ -191,6 +193,26 @@ class SeparateLoop:
         error = np.where(np.isnan(error), np.inf, error)
         return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
 
+    @cached_property
+    def _modes(self) -> ModalResponse | None:
+        loop = self.loop
+        return ModalResponse.of(loop.A, loop.B, loop.C, loop.D) if loop.n_states else None
+
+    def _rebuilt_polynomial(self, s: AnyArray, kind: Any) -> _LogDet:
+        """Log det(sI - A) of the rebuilt loop: from its modes where these are known well enough, else by elimination.
+
+        An infinite s counts as zero.
+        """
+        s = np.where(np.isfinite(s), s, 0.0)
+        value, error = np.zeros(len(s), complex), np.full(len(s), np.inf)
+        if kind is _Doubles and self._modes is not None:
+            value, error = self._modes.log_determinant(s)
+        rest = ~(error <= self.tuning.modes)
+        if rest.any():
+            shifted = _shifted(self.loop, s[rest], kind)
+            value[rest], error[rest] = _solved(shifted, abs(shifted), kind)[2]
+        return _LogDet(value, error)
+
 
 class _Inverse(NamedTuple):
     """Approximate inverses X of a stack of matrices A."""
@@ -199,6 +221,11 @@ class _Inverse(NamedTuple):
     inverse: Any
     residual: AnyArray  # bounds of the moduli of I - A X
     rounding: float  # of a product with A, relative to that of the moduli
+    log_det: AnyArray
+    log_det_error: AnyArray
+
+
+class _LogDet(NamedTuple):
     log_det: AnyArray
     log_det_error: AnyArray
 
@@ -231,6 +258,15 @@ class _Doubles:
 
 def _inverted(matrix: Any, kind: Any) -> _Inverse:
     of = abs(matrix)
+    found, back, logarithm = _solved(matrix, of, kind)
+    rounding = (of.shape[-1] + 4) * kind.unit
+    one = kind.of(np.broadcast_to(np.eye(of.shape[-1]), of.shape))
+    residual = abs(one - matrix @ found) + rounding * (of @ back)
+    return _Inverse(matrix, found, residual, rounding, *logarithm)
+
+
+def _solved(matrix: Any, of: AnyArray, kind: Any) -> tuple[Any, AnyArray, _LogDet]:
+    """The inverses, their moduli and the logarithms of the determinants; ``of`` are the moduli of the matrices."""
     n = of.shape[-1]
     if kind is _Doubles:
         sign, log = np.linalg.slogdet(matrix)
@@ -244,10 +280,9 @@ def _inverted(matrix: Any, kind: Any) -> _Inverse:
     else:
         found, log_det = inverse(matrix)
     rounding, back = (n + 4) * kind.unit, abs(found)
-    residual = abs(kind.of(np.broadcast_to(np.eye(n), of.shape)) - matrix @ found) + rounding * (of @ back)
     # d log det A = tr(A^-1 dA), with the backward error of the elimination for dA.
-    error = 8 * rounding * (back * np.swapaxes(of, 1, 2)).sum(axis=(1, 2)) + 8 * EPS * (n + np.abs(log_det))
-    return _Inverse(matrix, found, residual, rounding, log_det, error)
+    error = 8 * rounding * np.einsum("kij,kji->k", back, of) + 8 * EPS * (n + np.abs(log_det))
+    return found, back, _LogDet(log_det, error)
 
 
 def _through(c: Any, a: _Inverse, b: Any, a_error: AnyArray | float = 0.0, b_error: AnyArray | float = 0.0) -> _Through:
@@ -280,10 +315,10 @@ def _enclosed(G: AnyArray, v: AnyArray) -> AnyArray:
     return found
 
 
-def _shifted(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Inverse:
-    """Of sI - A at every s; an infinite s counts as zero."""
+def _shifted(m: StateSpaceModel, s: AnyArray, kind: Any) -> Any:
+    """SI - A at every s; an infinite s counts as zero."""
     diagonal = np.where(np.isfinite(s), s, 0.0)[:, None, None] * np.eye(m.n_states)
-    return _inverted(kind.of(diagonal) - kind.of(np.broadcast_to(m.A, diagonal.shape)), kind)
+    return kind.of(diagonal) - kind.of(np.broadcast_to(m.A, diagonal.shape))
 
 
 def _response(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Response:
@@ -291,7 +326,7 @@ def _response(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Response:
     b, c, d = (kind.of(np.broadcast_to(x, (k, *x.shape))) for x in (m.B, m.C, m.D))
     if not m.n_states:
         return _Response(d, np.zeros((k, *m.D.shape)), np.zeros(k, complex), np.zeros(k))
-    a = _shifted(m, s, kind)
+    a = _inverted(_shifted(m, s, kind), kind)
     found = _through(c, a, b)
     value, error = found.value + d, found.error + a.rounding * (abs(found.value) + abs(d))
     if infinite.any():

@@ -20,6 +20,8 @@ class ProblemTuning:
     quick: float = 1e-6
     quick_everywhere: float = 1e-5
     quick_rouche: float = 2e-2
+    # Error up to which the rebuilt loop's polynomial is taken from its modes.
+    modes: float = 1e-6
     # Frequencies per decade between the poles, and most of them.
     per_decade: int = 5
     most_points: int = 120

@@ -1,0 +1,138 @@
+"""CPU time of a call beside the peer's for the same question: norms, reduction, synthesis, mu; 3, 20 and 60 states.
+
+    python benchmarks/peers.py [--repeats 15] [NAME ...]
+
+All in one process and one run, one BLAS thread, warm, the minimum of several calls in turn; seeds are fixed. Ours
+returns its evidence with the number (bracket, second path, verified loop, certificate); the peers return the number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import platform
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+
+import control
+import numpy as np
+import slycot
+
+import robustlab as rl
+from robustlab.budget import one_thread
+from robustlab.norms import h2_norm
+
+SIZES = (3, 20, 60)
+Case = tuple[str, int, Callable[[], object], Callable[[], object]]
+
+
+def random_model(n: int, n_u: int = 2, n_y: int = 2) -> rl.StateSpaceModel:
+    """Stable, strictly proper, damping between 1 % and 100 %, poles over three decades."""
+    rng = np.random.default_rng(1000 + n)
+    A = np.zeros((n, n))
+    for k in range(0, n - 1, 2):
+        size, damping = 10 ** rng.uniform(-1, 2), 10 ** rng.uniform(-2, 0)
+        turn = size * np.sqrt(1 - damping**2)
+        A[k : k + 2, k : k + 2] = [[-damping * size, turn], [-turn, -damping * size]]
+    if n % 2:
+        A[-1, -1] = -(10 ** rng.uniform(-1, 2))
+    T = np.linalg.qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-0.5, 0.5, n)
+    B, C = rng.standard_normal((n, n_u)), rng.standard_normal((n_y, n))
+    return rl.StateSpaceModel(np.linalg.solve(T, A @ T), B, C, np.zeros((n_y, n_u)))
+
+
+def random_plant(n: int) -> rl.StateSpaceModel:
+    """Two measurements and controls; w is disturbances and noises, z outputs and controls: a regular problem."""
+    G = random_model(n, 4, 4)
+    one, none = np.eye(2), np.zeros((2, 2))
+    B = np.hstack([G.B[:, :2], np.zeros((n, 2)), G.B[:, 2:]])
+    C = np.vstack([G.C[:2], np.zeros((2, n)), G.C[2:]])
+    D = np.block([[none, none, none], [none, none, one], [none, one, none]])
+    return rl.StateSpaceModel(G.A, B, C, D)
+
+
+def cases() -> Iterator[Case]:
+    for n in SIZES:
+        G, P = random_model(n), random_plant(n)
+        theirs, plant, r = G.to_control(), P.to_control(), max(1, n // 3)
+        A, B, C, D, E = G.A, G.B, G.C, G.D, np.eye(n)
+        yield (
+            "hinf_norm / slycot ab13dd",
+            n,
+            lambda G=G: rl.hinf_norm(G).value,
+            lambda n=n, A=A, B=B, C=C, D=D, E=E: slycot.ab13dd("C", "I", "S", "D", n, 2, 2, A, E, B, C, D, 1e-6)[0],
+        )
+        yield (
+            "h2_norm / slycot ab13bd",
+            n,
+            lambda G=G: h2_norm(G).value,
+            lambda n=n, A=A, B=B, C=C, D=D: slycot.ab13bd("C", "H", n, 2, 2, A.copy(), B.copy(), C.copy(), D.copy()),
+        )
+        yield (
+            "balanced_truncation / control.balred",
+            n,
+            lambda G=G, r=r: rl.balanced_truncation(G, r),
+            lambda G=theirs, r=r: control.balred(G, r),
+        )
+        yield (
+            "h2 / control.h2syn",
+            n,
+            lambda P=P: rl.h2(P, 2, 2).gamma,
+            lambda P=plant: control.h2syn(P, 2, 2),
+        )
+        yield (
+            "hinf / control.hinfsyn",
+            n,
+            lambda P=P: rl.hinf(P, 2, 2).gamma,
+            lambda P=plant: control.hinfsyn(P, 2, 2)[2],
+        )
+    for count in (4, 12):
+        rng = np.random.default_rng(count)
+        M = rng.standard_normal((count, count)) + 1j * rng.standard_normal((count, count))
+        blocks, sizes = [[1, 0]] * count, np.ones(count, dtype=int)
+        yield (
+            f"mu, {count} complex scalars / slycot ab13md",
+            count,
+            lambda M=M, blocks=blocks: float(rl.mu(M, blocks).upper),
+            lambda M=M, sizes=sizes: slycot.ab13md(M, sizes, 2 * sizes)[0],
+        )
+
+
+def fastest(calls: tuple[Callable[[], object], ...], repeats: int, patience: float = 8.0) -> list[float]:
+    """Least CPU milliseconds of each call, called in turn; slow ones fewer times, at least three."""
+    for call in calls:
+        call()
+    least, started = [np.inf] * len(calls), time.process_time()
+    for turn in range(repeats):
+        for k, call in enumerate(calls):
+            before = time.process_time()
+            call()
+            least[k] = min(least[k], 1e3 * (time.process_time() - before))
+        if turn >= 2 and time.process_time() - started > patience:
+            break
+    return least
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="CPU time beside the peers.")
+    parser.add_argument("names", nargs="*", help="beginnings of comparisons; all where none are given")
+    parser.add_argument("--repeats", type=int, default=15)
+    options = parser.parse_args()
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("robustlab", "numpy", "scipy", "slycot", "control"))
+    load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    print(f"{datetime.date.today()}, Python {platform.python_version()}, {libraries}, {load}")
+    print(f"\n{'ours / peer':44s} {'size':>4s} {'ours ms':>9s} {'peer ms':>9s} {'ratio':>7s}")
+    warnings.simplefilter("ignore")
+    with one_thread():
+        for name, n, ours, peer in sorted(cases(), key=lambda case: case[0]):
+            if options.names and not any(name.startswith(wanted) for wanted in options.names):
+                continue
+            own, other = fastest((ours, peer), options.repeats)
+            print(f"{name:44s} {n:4d} {own:9.2f} {other:9.2f} {own / other:7.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

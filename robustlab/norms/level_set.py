@@ -1,0 +1,238 @@
+r"""The level-set search for the peak of a stable continuous model: where it is, and that nothing is higher.
+
+Gains along the axis come from the model's modes wherever the bound of their errors allows it (`modal_response`); what
+is reported, and what that bound leaves open, is solved for with A.
+
+References
+----------
+Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.matrix_equations import lapack
+from robustlab.modal_response import ModalResponse
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["TUNING", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
+
+EPS = float(np.finfo(float).eps)
+# A frequency, in the time unit of a model that is well scaled, at which only its direct term is left.
+BEYOND = 1e200
+
+
+@dataclass(frozen=True)
+class NormTuning:
+    """How hard the H-infinity norm is looked for; what is proved does not depend on it."""
+
+    # Levels before the bracket is given up as INACCURATE: most models need two or three.
+    levels: int = 60
+    # First grid, per decade between the poles: more find the highest peak at once, fewer leave it to the level test.
+    points_per_decade: int = 20
+    # Peaks that a zoom looks at, its steps and the points of each: a bracket shrinks by a factor of 12 in a step.
+    zoom_peaks: int = 6
+    zoom_steps: int = 6
+    zoom_points: int = 25
+    # A bracket is left where the fall from its top to the points beside it, times the first, is below the second.
+    zoom_rise: float = 4.0
+    zoom_flat: float = 1e-9
+    # Frequencies at which a model without any gain is looked at, besides those of its poles.
+    nothing_points: int = 200
+    # Peaks that a zoom looks at before the first level test, and the share of rtol that a quick gain may be off by.
+    first_peaks: int = 3
+    quick: float = 0.1
+
+
+TUNING = NormTuning()
+
+
+def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+    """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
+    size = np.abs(m.poles())
+    size = size[size > 1e-12 * size.max()]
+    rate = float(2.0 ** np.round(np.log2(np.median(size))))
+    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
+    level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
+    t = np.ones(m.n_states)
+    # Squares are all that balancing needs, and powers of two scale them without rounding; B and C weigh the same.
+    off, into, out = a**2, (b**2).sum(1), ((c * level) ** 2).sum(0)
+    np.fill_diagonal(off, 0.0)
+    for _ in range(20):
+        row, column = off.sum(1) + into + 1e-300, off.sum(0) + out + 1e-300
+        power = np.minimum(np.maximum(np.rint(0.5 * np.log2(row / column)), -40), 40)
+        if not (np.abs(power) > 1).any():  # what is left is a factor of two, and goes back and forth
+            break
+        # One state at a time would be Osborne's order; damped simultaneous steps need no Python loop over states.
+        power = np.where(np.abs(power) > 1, np.rint(0.5 * power), power)
+        factor = 2.0**power
+        t, square = t * factor, factor**2
+        off, into, out = off / square[:, None] * square, into / square, out * square
+    return m._with_matrices(a / t[:, None] * t, b / t[:, None], c * t, m.D, m.poles() / rate), rate
+
+
+def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
+    """``sigma_max`` at each frequency, shape (n_omega,)."""
+    response = frequency_response(m, omega)
+    if not np.isfinite(response).all():
+        raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
+    if min(m.n_inputs, m.n_outputs) == 1:
+        return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
+    return np.linalg.svd(response, compute_uv=False)[:, 0]
+
+
+def search_grid(m: StateSpaceModel, points: int) -> AnyArray:
+    """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
+    poles = m.poles()
+    if m.is_discrete:
+        poles = np.log(poles[np.abs(poles) > 1e-12]) / m.dt
+    size = np.abs(poles)
+    size = size[size > 0]
+    low, high = (size.min() / 10, size.max() * 10) if len(size) else (1e-1, 1e1)
+    resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
+    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, np.geomspace(low, high, points)])
+    if m.is_discrete:
+        return np.unique(np.append(omega[omega < np.pi / m.dt], np.pi / m.dt))
+    return np.append(np.unique(omega), np.inf)
+
+
+class _Gains:
+    """``sigma_max`` of a stable continuous model along the axis: from its modes where their errors do not matter."""
+
+    def __init__(self, m: StateSpaceModel, share: float) -> None:
+        self.model, self.share = m, share
+        self.modes = ModalResponse.of(m.A, m.B, m.C, m.D)
+        # Bound of |(jw I - A)^-1 B| at all frequencies so far.
+        self.reach = 0.0 if self.modes else np.inf
+
+    def searched(self, omega: AnyArray) -> AnyArray:
+        """Off by no more than ``share`` of the largest, or below 0.9 of it and from above: enough to look for peaks."""
+        if self.modes is None:
+            return largest_gains(self.model, omega)
+        gain, error, reach = self.modes.gains(1j * np.minimum(omega, BEYOND))
+        self.reach = max(self.reach, float(reach.max()))
+        highest = float((gain - error).max())
+        far = error > self.share * highest
+        if far.any():
+            gain = np.where(far, gain + error, gain)
+            doubtful = far & ~(gain <= 0.9 * highest)
+            if doubtful.any():
+                gain[doubtful] = largest_gains(self.model, omega[doubtful])
+        return gain
+
+    def proved(self, omega: AnyArray, level: float) -> AnyArray:
+        """From above where that is no more than the level; solved for with A everywhere else."""
+        if self.modes is None:
+            return largest_gains(self.model, omega)
+        gain, error, _ = self.modes.gains(1j * omega)
+        gain = gain + error
+        doubtful = ~(gain <= level)
+        if doubtful.any():
+            gain[doubtful] = largest_gains(self.model, omega[doubtful])
+        return gain
+
+    def rounding(self, omega: AnyArray, lower: float) -> float:
+        """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
+        m = self.model
+        out, direct = (4 * EPS * float(np.linalg.norm(part)) for part in (m.C, m.D))
+        if out * self.reach <= 0.1 * self.share * lower:  # the bound is coarse, and still nothing beside the norm
+            return out * self.reach + direct
+        states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
+        out, direct = (4 * EPS * float(np.linalg.norm(part, 2)) for part in (m.C, m.D))
+        return out * float(largest_gains(states, omega).max()) + direct
+
+
+def level_bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[float, float, float, bool]:
+    """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
+    size = np.abs(m.poles())
+    decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
+    gains, omega = _Gains(m, tuning.quick * rtol), search_grid(m, int(tuning.points_per_decade * decades))
+    sigma = gains.searched(omega)
+    floor = gains.rounding(omega, float(sigma.max()))
+    if floor == 0:
+        return 0.0, 0.0, 0.0, True
+    lower, at = _zoom(gains, omega, sigma, tuning, tuning.first_peaks, 0.1 * rtol)
+    trusted, upper = True, np.inf
+    for _ in range(tuning.levels):
+        upper = lower * (1 + rtol) + floor
+        new_omega = crossings(m, upper)
+        new_sigma = gains.proved(new_omega, upper)
+        omega, sigma = np.concatenate([omega, new_omega]), np.concatenate([sigma, new_sigma])
+        peak = int(np.argmax(new_sigma))
+        if new_sigma[peak] > upper:
+            lower, at = float(new_sigma[peak]), float(new_omega[peak])
+            continue
+        zoomed, zoomed_at = _zoom(gains, omega, sigma, tuning, tuning.zoom_peaks, tuning.zoom_flat)
+        if zoomed <= upper:
+            if zoomed > lower:
+                lower, at = zoomed, zoomed_at
+            return lower, at, upper, trusted
+        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say
+        # so.
+        lower, at = zoomed, zoomed_at
+        trusted = False
+    return lower, at, upper, False
+
+
+def crossings(m: StateSpaceModel, level: float) -> AnyArray:
+    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them."""
+    n, root = m.n_states, np.sqrt(level)
+    b, c, d = m.B / root, m.C / root, m.D / level
+    hamiltonian = np.empty((2 * n, 2 * n))
+    if d.any():
+        r, s = np.eye(m.n_inputs) - d.T @ d, np.eye(m.n_outputs) - d @ d.T
+        solved = np.linalg.solve(r, np.hstack([d.T @ c, b.T]))
+        a, into, out = m.A + b @ solved[:, :n], b @ solved[:, n:], c.T @ np.linalg.solve(s, c)
+    else:
+        a, into, out = m.A, b @ b.T, c.T @ c
+    hamiltonian[:n, :n], hamiltonian[:n, n:], hamiltonian[n:, :n], hamiltonian[n:, n:] = a, into, -out, -a.T
+    if not np.isfinite(hamiltonian).all():
+        raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
+    balanced = lapack().dgebal(hamiltonian, scale=1)[0]
+    crossing = np.unique(np.append(np.abs(np.linalg.eigvals(balanced).imag), 0.0))
+    between = 0.5 * (crossing[:-1] + crossing[1:])
+    beyond = [2 * crossing[-1], 10 * crossing[-1]]
+    return np.concatenate([crossing, between, beyond])
+
+
+def _zoom(
+    gains: _Gains, omega: AnyArray, sigma: AnyArray, tuning: NormTuning, most: int, flat: float
+) -> tuple[float, float]:
+    """Highest value near the highest local maxima of the points known so far, solved for with A, and its frequency."""
+    order = np.argsort(omega, kind="stable")
+    omega, sigma = omega[order], sigma[order]
+    new = np.ones(len(omega), dtype=bool)
+    new[1:] = omega[1:] > omega[:-1]
+    omega, sigma = omega[new], sigma[new]
+    best, at = float(sigma.max()), float(omega[np.argmax(sigma)])
+    high_enough, falls = (sigma >= 0.9 * best) & (omega < np.inf), sigma[1:] <= sigma[:-1]
+    high_enough[:-1] &= falls
+    high_enough[1:] &= ~falls | (sigma[1:] == sigma[:-1])
+    peaks = np.flatnonzero(high_enough)
+    peaks = peaks[np.argsort(-sigma[peaks])][:most]
+    low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
+    high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
+    share = np.linspace(0, 1, tuning.zoom_points)
+    for _ in range(tuning.zoom_steps if len(peaks) else 0):
+        points = low[:, None] + (high - low)[:, None] * share
+        values = gains.searched(points.ravel()).reshape(points.shape)
+        top = values.argmax(axis=1)
+        rows = np.arange(len(points))
+        k = int(values[rows, top].argmax())
+        if values[k, top[k]] > best:
+            best, at = float(values[k, top[k]]), float(points[k, top[k]])
+        before, after = np.maximum(top - 1, 0), np.minimum(top + 1, tuning.zoom_points - 1)
+        low, high = points[rows, before], points[rows, after]
+        # Between the points next to the top of a smooth peak nothing rises by more than it fell towards them.
+        rise = values[rows, top] - np.minimum(values[rows, before], values[rows, after])
+        open_ = values[rows, top] + tuning.zoom_rise * rise > best * (1 + flat)
+        if not open_.any():
+            break
+        low, high = low[open_], high[open_]
+    return float(largest_gains(gains.model, np.array([at]))[0]), at
