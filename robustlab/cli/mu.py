@@ -133,7 +133,7 @@ def mu(
     if voices.cross_check:
         from robustlab.mu_analysis.cross_check import cross_check
 
-        check = cross_check(uncertain, result)
+        check = cross_check(uncertain, cast("Margin | WorstCaseGain", result))
         text += f"\nSLICOT: {check.said}"
         more["cross_check"], trusted = check, trusted and check.status.trustworthy
     output.keep(result)

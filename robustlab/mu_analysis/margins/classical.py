@@ -285,7 +285,7 @@ def _log_gain(response: AnyArray) -> Array:
 def _imaginary(response: AnyArray) -> Array:
     """Sine of the angle to the real axis: no matter how small or large L is."""
     size = np.abs(response)
-    return np.divide(response.imag, size, out=np.zeros(len(size)), where=(size > 0) & np.isfinite(size))
+    return np.divide(np.imag(response), size, out=np.zeros(len(size)), where=(size > 0) & np.isfinite(size))
 
 
 def _crossings(L: StateSpaceModel, candidates: Array, height: Any) -> Iterator[float]:
@@ -314,7 +314,8 @@ def _root(L: StateSpaceModel, height: Any, low: float, high: float) -> float:
     def at(x: float) -> float:
         return float(height(_response(L, np.array([math.exp(x)])))[0])
 
-    root: Any = brentq(at, math.log(low), math.log(high), xtol=1e-15, rtol=1e-15)
+    solve: Any = brentq
+    root = solve(at, math.log(low), math.log(high), xtol=1e-15, rtol=1e-15)
     return math.exp(root)
 
 

@@ -39,7 +39,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
@@ -432,7 +431,7 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
         if model is centre:
             continue
         above, below = (centre, model) if inverse else (model, centre)  # numerator and denominator of the error
-        parts = [above.poles()] if form != "inverse-additive" else [transmission_zeros(centre)]
+        parts: list[AnyArray] = [above.poles() if form != "inverse-additive" else transmission_zeros(centre)]
         parts.append(centre.poles() if form == "additive" else transmission_zeros(below))
         singular = np.concatenate(parts)
         bad = _pole_that_stays(model, centre, form, singular)
@@ -442,12 +441,10 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
             raise NoTrustworthyNumber(f"cover: form {form}", text, "a stable one", hint)
 
 
-def _pole_that_stays(
-    model: StateSpaceModel, centre: StateSpaceModel, form: Form, singular: NDArray[np.complex128]
-) -> complex | None:
+def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form, singular: AnyArray) -> complex | None:
     scale = float(np.abs(singular).max(initial=0.0)) or 1.0
     size = np.maximum(np.abs(singular), 1e-6 * scale)
-    margin = np.abs(singular) - 1.0 if model.is_discrete else singular.real / size
+    margin = np.abs(singular) - 1.0 if model.is_discrete else np.real(singular) / size
     outside = margin >= -BOUNDARY
     kept = singular[~outside]
     for p in singular[outside].tolist():
