@@ -131,7 +131,7 @@ class UncertainFromStep(Step):
     amplitude: dict[str, Positive | AmplitudePair] = Field(
         {}, description="Of the signal of a joint, position, input or output: at which the effects are described there."
     )
-    dry: Literal["load", "gain", "both"] | None = Field(
+    dry: Literal["gain", "load", "both"] | None = Field(
         None,
         description="Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the "
         "describing function; where left out, a gain where an amplitude is given, else a load.",
