@@ -82,7 +82,7 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
         except RobustlabError:
             time.sleep(0.02)
     worker.send_signal(signal.SIGKILL)
-    out, _ = run.communicate(timeout=120)
+    out, _ = run.communicate(timeout=400)
     assert run.returncode == 0, (tmp_path / "log.txt").read_text(encoding="utf-8")
     result = json.loads(out)
     assert (result["done"], result["lost"], result["status"]) == (N, 0, "converged")

@@ -96,6 +96,8 @@ def lmi_controllers(
         Every solve is counted there, and none is begun once it is over.
     """
     n = p.sizes[0]
+    if not n:  # matrices without rows are no variables of an LMI
+        return [], "the LMI was not tried: no states"
     if n > tuning.lmi_states:
         return [], f"the LMI was not tried: {n} states, at most {tuning.lmi_states}"
     scaled = scaling.apply(p)
