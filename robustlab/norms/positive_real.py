@@ -115,7 +115,7 @@ class Passivity(Shown):
 def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
     r"""Relative passivity index R as a proved bracket, and the input passivity index.
 
-    .. math:: R = \|(I - G)(I + G)^{-1}\|_\infty, \qquad G \text{ passive} \iff R \le 1, \qquad
+    .. math:: R = \|(I - G)(I + G)^{-1}\|_\infty, \qquad G \text{ passive} \Leftrightarrow R \le 1, \qquad
         \nu = \inf_\omega \tfrac{1}{2} \lambda_{min}(G(j\omega) + G(j\omega)^*)
 
     R < 1: the model stays passive in spite of a shortage elsewhere; R > 1: it lacks passivity by that factor. Poles on

@@ -136,7 +136,7 @@ def d2d(model: Any, dt: float, method: Hold = "zoh") -> Resampled:
 
     With ``"zoh"`` and a whole multiple k of the sample time, k steps are one, whatever the poles:
 
-    .. math:: x_{i+k} = A_d^k x_i + (A_d^{k-1} + \dots + A_d + I) B_d u_i
+    .. math:: x_{i+k} = A_d^k x_i + (A_d^{k-1} + \cdots + A_d + I) B_d u_i
 
     Every other case goes through continuous time: `d2c`, then `discretise`.
 
