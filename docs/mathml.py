@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from docutils import nodes
@@ -10,9 +11,13 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util.logging import getLogger
 
 
+# TeX takes one sign for an argument without braces; the converter takes the whole number, and 12 over what follows.
+UNBRACED = re.compile(r"(\\[dt]?frac)\s*([0-9a-zA-Z])\s*([0-9a-zA-Z]|\\[a-zA-Z]+)")
+
+
 def _mathml(node: Any, display: bool) -> str:
     try:
-        return tex2mathml(node.astext(), as_block=display)
+        return tex2mathml(UNBRACED.sub(r"\1{\2}{\3}", node.astext()), as_block=display)
     except MathError as error:  # a warning ends a build with -W, and this one says where
         getLogger(__name__).warning("%s in: %s", error, node.astext(), location=node)
         return ""
