@@ -10,7 +10,6 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util.logging import getLogger
 
-
 # TeX takes one sign for an argument without braces; the converter takes the whole number, and 12 over what follows.
 UNBRACED = re.compile(r"(\\[dt]?frac)\s*([0-9a-zA-Z])\s*([0-9a-zA-Z]|\\[a-zA-Z]+)")
 
