@@ -51,7 +51,9 @@ def test_ends():
         StateSpaceModel([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [rl.RealScalar("nothing")]
     )
     found = rl.robust_gain(still, 2.0)
-    assert (found.lower, found.upper, found.delta) == (np.inf, np.inf, {})
+    assert (found.upper, found.delta, found.status) == (np.inf, {}, "certified")
+    assert 2.0**15 <= found.lower < np.inf  # what was proved, and no more
+    assert found.proof.upper <= 2.0
 
 
 def test_bad_input():

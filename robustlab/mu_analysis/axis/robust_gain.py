@@ -32,7 +32,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["RobustGain", "robust_gain"]
 
-# Sets this many times as large as given, none of whose members reaches the level, count as all of them.
+# Sets more than this many times as large as given are not looked at.
 LARGEST = 2.0**20
 ROUNDS = 24
 PATIENT = 6  # sizes
@@ -50,7 +50,8 @@ class RobustGain(Shown):
     lower, upper
         ``lower <= margin <= upper``: all members of size up to ``lower`` have a gain of at most ``level``, proved; the
         member ``delta``, of size ``upper``, reaches it. Above 1 the set as given keeps the level. Both are 0 where the
-        nominal model reaches the level already, and inf where no member does.
+        nominal model reaches the level already. Where no member of a set up to 2^20 times as large reaches it,
+        ``lower`` is the largest size that was proved, and ``upper`` inf: none was found.
     level
         gamma.
     frequency
@@ -62,7 +63,8 @@ class RobustGain(Shown):
     proof
         The worst-case gain of the set times ``lower``: its ``upper`` is at most ``level``. None where lower is 0.
     status
-        CERTIFIED where both ends are within the tolerance; INCONCLUSIVE where they are not; TIMEOUT.
+        CERTIFIED where both ends are within the tolerance, or ``lower`` is so large that nothing larger was looked at;
+        else INCONCLUSIVE, or TIMEOUT.
     """
 
     lower: float
@@ -234,9 +236,7 @@ def _result(uncertain: UncertainModel, search: _Search, tolerance: float, timed_
     if reached is not None:
         delta = {name: np.asarray(value)[()] * search.upper for name, value in reached.delta.items()}
     lower, upper = search.lower, search.upper
-    if not np.isfinite(upper) and search.points[-1][0] * 2 > LARGEST and lower == search.points[-1][0]:
-        lower = np.inf
-    close = lower == upper or upper <= lower * (1 + tolerance)
+    close = upper <= lower * (1 + tolerance) or (np.isinf(upper) and lower * 32 > LARGEST)
     status = Status.CERTIFIED if close else Status.TIMEOUT if timed_out else Status.INCONCLUSIVE
     physical = uncertain.physical(delta) if delta else {}
     frequency = None if reached is None else reached.frequency
