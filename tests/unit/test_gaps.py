@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from robustlab.identification.naming.gaps import held_out_gaps
 
 AXIS = rl.plant("servo-axis")
 HEAVIER = 1.25
+DEMO = Path(__file__).parents[2] / "recipes" / "data" / "motor_record.csv"
 N, DT, LENGTH = 1000, 2e-3, 100
 T = np.arange(N) * DT
 U = 1.5 * np.sin(2 * np.pi * 1.3 * T) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 20), 50)
@@ -139,3 +141,23 @@ def test_the_range_is_the_largest_of_all_records():
     lacking = replace(ready, y=np.where([True, False], ready.y, np.nan))
     assert spans([ready, wide, lacking]) == pytest.approx(3.0 * np.ptp(ready.y, axis=0))
     assert spans([lacking])[1] == 0.0
+
+
+def test_a_wrong_model_starts_where_the_sensors_say_and_not_where_its_errors_pull():
+    """The demo's motor has friction that the model lacks: errors are 500 times the encoder's noise."""
+    motor = rl.plant("dc-motor")
+    run = rl.Record.read(DEMO, inputs=["u"], outputs=["phi", "i"])
+    ready = prepare(motor, port_model(motor), run, 381, {})
+    problem = Problem(motor, [ready], nuisance_parameters(motor, stated_tolerances(motor, None)))
+    noise, z = NoiseModel(ready.smoothed.noise_std, np.zeros((0, 2))), np.zeros(len(problem.nuisances))
+    given = Fit(Hypothesis(()), z, (), 0.0, np.zeros(0), np.eye(0), noise, 0)
+    found = held_out_gaps(problem, dict.fromkeys(("nominal", "refitted", "updated"), given))
+    simulated = rl.simulate(motor, run.t, run.inputs["u"])  # from rest, as the record begins
+    for name in ("phi", "i"):
+        assert found.free_run[name].nominal == pytest.approx(rms(simulated[name] - run.outputs[name]), rel=0.15)
+    # A model that starts anew is not further away than one that never does, up to the speed that it cannot hold.
+    assert found.windows["i"].nominal < 1.3 * found.free_run["i"].nominal
+    assert found.windows["phi"].nominal < found.free_run["phi"].nominal
+    first = found.series["outputs"]["i"]
+    step = ready.windows.length
+    assert np.abs(first["nominal"][::step] - first["measured"][::step]).max() < 1.0  # was 60 A

@@ -18,7 +18,7 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
-from robustlab.identification.hypotheses.noise import clearly_larger, first_noise, spans, window_errors
+from robustlab.identification.hypotheses.noise import clearly_larger, first_noise, least_squares, spans, window_errors
 from robustlab.identification.hypotheses.phase import in_phase
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.discovery_parts import Gap
@@ -82,8 +82,15 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[Prep
 
 
 def _placed(problem: Problem, fit: Fit) -> Fit:
-    """The fit with its starts found anew by least squares: what sensors tell of a start, every model is granted."""
-    return problem.fit(fit.hypothesis, first_noise(problem), fit.z, plan=FitPlan(8, 0.5, fixed=True))
+    """The fit with its starts found anew by least squares: what sensors tell of a start, every model is granted.
+
+    Errors count by the size that this model's errors have, not by that of the sensors' noise: where a model lacks
+    something, errors of 500 times the noise would drive a start hundreds of its standard deviations away.
+    """
+    start = replace(fit, starts=tuple(np.zeros((len(c), len(problem.plant.states))) for c in problem.chosen))
+    for _ in range(2):  # the size of the errors is itself better known from better starts
+        start = least_squares(problem, start, first_noise(problem), FitPlan(8, 0.5, fixed=True))
+    return start
 
 
 def _unbroken(record: PreparedRecord) -> PreparedRecord:

@@ -148,6 +148,11 @@ class _Weight:
         """At the place that makes the set most probable."""
         return max(windows.log_likelihood for windows, _ in self.places) - self.price
 
+    @property
+    def random_share(self) -> float:
+        """Random force that it takes, of the force that moves the port; the largest over the places."""
+        return max(windows.alone.size for windows, _ in self.places)
+
     @cached_property
     def left(self) -> tuple[Unnamed, ...]:
         """What it leaves, place by place; nothing where its equations are singular."""
@@ -171,7 +176,9 @@ def weigh(found: Found) -> Posterior:
     # the simulated windows have the say, and a force only tells whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.beyond_noise
     looked = _contenders(ordered, tuning) if near else []
-    weights = {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}
+    weights = _as_machines_have(
+        {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}, tuning.most_random
+    )
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
@@ -201,6 +208,17 @@ def weigh(found: Found) -> Posterior:
     collection = tuple(_collected(sets, tuning.sure, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
     return Posterior(tuple(sets), collection, generalises, left)
+
+
+def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
+    """The weights of those sets whose random force is no larger than that of a machine, where there are such sets.
+
+    A larger one is no noise: it stands for what is missing, and follows the next sample better than any law does, all
+    the more where the law has the machine stick, of which a force tells nothing. Those sets stay as far behind as their
+    simulated windows were.
+    """
+    own = {key: weight for key, weight in weights.items() if weight.random_share < most}
+    return own or weights
 
 
 def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
