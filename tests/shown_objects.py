@@ -217,6 +217,7 @@ OBJECTS: dict[str, Any] = {
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
     "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),
+    "LqgSynthesis": lambda: rl.lqg(lag(), [[1.0]], [[1.0]], [[1.0]], [[1.0]], disturbance="constant"),
     "StateFeedback": lambda: rl.lqr(spring().nominal, np.eye(2), [[1.0]]),
     "PerformanceLimits": lambda: rl.performance_limits(spring().nominal),
     "DesignWeights": lambda: rl.design_weights(bandwidth=10.0, control_limit=5.0, noise_from=2.0),

@@ -270,6 +270,64 @@ def ncf(
     output.finish("synth ncf", design(model, *weights, factor=factor), file)
 
 
+@dataclass(frozen=True)
+class GaussianOptions:
+    """Weights and noises of a linear-quadratic-Gaussian design: a number for all, or a,b,... for each on its own."""
+
+    q: Annotated[str, typer.Option("--q", help="Cost of the states: a number, or one for each: a,b.")] = "1"
+    r: Annotated[str, typer.Option("--r", help="Cost of the controls.")] = "1"
+    w: Annotated[str, typer.Option("--w", help="Intensity of the noise on the states.")] = "1"
+    v: Annotated[str, typer.Option("--v", help="Intensity of the noise on the measurements.")] = "1"
+    disturbance: Annotated[
+        str | None,
+        typer.Option("--disturbance", help="constant, the frequency of a sinusoid in rad/s, or the file of a filter."),
+    ] = None
+    at: Annotated[
+        str, typer.Option("--at", help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
+    ] = "input"
+    channels: Annotated[str | None, typer.Option("--channels", help="On which of them: a,b; all.")] = None
+    disturbance_noise: Annotated[str, typer.Option("--disturbance-noise", help="Intensity of its noise.")] = "1"
+    regulated: Annotated[str | None, typer.Option("--regulated", help="Outputs that it must leave: a,b; all.")] = None
+
+    def design(self, model: StateSpaceModel) -> Synthesis:
+        """The design for a model."""
+        import numpy as np
+
+        from robustlab.synthesis.h2.gaussian_regulator import lqg as design
+
+        sizes = (model.n_states, model.n_inputs, model.n_states, model.n_outputs)
+        weights = [
+            np.diag(np.broadcast_to(_numbers(f"--{name}", getattr(self, name), size), (size,)))
+            for name, size in zip("qrwv", sizes, strict=True)
+        ]
+        text = self.disturbance
+        given = text if text is None or text == "constant" else _number_or_model(text)
+        named = [None if text is None else names(text) for text in (self.channels, self.regulated)]
+        noise, at = (
+            _numbers("--disturbance-noise", self.disturbance_noise),
+            "output" if self.at == "output" else "input",
+        )
+        if self.at != at:
+            raise UsageError("--at", repr(self.at), "input or output")
+        return design(
+            model, *weights, disturbance=given, at=at, channels=named[0], disturbance_noise=noise, regulated=named[1]
+        )
+
+
+@app.command()
+@grouped
+def lqg(*, file: FileArgument, signals: SignalOptions, weights: GaussianOptions, output: QuietDesignOutput) -> None:
+    """Linear-quadratic-Gaussian controller u = K y (positive feedback), with disturbances that its filter estimates.
+
+    Of a constant or sinusoidal disturbance nothing is left in the regulated outputs. The summary has the disk margins:
+    LQG guarantees none. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth lqg motor.h5 --outputs omega --q 1 --r 0.1 --disturbance constant --out controller.h5
+    """
+    output.check()
+    output.finish("synth lqg", weights.design(signals.model(file)), file)
+
+
 @app.command()
 @grouped
 def dk(
@@ -554,6 +612,14 @@ def _number(where: str, text: str) -> float:
         return float(text)
     except ValueError:
         raise UsageError(where, f"{text.strip()!r}", "a number") from None
+
+
+def _numbers(option: str, text: str, most: int | None = None) -> list[float]:
+    """One number, or as many as there are channels."""
+    found = [_number(option, part) for part in names(text)]
+    if most is not None and len(found) not in (1, most):
+        raise UsageError(option, f"{len(found)} numbers", f"one, or {most}")
+    return found
 
 
 def _weight(option: str, text: str | None, make: Any) -> Any:
