@@ -213,6 +213,9 @@ OBJECTS: dict[str, Any] = {
     ),
     "NcfSynthesis": lambda: rl.ncf(lag()),
     "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),
+    "TwoDegreeSynthesis": lambda: rl.ncf(
+        lag(), 2.0, reference_model=rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    ),
     "FixedSynthesis": lambda: rl.fixed_structure(problem(), "static", n_meas=1, n_con=1, starts=1),
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),

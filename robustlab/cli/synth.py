@@ -253,12 +253,19 @@ def ncf(
     w2: Annotated[str | None, typer.Option("--w2", help="Behind the plant: a number or a model file.")] = None,
     signals: SignalOptions,
     factor: Annotated[float, typer.Option("--factor", help="Back-off from the smallest gamma, above 1.")] = 1.1,
+    reference_model: Annotated[
+        str | None,
+        typer.Option("--reference-model", help="Two degrees of freedom: what the outputs are to do, a file."),
+    ] = None,
+    rho: Annotated[float, typer.Option("--rho", help="With it: weight of following it, 1 to 3.")] = 1.0,
+    follow: Annotated[str | None, typer.Option("--follow", help="With it: the outputs that follow: a,b; all.")] = None,
     output: QuietDesignOutput,
 ) -> None:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
     Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
-    Exit code 4: no controller could be vouched for.
+    With a reference model the controller takes references too, u = K [r; y]. Exit code 4: no controller could be
+    vouched for.
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
@@ -267,7 +274,12 @@ def ncf(
     output.check()
     model = signals.model(file)
     weights = [None if text is None else _number_or_model(text) for text in (w1, w2)]
-    output.finish("synth ncf", design(model, *weights, factor=factor), file)
+    if reference_model is None:
+        output.finish("synth ncf", design(model, *weights, factor=factor), file)
+        return
+    wanted, outputs = _number_or_model(reference_model), None if follow is None else names(follow)
+    found = design(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
+    output.finish("synth ncf", found, file)
 
 
 @dataclass(frozen=True)

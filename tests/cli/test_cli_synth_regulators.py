@@ -92,3 +92,23 @@ def test_a_recipe_with_lqg(tmp_path, monkeypatch):
     mass = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]])
     same = rl.lqg(mass, np.diag([1.0, 2.0]), [[0.5]], np.eye(2), np.eye(1), disturbance="constant")
     assert found["numbers"]["gamma"] == pytest.approx(same.gamma, rel=1e-9)
+
+
+def test_ncf_with_a_reference_model(lag, tmp_path, monkeypatch, capsys):
+    wanted = rl.StateSpaceModel([[-2.0]], [[2.0]], [[1.0]], [[0.0]])
+    rl.save(tmp_path / "t.h5", wanted)
+    out = tmp_path / "k.h5"
+    given = ["--w1", "4", "--reference-model", tmp_path / "t.h5", "--rho", "2", "--follow", "y", "--out", out, "--json"]
+    assert run("ncf", lag, *given) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["status"] == "certified"
+    assert found["steady_error"] < 1e-9
+    assert rl.load(out).K.input_names == ("y reference taken", "y measured")
+    chain = (
+        '[step.other]\ndo = "plant"\nplant = "mass-spring-damper"\nchoices = { m = [1.0], c = [1.6], k = [1.0] }\n'
+        '[step.wanted]\ndo = "linearise"\nof = "other"\noutputs = ["q"]\n'
+        '[step.k]\ndo = "ncf"\nof = "model"\nW1 = 4.0\nreference_model = "wanted"\nrho = 2.0\n'
+    )
+    numbers = steps_of(chain, tmp_path, monkeypatch)["k"]["numbers"]
+    assert numbers["steady_error"] < 1e-9
+    assert numbers["rho"] == 2.0

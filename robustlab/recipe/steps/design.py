@@ -205,12 +205,21 @@ class NcfStep(Step):
     W1: Positive | None = Field(None, description="Gain before the plant.")
     W2: Positive | None = Field(None, description="Gain behind the plant.")
     factor: Annotated[float, Field(gt=1, le=100)] = 1.1
+    reference_model: ToModel | None = Field(
+        None, description="Two degrees of freedom, u = K [r; y]: what the outputs are to do."
+    )
+    rho: Positive = Field(1.0, description="Weight of following the reference model.")
+    follow: list[str] | None = Field(None, description="Outputs that follow it; all where left out.")
 
     def run(self, work: Workspace) -> Outcome:
         """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
         from robustlab.report.design_figures import functions_picture
 
-        found = rl.ncf(work.values[self.of], self.W1, self.W2, factor=self.factor)
+        options: dict[str, Any] = {"factor": self.factor}
+        if self.reference_model is not None:
+            wanted = work.values[self.reference_model]
+            options |= {"reference_model": wanted, "rho": self.rho, "outputs": self.follow}
+        found = rl.ncf(work.values[self.of], self.W1, self.W2, **options)
         _draw_loop(found, work)
         work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
         return designed(found, f"Loop-shaping controller for {self.of}.", work)
