@@ -97,7 +97,7 @@ _PUBLIC = {
     "loop_functions": "synthesis.specifications.loop_functions",
     "loop_functions_of": "synthesis.specifications.loop_functions",
     "lqr": "synthesis.h2.state_feedback",
-    "lqg": "synthesis.h2.state_feedback",
+    "lqg": "synthesis.h2.gaussian_regulator",
     "place": "synthesis.h2.state_feedback",
     "kalman": "synthesis.h2.kalman_filter",
     "lqi": "synthesis.h2.integral_feedback",

@@ -61,11 +61,11 @@ from robustlab.structural import controllability as controllability
 from robustlab.structural import observability as observability
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
+from robustlab.synthesis.h2.gaussian_regulator import lqg as lqg
 from robustlab.synthesis.h2.h2_synthesis import h2 as h2
 from robustlab.synthesis.h2.integral_feedback import lqi as lqi
 from robustlab.synthesis.h2.kalman_filter import kalman as kalman
 from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
-from robustlab.synthesis.h2.state_feedback import lqg as lqg
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
 from robustlab.synthesis.h2.state_feedback import place as place
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as hinf

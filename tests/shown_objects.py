@@ -213,10 +213,14 @@ OBJECTS: dict[str, Any] = {
     ),
     "NcfSynthesis": lambda: rl.ncf(lag()),
     "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),
+    "TwoDegreeSynthesis": lambda: rl.ncf(
+        lag(), 2.0, reference_model=rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    ),
     "FixedSynthesis": lambda: rl.fixed_structure(problem(), "static", n_meas=1, n_con=1, starts=1),
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
     "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),
+    "LqgSynthesis": lambda: rl.lqg(lag(), [[1.0]], [[1.0]], [[1.0]], [[1.0]], disturbance="constant"),
     "StateFeedback": lambda: rl.lqr(spring().nominal, np.eye(2), [[1.0]]),
     "PerformanceLimits": lambda: rl.performance_limits(spring().nominal),
     "DesignWeights": lambda: rl.design_weights(bandwidth=10.0, control_limit=5.0, noise_from=2.0),

@@ -253,12 +253,19 @@ def ncf(
     w2: Annotated[str | None, typer.Option("--w2", help="Behind the plant: a number or a model file.")] = None,
     signals: SignalOptions,
     factor: Annotated[float, typer.Option("--factor", help="Back-off from the smallest gamma, above 1.")] = 1.1,
+    reference_model: Annotated[
+        str | None,
+        typer.Option("--reference-model", help="Two degrees of freedom: what the outputs are to do, a file."),
+    ] = None,
+    rho: Annotated[float, typer.Option("--rho", help="With it: weight of following it, 1 to 3.")] = 1.0,
+    follow: Annotated[str | None, typer.Option("--follow", help="With it: the outputs that follow: a,b; all.")] = None,
     output: QuietDesignOutput,
 ) -> None:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
     Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
-    Exit code 4: no controller could be vouched for.
+    With a reference model the controller takes references too, u = K [r; y]. Exit code 4: no controller could be
+    vouched for.
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
@@ -267,7 +274,70 @@ def ncf(
     output.check()
     model = signals.model(file)
     weights = [None if text is None else _number_or_model(text) for text in (w1, w2)]
-    output.finish("synth ncf", design(model, *weights, factor=factor), file)
+    if reference_model is None:
+        output.finish("synth ncf", design(model, *weights, factor=factor), file)
+        return
+    wanted, outputs = _number_or_model(reference_model), None if follow is None else names(follow)
+    found = design(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
+    output.finish("synth ncf", found, file)
+
+
+@dataclass(frozen=True)
+class GaussianOptions:
+    """Weights and noises of a linear-quadratic-Gaussian design: a number for all, or a,b,... for each on its own."""
+
+    q: Annotated[str, typer.Option("--q", help="Cost of the states: a number, or one for each: a,b.")] = "1"
+    r: Annotated[str, typer.Option("--r", help="Cost of the controls.")] = "1"
+    w: Annotated[str, typer.Option("--w", help="Intensity of the noise on the states.")] = "1"
+    v: Annotated[str, typer.Option("--v", help="Intensity of the noise on the measurements.")] = "1"
+    disturbance: Annotated[
+        str | None,
+        typer.Option("--disturbance", help="constant, the frequency of a sinusoid in rad/s, or the file of a filter."),
+    ] = None
+    at: Annotated[
+        str, typer.Option("--at", help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
+    ] = "input"
+    channels: Annotated[str | None, typer.Option("--channels", help="On which of them: a,b; all.")] = None
+    disturbance_noise: Annotated[str, typer.Option("--disturbance-noise", help="Intensity of its noise.")] = "1"
+    regulated: Annotated[str | None, typer.Option("--regulated", help="Outputs that it must leave: a,b; all.")] = None
+
+    def design(self, model: StateSpaceModel) -> Synthesis:
+        """The design for a model."""
+        import numpy as np
+
+        from robustlab.synthesis.h2.gaussian_regulator import lqg as design
+
+        sizes = (model.n_states, model.n_inputs, model.n_states, model.n_outputs)
+        weights = [
+            np.diag(np.broadcast_to(_numbers(f"--{name}", getattr(self, name), size), (size,)))
+            for name, size in zip("qrwv", sizes, strict=True)
+        ]
+        text = self.disturbance
+        given = text if text is None or text == "constant" else _number_or_model(text)
+        named = [None if text is None else names(text) for text in (self.channels, self.regulated)]
+        noise, at = (
+            _numbers("--disturbance-noise", self.disturbance_noise),
+            "output" if self.at == "output" else "input",
+        )
+        if self.at != at:
+            raise UsageError("--at", repr(self.at), "input or output")
+        return design(
+            model, *weights, disturbance=given, at=at, channels=named[0], disturbance_noise=noise, regulated=named[1]
+        )
+
+
+@app.command()
+@grouped
+def lqg(*, file: FileArgument, signals: SignalOptions, weights: GaussianOptions, output: QuietDesignOutput) -> None:
+    """Linear-quadratic-Gaussian controller u = K y (positive feedback), with disturbances that its filter estimates.
+
+    Of a constant or sinusoidal disturbance nothing is left in the regulated outputs. The summary has the disk margins:
+    LQG guarantees none. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth lqg motor.h5 --outputs omega --q 1 --r 0.1 --disturbance constant --out controller.h5
+    """
+    output.check()
+    output.finish("synth lqg", weights.design(signals.model(file)), file)
 
 
 @app.command()
@@ -554,6 +624,14 @@ def _number(where: str, text: str) -> float:
         return float(text)
     except ValueError:
         raise UsageError(where, f"{text.strip()!r}", "a number") from None
+
+
+def _numbers(option: str, text: str, most: int | None = None) -> list[float]:
+    """One number, or as many as there are channels."""
+    found = [_number(option, part) for part in names(text)]
+    if most is not None and len(found) not in (1, most):
+        raise UsageError(option, f"{len(found)} numbers", f"one, or {most}")
+    return found
 
 
 def _weight(option: str, text: str | None, make: Any) -> Any:

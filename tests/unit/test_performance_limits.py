@@ -9,7 +9,7 @@ from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.invariant_zeros import transmission_zeros
 from robustlab.statespace import StateSpaceModel, series
-from robustlab.synthesis.h2.state_feedback import lqg
+from robustlab.synthesis.h2.gaussian_regulator import lqg
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.synthesis.specifications.loop_functions import loop_functions

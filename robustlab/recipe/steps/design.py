@@ -148,6 +148,53 @@ class H2Step(DesignStep):
         return designed(found, f"H2 controller for {self.of}.", work)
 
 
+Diagonal = Positive | list[Annotated[float, Field(ge=0)]]
+
+
+@step
+class LqgStep(Step):
+    """Linear-quadratic-Gaussian controller (u = K y, positive feedback) whose filter may know a disturbance.
+
+    Weights are one number for all, or one for each state, control, or measurement.
+    """
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["lqg"]
+    of: ToModel
+    Q: Diagonal = Field(1.0, description="Cost of the states.")
+    R: Diagonal = Field(1.0, description="Cost of the controls.")
+    W: Diagonal = Field(1.0, description="Intensity of the noise on the states.")
+    V: Diagonal = Field(1.0, description="Intensity of the noise on the measurements.")
+    disturbance: Literal["constant"] | Positive | None = Field(
+        None, description='"constant", or the frequency of a sinusoid in rad/s.'
+    )
+    at: Literal["input", "output"] = Field("input", description="Where the disturbance adds.")
+    channels: list[str] | None = Field(None, description="On which inputs or outputs; all where left out.")
+    disturbance_noise: Positive = Field(1.0, description="The larger, the faster the disturbance is estimated.")
+    regulated: list[str] | None = Field(None, description="Outputs that it must leave; all where left out.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """An LQG controller, verified in the loop rebuilt from it."""
+        import numpy as np
+
+        from robustlab.report.design_figures import functions_picture
+        from robustlab.statespace import as_model
+
+        model = as_model(work.values[self.of], self.of)
+        sizes = {"Q": model.n_states, "R": model.n_inputs, "W": model.n_states, "V": model.n_outputs}
+        weights = []
+        for name, size in sizes.items():
+            given = np.atleast_1d(getattr(self, name))
+            if len(given) not in (1, size):
+                raise InputError(name, f"{len(given)} numbers", f"one, or {size}")
+            weights.append(np.diag(np.broadcast_to(given, (size,))))
+        options = self.model_dump(include={"disturbance", "at", "channels", "disturbance_noise", "regulated"})
+        found = rl.lqg(model, *weights, **options)
+        _draw_loop(found, work)
+        work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
+        return designed(found, f"LQG controller for {self.of}.", work)
+
+
 @step
 class NcfStep(Step):
     """Loop shaping with normalised coprime factors (u = K y, positive feedback); gamma_min is exact."""
@@ -158,12 +205,21 @@ class NcfStep(Step):
     W1: Positive | None = Field(None, description="Gain before the plant.")
     W2: Positive | None = Field(None, description="Gain behind the plant.")
     factor: Annotated[float, Field(gt=1, le=100)] = 1.1
+    reference_model: ToModel | None = Field(
+        None, description="Two degrees of freedom, u = K [r; y]: what the outputs are to do."
+    )
+    rho: Positive = Field(1.0, description="Weight of following the reference model.")
+    follow: list[str] | None = Field(None, description="Outputs that follow it; all where left out.")
 
     def run(self, work: Workspace) -> Outcome:
         """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
         from robustlab.report.design_figures import functions_picture
 
-        found = rl.ncf(work.values[self.of], self.W1, self.W2, factor=self.factor)
+        options: dict[str, Any] = {"factor": self.factor}
+        if self.reference_model is not None:
+            wanted = work.values[self.reference_model]
+            options |= {"reference_model": wanted, "rho": self.rho, "outputs": self.follow}
+        found = rl.ncf(work.values[self.of], self.W1, self.W2, **options)
         _draw_loop(found, work)
         work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
         return designed(found, f"Loop-shaping controller for {self.of}.", work)

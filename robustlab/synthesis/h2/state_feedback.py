@@ -1,4 +1,4 @@
-"""State feedback by Riccati equation or pole placement, and LQG output feedback; closed loops are verified."""
+"""State feedback by Riccati equation or pole placement; closed loops are verified."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ from robustlab.magnitude import balancing_exponents, is_moderate, refuse_overflo
 from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
-from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
+from robustlab.statespace import StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
-from robustlab.synthesis.h2.h2_synthesis import H2Synthesis, synthesize_h2
-from robustlab.synthesis.h2.tuning import TUNING
-from robustlab.synthesis.problem.design import design_budget
-from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 
-__all__ = ["StateFeedback", "checked_weight", "lqg", "lqr", "place", "require_definite", "require_semidefinite"]
+__all__ = [
+    "StateFeedback",
+    "checked_weight",
+    "lqr",
+    "place",
+    "require_definite",
+    "require_semidefinite",
+    "semidefinite_root",
+]
 
 
 # Eigenvalues of a weight below this share of its largest count as zero.
@@ -194,84 +198,6 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     return StateFeedback(K, reached, status, f"poles miss their places by {miss / size:.1e} of the largest at most")
 
 
-@told_as("synth lqg")
-def lqg(
-    G: Any,
-    Q: ArrayLike,
-    R: ArrayLike,
-    W: ArrayLike,
-    V: ArrayLike,
-    *,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-) -> H2Synthesis:
-    r"""Linear-quadratic-Gaussian controller ``u = K y``, with *positive* feedback as everywhere in this package.
-
-    .. math:: \dot x = A x + B u + w, \quad y = C x + D u + v, \qquad
-        \min_K \lim_{t \to \infty} E [x^T Q x + u^T R u]
-
-    for white noises w, v of intensities W, V; in discrete time of those covariances. It is the H2 problem with
-    ``z = (Q^{1/2} x, R^{1/2} u)``; ``gamma^2`` of the result is the cost.
-
-    Parameters
-    ----------
-    G
-        Model with n_x states, n_u inputs and n_y outputs.
-    Q, R, W, V
-        Symmetric positive semidefinite, shapes (n_x, n_x), (n_u, n_u), (n_x, n_x), (n_y, n_y); R and V positive
-        definite.
-    time_limit, effort
-        As for `robustlab.h2`.
-
-    Returns
-    -------
-    H2Synthesis
-        ``gamma`` is the root of the smallest cost.
-
-    Raises
-    ------
-    InputError
-        Weights that are not symmetric or semidefinite, or of the wrong size; a singular R or V (the channel is named).
-    NoTrustworthyNumber
-        As for `robustlab.h2`.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]])
-    >>> round(lqg(lag, [[1.0]], [[1.0]], [[1.0]], [[1.0]]).gamma ** 2, 6)
-    5.854102
-    """
-    g = as_model(G, "lqg: G")
-    n, p, m = g.n_states, g.n_outputs, g.n_inputs
-    if not p or not m:
-        raise InputError("lqg: G", f"{p} outputs and {m} inputs", "at least one of each")
-    q, r = checked_weight("lqg: Q", Q, n), checked_weight("lqg: R", R, m)
-    w, v = checked_weight("lqg: W", W, n), checked_weight("lqg: V", V, p)
-    require_semidefinite("lqg: Q", q)
-    require_semidefinite("lqg: W", w)
-    require_definite("lqg: R", r, [f"control {name} costs nothing" for name in g.input_names])
-    require_definite("lqg: V", v, [f"measurement {name} has no noise" for name in g.output_names])
-    cost, noise = _root(q), _root(w).T
-    A, nothing = g.A, np.zeros
-    B = np.hstack([noise, nothing((n, p)), g.B])
-    C = np.vstack([cost, nothing((m, n)), g.C])
-    D = np.block(
-        [
-            [nothing((len(cost), noise.shape[1] + p + m))],
-            [nothing((m, noise.shape[1] + p)), _root(r)],
-            [nothing((p, noise.shape[1])), _root(v).T, g.D],
-        ]
-    )
-    inputs = [f"process noise {i + 1}" for i in range(noise.shape[1])] + [f"noise on {y}" for y in g.output_names]
-    outputs = [f"state cost {i + 1}" for i in range(len(cost))] + [f"cost of {u}" for u in g.input_names]
-    model = StateSpaceModel(
-        A, B, C, D, g.dt, [*(Signal(name) for name in inputs), *g.inputs],
-        [*(Signal(name) for name in outputs), *g.outputs], g.states, where="lqg",
-    )  # fmt: skip
-    budget = design_budget("synth lqg", TUNING.work, effort, time_limit)
-    return synthesize_h2(GeneralizedPlant(model, p, m), "lqg", 1.0, budget)
-
-
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 
@@ -302,7 +228,7 @@ def require_definite(where: str, matrix: AnyArray, meanings: list[str]) -> None:
         raise InputError(where, f"{word}: {meanings[worst]}", "a positive definite matrix", hint)
 
 
-def _root(matrix: AnyArray) -> AnyArray:
+def semidefinite_root(matrix: AnyArray) -> AnyArray:
     """F with ``F^T F = matrix``, as many rows as its rank, at least one."""
     values, vectors = np.linalg.eigh(matrix)
     kept = values > RANK * max(float(values.max(initial=0.0)), 0.0)

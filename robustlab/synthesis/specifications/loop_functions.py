@@ -200,9 +200,11 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
     """
     weights = dict(getattr(design, "weights", {}))
     plant = design.plant
-    inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], [s.name for s in plant.measurements]))
+    first = getattr(design, "references", 0)  # measurements that are references are no part of the loop
+    measured = [s.name for s in plant.measurements][first:]
+    inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], measured))
     if not weights:
-        return loop_functions(inner, design.K, sign=1)
+        return loop_functions(inner, design.K.select(design.K.input_names[first:]) if first else design.K, sign=1)
     # The measurement of a mixed-sensitivity plant is e = r - G u.
     g = StateSpaceModel(inner.A, inner.B, -inner.C, -inner.D, inner.dt, inner.inputs, inner.outputs)
     names = [(s.name.removeprefix("e "), s.unit) for s in g.outputs]
