@@ -8,8 +8,9 @@ With :math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_
    \hat D = D - \sigma U
 
 differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
-the Hankel norm, at a distance of exactly sigma; the others are as unstable as the values beyond sigma are many, and a
-constant stands for them.
+the Hankel norm, at a distance of exactly sigma; a constant stands for the others, which are not stable. U is a
+contraction: a block of a unitary matrix that does the same for the model with rows and columns of zeros, so that models
+need not be square, and no part of U is left to choice.
 
 References
 ----------
@@ -18,8 +19,6 @@ J. Control 39 (1984), theorems 6.3 and 9.7.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,42 +33,24 @@ __all__ = ["hankel_bound", "hankel_norm", "nearest_in_hankel_norm"]
 REPEATED = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
-class _Balanced:
-    """A, B, C in balanced states, their values, and what was taken from D on the way."""
-
-    a: AnyArray
-    b: AnyArray
-    c: AnyArray
-    values: AnyArray
-    direct: AnyArray
-
-    @classmethod
-    def of(cls, model: StateSpaceModel, balancing: Balancing) -> _Balanced:
-        a, b, c = balancing.left @ model.A @ balancing.right, balancing.left @ model.B, model.C @ balancing.right
-        return cls(a, b, c, balancing.values[: len(a)], model.D)
-
-    def dilated(self, k: int) -> _Balanced:
-        """Without the value at index k, however often it comes; states scaled by the root of ``|Gamma|``.
-
-        In these states it is balanced again where that value was the smallest.
-        """
-        level = self.values[k]
-        cut = np.abs(self.values - level) <= REPEATED * level
-        kept = ~cut
-        s, a = self.values[kept], self.a[np.ix_(kept, kept)]
-        b, c = self.b[kept], self.c[:, kept]
-        u = -np.linalg.pinv(self.c[:, cut].T) @ self.b[cut]
-        gamma = s**2 - level**2
-        root, sign = np.sqrt(np.abs(gamma)), np.sign(gamma)
-        middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
-        return _Balanced(
-            (sign / root)[:, None] * middle / root,
-            (sign / root)[:, None] * (s[:, None] * b + level * c.T @ u),
-            (c * s + level * u @ b.T) / root,
-            s,
-            self.direct - level * u,
-        )
+def _dilated(model: StateSpaceModel, balancing: Balancing, k: int) -> StateSpaceModel:
+    """The dilation that leaves out the value at index k, however often it comes; states times the root of |Gamma|."""
+    a, b, c = balancing.left @ model.A @ balancing.right, balancing.left @ model.B, model.C @ balancing.right
+    values = balancing.values[: len(a)]
+    level = values[k]
+    cut = np.abs(values - level) <= REPEATED * level
+    u = -np.linalg.pinv(c[:, cut].T) @ b[cut]
+    s, a, b, c = values[~cut], a[np.ix_(~cut, ~cut)], b[~cut], c[:, ~cut]
+    gamma = s**2 - level**2
+    root = np.sqrt(np.abs(gamma))
+    inverse = (np.sign(gamma) / root)[:, None]
+    middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
+    return StateSpaceModel(
+        inverse * middle / root,
+        inverse * (s[:, None] * b + level * c.T @ u),
+        (c * s + level * u @ b.T) / root,
+        model.D - level * u,
+    )
 
 
 def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
@@ -80,12 +61,11 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
     NoTrustworthyNumber
         As many modes are stable as there should not be: digits were lost.
     """
-    full = _Balanced.of(model, balancing)
-    if order >= len(full.values):
+    values = balancing.values[: len(balancing.left)]
+    if order >= len(values):
         return balancing.reduced(model, order, "truncation")
-    order = int((full.values > full.values[order] * (1 + REPEATED)).sum())
-    near = full.dilated(order)
-    parts = split_stable(StateSpaceModel(near.a, near.b, near.c, near.direct))
+    order = int((values > values[order] * (1 + REPEATED)).sum())
+    parts = split_stable(_dilated(model, balancing, order))
     if parts.stable.n_states != order:
         found = f"{parts.stable.n_states} stable modes where there should be {order}: digits were lost"
         raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
@@ -98,11 +78,14 @@ def _constant_near(unstable: StateSpaceModel) -> AnyArray:
 
     One value after another, the smallest first: each dilation moves the model by no more than the value that it takes.
     """
-    mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
-    left = _Balanced.of(mirrored, Balancing.of(*gramian_factors(mirrored)))
-    while len(left.values):
-        left = left.dilated(len(left.values) - 1)
-    return left.direct
+    left = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
+    while left.n_states:
+        balancing = Balancing.of(*gramian_factors(left))
+        smallest = len(balancing.left) - 1
+        if smallest < 0:
+            break
+        left = _dilated(left, balancing, smallest)
+    return left.D
 
 
 def hankel_bound(values: AnyArray, order: int) -> float:

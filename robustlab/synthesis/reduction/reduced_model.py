@@ -78,7 +78,7 @@ class ReducedModel(Shown):
         words = {"coprime": "error of the coprime factors", "stochastic": "relative error"}
         kind = self.method.partition(" ")[0]
         what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
-        bound = "" if np.isnan(self.bound) else f"; promised: at most {self.bound:.6g}"
+        bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
         rows = [
             ("order", f"{self.order} of {self.full.n_states} states"),
             ("method", self.method),
