@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,11 +12,13 @@ from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.delays import delay_model, stability_lines
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
-from robustlab.cli.offers import NORMS, one_of, plant_or_file
+from robustlab.cli.offers import NORMS, REDUCTIONS, one_of, plant_or_file
 from robustlab.cli.options import (
+    BandOption,
     JsonOption,
     OutputOptions,
     assignments,
+    band_of,
     ends,
     grouped,
     plant_settings,
@@ -278,6 +281,7 @@ def norm(
     kind: Annotated[
         str, typer.Option("--kind", help="hinf, linf, h2 or passivity.", autocompletion=one_of(*NORMS))
     ] = "hinf",
+    band: BandOption = None,
     options: ReadOptions,
     as_json: JsonOption = False,
 ) -> None:
@@ -289,7 +293,12 @@ def norm(
     """
     from robustlab.norms import h2_norm, hinf_norm, linf_norm, passivity
 
+    part = band_of(band)
     functions: dict[str, Any] = dict(zip(NORMS, (hinf_norm, linf_norm, h2_norm, passivity), strict=True))
+    if part is not None:
+        if kind != "linf":
+            raise UsageError("--band", f"--kind {kind}", "--kind linf: the peak gain in the band")
+        functions["linf"] = partial(linf_norm, band=part)
     if kind not in functions:
         raise UsageError(f"--kind {kind}", "no such norm", ", ".join(NORMS), did_you_mean(kind, NORMS))
     loaded = options.read(file)
@@ -331,6 +340,36 @@ app.command("delay")(delay_model)
 app.command("plot")(plot_model)
 
 
+@dataclass(frozen=True)
+class ReductionOptions:
+    """How a model is made smaller."""
+
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="truncation, residualisation, hankel, stochastic (relative error) or coprime.",
+            autocompletion=one_of(*REDUCTIONS),
+        ),
+    ] = "truncation"
+    input_weight: Annotated[
+        str | None, typer.Option("--input-weight", help="File with a stable model W_i: the error is W_o (G - Gr) W_i.")
+    ] = None
+    output_weight: Annotated[str | None, typer.Option("--output-weight", help="The same for W_o.")] = None
+    band: BandOption = None
+    floor: Annotated[
+        float, typer.Option("--floor", help="Of stochastic: gain below which errors count absolutely.")
+    ] = 0.0
+
+    def arguments(self) -> dict[str, Any]:
+        """As `robustlab.reduce_model` takes them."""
+        from robustlab.storage import load
+
+        files = {"input_weight": self.input_weight, "output_weight": self.output_weight}
+        weights = {name: None if file is None else load(file) for name, file in files.items()}
+        return {"method": self.method, "band": band_of(self.band), "floor": self.floor, **weights}
+
+
 @app.command()
 @grouped
 def reduce(
@@ -338,22 +377,15 @@ def reduce(
     file: ModelArgument,
     order: Annotated[int | None, typer.Option("--order", help="States of the result.")] = None,
     tolerance: Annotated[
-        float | None, typer.Option("--tolerance", help="In place of --order: largest error, H-infinity norm.")
+        float | None, typer.Option("--tolerance", help="In place of --order: largest error, as it is told.")
     ] = None,
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            help="truncation, residualisation or coprime.",
-            autocompletion=one_of("truncation", "residualisation", "coprime"),
-        ),
-    ] = "truncation",
+    how: ReductionOptions,
     output: OutputOptions,
 ) -> None:
-    """A model of lower order, with its certified H-infinity error beside what theory promises.
+    """A model of lower order, with its certified error beside what theory promises.
 
     Modes that are not stable are kept, or reduced too with --method coprime.
-    Exit code 4: the error cannot be vouched for.
+    Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
 
     Example: robustlab model reduce plant.h5 --tolerance 0.01 --out small.h5
     """
@@ -361,9 +393,9 @@ def reduce(
     from robustlab.storage import load
     from robustlab.synthesis.reduction.model_reduction import reduce_model
 
-    method_given: Any = method
-    found = reduce_model(as_model(load(file), file), order, tolerance=tolerance, method=method_given)
-    rows = [*found.facts(), *output.keep_made("model reduce", found.model, [file])]
+    found = reduce_model(as_model(load(file), file), order, tolerance=tolerance, **how.arguments())
+    files = [f for f in (file, how.input_weight, how.output_weight) if f is not None]
+    rows = [*found.facts(), *output.keep_made("model reduce", found.model, files)]
     emit("model reduce", found.to_json(), table(rows), output.as_json)
     require_trust(found.status)
 

@@ -11,7 +11,10 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-__all__ = ["COVERS", "FORMULAS", "METRICS", "NORMS", "PLANTS", "Offer", "one_of", "plant_or_file", "recipe_or_file"]
+__all__ = [
+    "COVERS", "FORMULAS", "METRICS", "NORMS", "PLANTS", "REDUCTIONS", "Offer", "one_of", "plant_or_file",
+    "recipe_or_file",
+]  # fmt: skip
 
 Offer = Callable[[str], list[str]]
 
@@ -26,6 +29,7 @@ METRICS = (
 )  # fmt: skip
 NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
+REDUCTIONS = ("truncation", "residualisation", "hankel", "stochastic", "coprime")
 COVERS = (
     "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
     "inverse-input-multiplicative", "inverse-output-multiplicative",

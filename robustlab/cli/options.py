@@ -20,6 +20,7 @@ from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, share
 
 __all__ = [
+    "BandOption",
     "ChangesOption",
     "DtOption",
     "EffortOption",
@@ -32,6 +33,7 @@ __all__ = [
     "SeedOption",
     "TimeLimitOption",
     "assignments",
+    "band_of",
     "ends",
     "grouped",
     "names",
@@ -59,6 +61,9 @@ OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to writ
 DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.", show_default=False)]
 PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
+]
+BandOption = Annotated[
+    str | None, typer.Option("--band", help="LOW,HIGH in rad/s: the peak between these alone.", show_default=False)
 ]
 RecipeArgument = Annotated[
     str,
@@ -205,12 +210,24 @@ def _number(option: str, text: str, value: str, unit: str) -> float:
 
 def six_numbers(pose: str) -> list[float]:
     """``"0,0,0.12,0,0,0"`` as a pose."""
+    return _listed_numbers("--pose", pose, 6, "six numbers", "tx,ty,tz,ax,ay,az in m and rad")
+
+
+def band_of(text: str | None) -> tuple[float, float] | None:
+    """``"0.1,10"`` as a band of frequencies; None where left out."""
+    if text is None:
+        return None
+    low, high = _listed_numbers("--band", text, 2, "two numbers", "LOW,HIGH in rad/s")
+    return low, high
+
+
+def _listed_numbers(option: str, text: str, count: int, words: str, expected: str) -> list[float]:
     try:
-        numbers = [float(word) for word in pose.split(",")]
+        numbers = [float(word) for word in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 6:
-        raise UsageError(f"--pose {pose}", "not six numbers", "tx,ty,tz,ax,ay,az in m and rad")
+    if len(numbers) != count:
+        raise UsageError(f"{option} {text}", f"not {words}", expected)
     return numbers
 
 

@@ -1,6 +1,7 @@
 """System norms with their evidence, the passivity index, and the bilinear map, which keeps the H-infinity norm."""
 
-from robustlab.norms.axis_peak import linf_norm
+from robustlab.norms.axis_integral import panel_ends
+from robustlab.norms.axis_peak import checked_band, linf_norm
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.norms.hinfinity import QUIET, HinfNorm, gain_rounding, hinf_norm, norm_as_given
 from robustlab.norms.impulse_energy import H2Norm, h2_by_gramians, h2_norm
@@ -13,11 +14,13 @@ __all__ = [
     "Passivity",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
+    "checked_band",
     "gain_rounding",
     "h2_by_gramians",
     "h2_norm",
     "hinf_norm",
     "linf_norm",
     "norm_as_given",
+    "panel_ends",
     "passivity",
 ]

@@ -18,7 +18,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["AxisTuning", "mean_square_gain"]
+__all__ = ["AxisTuning", "mean_square_gain", "panel_ends"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def mean_square_gain(m: StateSpaceModel, tuning: AxisTuning = TUNING) -> tuple[f
     """
     if not m.n_states or not m.n_inputs or not m.n_outputs:
         return float((m.D**2).sum()), True
-    ends = _ends(m, tuning.growth)
+    ends = panel_ends(m, tuning.growth)
     x, weights = np.polynomial.legendre.leggauss(tuning.nodes)
 
     def integrals(low: AnyArray, high: AnyArray) -> AnyArray:
@@ -75,7 +75,7 @@ def mean_square_gain(m: StateSpaceModel, tuning: AxisTuning = TUNING) -> tuple[f
     return (done + float(value.sum())) / np.pi, False
 
 
-def _ends(m: StateSpaceModel, growth: float) -> AnyArray:
+def panel_ends(m: StateSpaceModel, growth: float = TUNING.growth) -> AnyArray:
     """Ends of the first panels: angles from 0 to pi, or frequencies from 0 to W and then one more step for the rest."""
     poles: AnyArray = m.poles()
     if m.is_discrete:

@@ -15,6 +15,7 @@ from robustlab.magnitude import Moderated, balancing_factors, moderated
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.level_set import (
     TUNING,
+    Band,
     NormTuning,
     crossings,
     largest_gains,
@@ -166,23 +167,26 @@ def bracketed_norm(
     rtol: float,
     tuning: NormTuning,
     infinite: Callable[[StateSpaceModel, int], HinfNorm | None],
+    band: Band | None = None,
 ) -> HinfNorm:
     """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given.
 
-    The level test needs no stability: ``infinite`` says which poles make the norm infinite.
+    The level test needs no stability: ``infinite`` says which poles make the norm infinite. A band is one of the model
+    as given.
     """
     m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
         return (infinite(m, ordinary.rate) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
-        return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)
+        return HinfNorm(gain, 0.0 if band is None else band[0], gain, gain, Status.CERTIFIED)
     without_bracket = infinite(m, ordinary.rate)
     if without_bracket is not None:
         return without_bracket
     try:
         scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
-        lower, omega, upper, trusted = level_bracket(scaled, rtol, tuning)
+        part = None if band is None else _band_of(ordinary, band, rate)
+        lower, omega, upper, trusted = level_bracket(scaled, rtol, tuning, part)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
@@ -210,6 +214,15 @@ def bracketed_norm(
     elif error > QUIET * attained:
         lower, upper = attained - error, upper + error
     return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
+
+
+def _band_of(ordinary: Moderated, band: Band, rate: float) -> Band:
+    """The band of the scaled continuous model that stands for one of the model as given."""
+    low, high = (float(np.ldexp(omega, -ordinary.rate)) for omega in band)
+    dt = ordinary.model.dt
+    if dt:
+        low, high = (2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf for omega in (low, high))
+    return low / rate, high / rate
 
 
 def axis_point(m: StateSpaceModel, omega: float) -> complex:

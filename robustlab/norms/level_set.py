@@ -21,7 +21,9 @@ from robustlab.matrix_equations import lapack
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["TUNING", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
+__all__ = ["TUNING", "Band", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
+
+Band = tuple[float, float]
 
 EPS = float(np.finfo(float).eps)
 # A frequency, in the time unit of a model that is well scaled, at which only its direct term is left.
@@ -57,7 +59,7 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
     size = np.abs(m.poles())
     size = size[size > 1e-12 * size.max()]
-    rate = float(2.0 ** np.round(np.log2(np.median(size))))
+    rate = float(2.0 ** np.round(np.log2(np.median(size)))) if size.size else 1.0  # nothing but integrators
     a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
     level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
     t = np.ones(m.n_states)
@@ -148,11 +150,15 @@ class _Gains:
         return out * float(largest_gains(states, omega).max()) + direct
 
 
-def level_bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[float, float, float, bool]:
-    """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
+def level_bracket(
+    m: StateSpaceModel, rtol: float, tuning: NormTuning, band: Band | None = None
+) -> tuple[float, float, float, bool]:
+    """``(lower, frequency, upper, trusted)`` for a continuous model that is well scaled; over a band, or the axis."""
     size = np.abs(m.poles())
-    decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
+    decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max())) if size.any() else 2
     gains, omega = _Gains(m, tuning.quick * rtol), search_grid(m, int(tuning.points_per_decade * decades))
+    if band is not None:
+        omega = _within(omega, band)
     sigma = gains.searched(omega)
     floor = gains.rounding(omega, float(sigma.max()))
     if floor == 0:
@@ -161,7 +167,7 @@ def level_bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[
     trusted, upper = True, np.inf
     for _ in range(tuning.levels):
         upper = lower * (1 + rtol) + floor
-        new_omega = crossings(m, upper)
+        new_omega = crossings(m, upper, band)
         new_sigma = gains.proved(new_omega, upper)
         omega, sigma = np.concatenate([omega, new_omega]), np.concatenate([sigma, new_sigma])
         peak = int(np.argmax(new_sigma))
@@ -180,8 +186,11 @@ def level_bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[
     return lower, at, upper, False
 
 
-def crossings(m: StateSpaceModel, level: float) -> AnyArray:
-    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them."""
+def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> AnyArray:
+    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them.
+
+    Of a band, those inside, its ends, and points between them: nothing crosses the level between two of these.
+    """
     n, root = m.n_states, np.sqrt(level)
     b, c, d = m.B / root, m.C / root, m.D / level
     hamiltonian = np.empty((2 * n, 2 * n))
@@ -196,9 +205,19 @@ def crossings(m: StateSpaceModel, level: float) -> AnyArray:
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
     balanced = lapack().dgebal(hamiltonian, scale=1)[0]
     crossing = np.unique(np.append(np.abs(np.linalg.eigvals(balanced).imag), 0.0))
+    if band is not None:
+        crossing = _within(crossing, band)
+        if np.isfinite(band[1]):
+            return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:])])
+        crossing = crossing[:-1]
     between = 0.5 * (crossing[:-1] + crossing[1:])
     beyond = [2 * crossing[-1], 10 * crossing[-1]]
     return np.concatenate([crossing, between, beyond])
+
+
+def _within(omega: AnyArray, band: Band) -> AnyArray:
+    """The frequencies inside a band, and its ends, in order."""
+    return np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], band))
 
 
 def _zoom(

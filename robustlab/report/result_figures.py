@@ -36,7 +36,7 @@ from robustlab.structural import StructuralTest
 from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
 from robustlab.synthesis.h2.kalman_filter import KalmanFilter
 from robustlab.synthesis.h2.state_feedback import StateFeedback
-from robustlab.synthesis.reduction.model_reduction import ReducedModel
+from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.sampled.sampled_norm import SampledDataNorm
 from robustlab.synthesis.specifications.weight_design import DesignWeights
 from robustlab.worst_case_analysis import WorstCase
@@ -273,7 +273,7 @@ def reduction_figure(found: ReducedModel) -> Figure:
         ):
             gain = np.linalg.norm(values, 2, axis=(1, 2))
             axes.plot(omega, np.where(gain > 0, gain, np.nan), color=COLOURS[key], ls=dashes, label=label)
-        if found.method in ("truncation", "residualisation") and found.error.upper > 0:
+        if found.method in ("truncation", "residualisation", "hankel") and found.error.upper > 0:
             text = f"{found.error.upper:.4g}: proved for the difference"
             axes.axhline(found.error.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 2)), label=text)
         logarithmic(axes.yaxis)

@@ -45,6 +45,35 @@ def test_a_reduced_model_with_its_error(files, capsys):
     assert "verified upper bound" in capsys.readouterr().out
 
 
+def test_the_other_ways_to_reduce_and_what_they_tell(files, tmp_path, capsys):
+    p, out = str(tmp_path / "chain.h5"), files[2]
+    G = rl.linearise(rl.plant("mass-spring-damper", m=[1.0] * 3, c=[0.2] * 3, k=[1.0] * 3)).select(["f1"], ["q1"])
+    rl.save(p, G)
+    assert run(model.app, "reduce", p, "--order", "2", "--method", "hankel", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["hankel_error"] == pytest.approx(rl.hankel_singular_values(G)[2], rel=1e-8)
+    assert run(model.app, "reduce", p, "--order", "2", "--band", "0.2,0.6", "--out", out) == 0
+    assert "error in the band" in capsys.readouterr().out
+    difference = G - rl.load(out)
+    rl.save(out, difference)
+    assert run(model.app, "norm", out, "--kind", "linf", "--band", "0.2,0.6", "--json") == 0
+    inside = json.loads(capsys.readouterr().out)["model"]
+    omega = np.linspace(0.2, 0.6, 2000)
+    seen = np.abs(rl.frequency_response(difference, omega)).max()
+    assert inside["upper"] * (1 - 1e-5) <= seen <= inside["upper"]
+    assert run(model.app, "reduce", p, "--order", "2", "--method", "stochastic") == 3
+    assert "--floor" in capsys.readouterr().err.replace("floor=", "--floor")
+    assert run(model.app, "reduce", p, "--order", "2", "--method", "stochastic", "--floor", "0.1") == 0
+    assert "relative error" in capsys.readouterr().out
+    low = str(tmp_path / "low.h5")
+    rl.save(low, rl.StateSpaceModel([[-0.5]], [[0.5]], [[1.0]], [[1e-3]]))
+    assert run(model.app, "reduce", p, "--order", "2", "--input-weight", low) == 0
+    assert "weighted error" in capsys.readouterr().out
+    assert run(model.app, "reduce", p, "--order", "2", "--band", "0.2") == 2
+    assert run(model.app, "norm", p, "--band", "0.2,1") == 2
+    assert "--kind linf" in capsys.readouterr().err
+
+
 def test_a_discrete_model_by_formula(files, capsys):
     p, _, out = files
     assert run(model.app, "discretise", p, "--dt", "0.1", "--method", "zoh", "--out", out) == 0

@@ -112,6 +112,45 @@ def test_beyond_exact_arithmetic_it_says_that_it_cannot_tell():
 # --- H2 --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_the_peak_in_a_band_beside_a_dense_grid(seed):
+    G, rng = random_model(seed), np.random.default_rng(seed)
+    last = np.pi / G.dt if G.dt else 50.0
+    low, high = np.sort(rng.uniform(0, last, 2))
+    found = rl.linf_norm(G, band=(low, high))
+    grid = np.linspace(low, high, 20_001)
+    seen = np.linalg.norm(rl.frequency_response(G, grid), 2, axis=(1, 2)).max()
+    assert found.status is Status.CERTIFIED
+    assert low <= found.frequency <= high * (1 + 1e-12)
+    assert found.lower * (1 - 1e-4) <= seen <= found.upper * (1 + 1e-9)
+
+
+def test_the_peak_in_a_band_in_closed_form():
+    # Beyond its peak the gain of a resonance falls: the low end has the largest.
+    assert rl.linf_norm(resonance(0.1), band=(2.0, np.inf)).lower == pytest.approx(1 / np.hypot(3, 0.4), rel=1e-9)
+    whole, over = rl.linf_norm(resonance(0.1)), rl.linf_norm(resonance(0.1), band=(0.5, 2.0))
+    assert (whole.lower, whole.frequency) == pytest.approx((over.lower, over.frequency), rel=1e-6)
+    assert rl.linf_norm(rl.StateSpaceModel([], [], [], [[-2.0]]), band=(1.0, 2.0)).value == 2.0
+
+
+def test_a_pole_on_the_boundary_counts_in_its_band_alone():
+    integrator = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    assert rl.linf_norm(integrator, band=(2.0, 5.0)).upper == pytest.approx(0.5, rel=1e-5)
+    assert rl.linf_norm(integrator, band=(0.0, 5.0)).value == np.inf
+    undamped = rl.StateSpaceModel([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], [[0]])
+    assert rl.linf_norm(undamped, band=(2.0, 5.0)).lower == pytest.approx(1 / 3, rel=1e-9)
+    assert "on the stability boundary" in rl.linf_norm(undamped, band=(0.5, 5.0)).reason
+    summing = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    assert rl.linf_norm(summing, band=(2.0, 5.0)).lower == pytest.approx(1 / abs(np.exp(0.2j) - 1), rel=1e-9)
+    assert rl.linf_norm(summing, band=(0.0, 5.0)).value == np.inf
+
+
+@pytest.mark.parametrize("band", [(2.0, 1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, 40.0), (np.nan, 1.0), (1.0,), "ab"])
+def test_bands_that_are_none_are_refused(band):
+    with pytest.raises(InputError, match="band"):
+        rl.linf_norm(rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), band=band)
+
+
 @pytest.mark.parametrize("zeta", [0.5, 1e-2, 1e-5])
 @pytest.mark.parametrize("omega", [1e-3, 1.0, 1e5])
 def test_the_integral_of_a_resonance_has_its_closed_form(zeta, omega):

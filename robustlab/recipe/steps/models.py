@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -12,15 +13,19 @@ import robustlab as rl
 from robustlab.errors import InputError, did_you_mean
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
 from robustlab.recipe.steps.vocabulary import (
+    Band,
     FileName,
     NumberOrPair,
+    Positive,
     RefersTo,
     RelativeTolerance,
     Text,
     ToAnything,
     ToModel,
+    ToOneModel,
     ToPlant,
     ToSaved,
+    as_pair,
 )
 
 
@@ -273,6 +278,49 @@ class UncertainStep(Step):
         kind = "Sampled" if model.sampled else "Exact"
         summary = f"{kind} uncertain model of {self.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
         return Outcome(model, summary, uncertain_numbers(model), tuple(facts), notes=model.remarks)
+
+
+@step
+class ReduceModelStep(Step):
+    """A model of lower order, its error certified; modes that are not stable are kept, but for "coprime"."""
+
+    gives: ClassVar[str] = "model"
+    do: Literal["reduce-model"]
+    of: ToOneModel
+    order: Annotated[int, Field(ge=0, le=1000)] | None = None
+    tolerance: Positive | None = Field(None, description="In place of order: largest error, as it is told.")
+    method: Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"] = "truncation"
+    input_weight: ToOneModel | None = Field(None, description="A stable model W_i: the error is W_o (G - Gr) W_i.")
+    output_weight: ToOneModel | None = Field(None, description="The same for W_o.")
+    band: Band | None = Field(None, description="[low, high] in rad/s: the error between these alone.")
+    floor: Annotated[float, Field(ge=0)] = Field(
+        0.0, description="Of stochastic: gain below which errors count absolutely."
+    )
+
+    @model_validator(mode="after")
+    def _one_measure(self) -> Self:
+        if (self.order is None) == (self.tolerance is None):
+            raise PydanticCustomError("one_measure", "expected either order or tolerance")
+        return self
+
+    def run(self, work: Workspace) -> Outcome:
+        """A model of lower order with its certified error and what theory promises."""
+        weights = {
+            name: None if given is None else work.values[given]
+            for name, given in (("input_weight", self.input_weight), ("output_weight", self.output_weight))
+        }
+        found = rl.reduce_model(
+            work.values[self.of], self.order, tolerance=self.tolerance, method=self.method,
+            band=as_pair(self.band), floor=self.floor, **weights,
+        )  # fmt: skip
+        work.keep(found)
+        numbers = {
+            "order": found.order, "error": found.error.upper, "states": found.full.n_states,
+            "bound": None if math.isnan(found.bound) else found.bound, "n_apart": found.n_apart,
+            "hankel": found.hankel, "stable": found.model.is_stable(),
+        }  # fmt: skip
+        facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
+        return Outcome(found.model, f"{self.of} with {found.order} states.", numbers, facts, found.status)
 
 
 ToPart = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "any"))]

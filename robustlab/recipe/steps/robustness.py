@@ -11,10 +11,12 @@ from robustlab.norms import HinfNorm
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
+    Band,
     Effort,
     TimeLimit,
     ToModel,
     ToUncertain,
+    as_pair,
 )
 
 
@@ -32,14 +34,16 @@ class HinfNormStep(Step):
 
 @step
 class LinfNormStep(Step):
-    """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis."""
+    """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis, or in a band."""
 
     do: Literal["linf-norm"]
     of: ToModel
+    band: Band | None = Field(None, description="[low, high] in rad/s; all frequencies where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Peak gain over the frequency axis, as a proved bracket."""
-        return _peak(rl.linf_norm(work.values[self.of]), "L-infinity norm", self.of)
+        """Peak gain over the frequency axis or a band, as a proved bracket."""
+        title = "L-infinity norm" if self.band is None else f"Peak gain from {self.band[0]:g} to {self.band[1]:g} rad/s"
+        return _peak(rl.linf_norm(work.values[self.of], band=as_pair(self.band)), title, self.of)
 
 
 def _peak(norm: HinfNorm, title: str, of: str) -> Outcome:

@@ -13,6 +13,7 @@ from robustlab.units import share
 
 __all__ = [
     "GUARD",
+    "Band",
     "ComplementaryWeight",
     "ControlWeight",
     "Count",
@@ -44,6 +45,7 @@ __all__ = [
     "ToUncertain",
     "ToUncertainOrProblem",
     "Tolerance",
+    "as_pair",
 ]
 
 
@@ -87,6 +89,7 @@ Count = Annotated[int, Field(ge=0, le=1_000_000)]
 Points = Annotated[int, Field(ge=2, le=100_000)]
 TimeLimit = Annotated[float, Field(gt=0, le=86400)]
 Effort = Annotated[float, Field(gt=0, le=10_000)]
+Band = Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
 GUARD = "s; a guard: where it strikes, the step ends without a repeatable answer."
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 Order = Annotated[int, Field(ge=1, le=10)]
@@ -132,6 +135,11 @@ def _share_schema(less_than_one: bool) -> WithJsonSchema:
 # Tolerances of parameters, 0.05 or "5%"; that of a prior may be larger than the value itself.
 RelativeTolerance = Annotated[float, Field(gt=0, lt=1), WrapValidator(_share), _share_schema(True)]
 PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_schema(False)]
+
+
+def as_pair(band: list[float] | None) -> tuple[float, float] | None:
+    """A band as functions take it."""
+    return None if band is None else (band[0], band[1])
 
 
 class PerformanceWeight(Strict):

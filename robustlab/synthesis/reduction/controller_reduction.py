@@ -47,7 +47,8 @@ from robustlab.synthesis.reduction.balancing import (
     gramian_factors,
     split_stable,
 )
-from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
+from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
+from robustlab.synthesis.reduction.model_reduction import weighted_factors
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 

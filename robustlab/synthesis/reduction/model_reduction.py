@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.magnitude import Moderated, moderated
-from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
+from robustlab.norms import (
+    HinfNorm,
+    bilinear_to_continuous,
+    bilinear_to_discrete,
+    checked_band,
+    hinf_norm,
+    linf_norm,
+    norm_as_given,
+)
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
-from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
+from robustlab.synthesis.reduction.band_gramians import band_gramian_factors
+from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
+from robustlab.synthesis.reduction.hankel_norm import hankel_bound, hankel_norm, nearest_in_hankel_norm
+from robustlab.synthesis.reduction.reduced_model import ReducedModel
+from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound, relative_gap
 
 __all__ = [
-    "CoprimeReduction",
-    "ReducedModel",
     "balanced_truncation",
     "error_bound",
     "hankel_singular_values",
@@ -30,85 +39,12 @@ __all__ = [
 ]
 
 Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
-Method = Literal["truncation", "residualisation", "coprime"]
-METHODS = ("truncation", "residualisation", "coprime")
+Band = tuple[float, float]
+Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
+METHODS = get_args(Method)
 
 # A certified error may exceed its a-priori bound by this share of the largest Hankel value: rounding of the values.
 BOUND_ROUNDING = 1e-10
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedModel(Shown):
-    r"""A model of lower order with its certified error.
-
-    Attributes
-    ----------
-    model
-        The reduced model, with the inputs and outputs of the one given.
-    method
-        ``"truncation"``, ``"residualisation"``, ``"coprime"``, or the first two with ``"weighted "`` before them.
-    error
-        H-infinity norm of the difference: of the models (of their stable parts, for the others are equal); times the
-        weights where there are any; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
-    bound
-        What theory promises for ``error`` before anything is computed: twice the sum of the Hankel values left out,
-        each counted once where it is repeated. NaN with weights: there is no such promise.
-    hankel
-        Hankel singular values of what was reduced (of the coprime factors for ``"coprime"``), in decreasing order.
-    n_apart
-        Number of states kept apart, because their modes are not stable.
-    full
-        The model as given.
-    status
-        CERTIFIED where ``error`` is proved and the two models agree with it wherever they were compared; INACCURATE
-        where digits were lost.
-    reason
-        Why it is inaccurate; else empty.
-    """
-
-    model: StateSpaceModel
-    method: str
-    error: HinfNorm
-    bound: float
-    hankel: Array
-    n_apart: int
-    full: StateSpaceModel
-    status: Status
-    reason: str = ""
-
-    @property
-    def order(self) -> int:
-        """Number of states of the reduced model."""
-        return self.model.n_states
-
-    def to_model(self) -> StateSpaceModel:
-        """The reduced model."""
-        return self.model
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        what = "error of the coprime factors" if self.method == "coprime" else "error"
-        what = f"weighted {what}" if self.method.startswith("weighted") else what
-        bound = "" if np.isnan(self.bound) else f"; promised: at most {self.bound:.6g}"
-        rows = [
-            ("order", f"{self.order} of {self.full.n_states} states"),
-            ("method", self.method),
-            (what, f"{self.error.upper:.6g} at {self.error.frequency:.4g} rad/s (verified upper bound{bound})"),
-            ("status", self.status.value),
-            ("Hankel values", ", ".join(f"{value:.4g}" for value in self.hankel[:12]) or "none"),
-        ]
-        if self.n_apart:
-            rows.append(("kept apart", f"{self.n_apart} states of modes that are not stable"))
-        return [*rows, ("why", self.reason)] if self.reason else rows
-
-    def to_json(self) -> dict[str, Any]:
-        """All but the model as given."""
-        return {
-            "type": "ReducedModel",
-            **{name: getattr(self, name) for name in self.__dataclass_fields__ if name != "full"},
-            "order": self.order,
-            "full_order": self.full.n_states,
-        }
 
 
 @told_as("hankel_singular_values")
@@ -186,11 +122,16 @@ def reduce_model(
     method: Method = "truncation",
     input_weight: Any = None,
     output_weight: Any = None,
+    band: tuple[float, float] | None = None,
+    floor: float = 0.0,
 ) -> ReducedModel:
     r"""A model of lower order, with its error certified and, where there is one, the a-priori bound beside it.
 
-    .. math:: \|W_o (G - G_r) W_i\|_\infty, \qquad \text{without weights} \quad \|G - G_r\|_\infty \le
-       2 \sum_{i > r} \sigma_i
+    .. math:: \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i \quad \text{(truncation, residualisation)}, \qquad
+       \|G - G_r\|_H = \sigma_{r+1}, \; \|G - G_r\|_\infty \le \sum_{i > r} \sigma_i \quad \text{(hankel)}
+
+    .. math:: \sup_\omega \sigma_{max}\big( (G G^* + \beta^2 I)^{-1/2} (G - G_r) \big) \le
+       \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
     Modes that are not stable are split off and kept; ``method="coprime"`` reduces them too, through the normalised
     right coprime factors ``G = N M^{-1}``, whose error is then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound
@@ -203,14 +144,22 @@ def reduce_model(
     order
         Number of states of the result, those kept apart included. Fewer come out where the rest is not minimal.
     tolerance
-        In place of ``order``: the lowest order whose certified error is at most this (absolute, in output units per
-        input unit) is taken.
+        In place of ``order``: the lowest order whose certified error is at most this is taken; in output units per
+        input unit, for ``"stochastic"`` a share.
     method
         ``"truncation"`` is exact at infinite frequency, ``"residualisation"`` (singular perturbation) at zero
-        frequency, ``"coprime"`` works for models of any stability.
+        frequency. ``"hankel"`` (Glover) is nearest in the Hankel norm, with a direct term that halves the bound.
+        ``"stochastic"`` keeps the error small relative to the gain of the stable part, wherever that is small.
+        ``"coprime"`` works for models of any stability.
     input_weight, output_weight
         Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs): one or both
-        (Enns). Large where the error shall be small.
+        (Enns), the error is that of ``W_o (G - G_r) W_i``. Large where the error shall be small.
+    band
+        ``(low, high)`` in rad/s: Gramians over this band alone (Gawronski, Juang), and the error is the peak inside it,
+        proved for all its frequencies. For truncation and residualisation, without weights.
+    floor
+        beta of ``"stochastic"``, in output units per input unit: below this gain errors count absolutely. Needed where
+        the gain vanishes somewhere: without full row rank of D, with more outputs than inputs, with zeros on the axis.
 
     Returns
     -------
@@ -220,9 +169,11 @@ def reduce_model(
     Raises
     ------
     InputError
-        Neither or both of order and tolerance, an order that does not exist, weights that do not fit.
+        Neither or both of order and tolerance, an order that does not exist, weights or a band that do not fit, a gain
+        that vanishes at infinite frequency for ``"stochastic"`` without a floor.
     NoTrustworthyNumber
-        Gramians lost their digits; the reduced model is not stable (two weights give no guarantee), or not well posed.
+        Gramians lost their digits; the reduced model is not stable (two weights or a band give no guarantee), or not
+        well posed; the gain vanishes at some frequency.
 
     Notes
     -----
@@ -230,8 +181,9 @@ def reduce_model(
 
     References
     ----------
-    Moore 1981; Glover 1984 (bound); Liu, Anderson 1989 (residualisation); Enns 1984 (weights); Meyer 1990 (coprime
-    factors); Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), chapter 7 and section 8.4.
+    Moore 1981; Glover 1984 (bound, Hankel norm); Liu, Anderson 1989 (residualisation); Green 1988 (stochastic); Enns
+    1984 (weights); Gawronski, Juang 1990 (band); Meyer 1990 (coprime factors); Zhou, Doyle, Glover, *Robust and Optimal
+    Control* (1996), chapters 7 and 8.
 
     Examples
     --------
@@ -239,16 +191,19 @@ def reduce_model(
     >>> found = reduce_model(G, tolerance=0.05, method="residualisation")
     >>> found.order, bool(abs(found.model.dc_gain()[0, 0] - G.dc_gain()[0, 0]) < 1e-12)
     (1, True)
+    >>> nearest = reduce_model(G, 1, method="hankel")
+    >>> bool(abs(nearest.hankel_error / nearest.hankel[1] - 1) < 1e-9)
+    True
     """
     full = as_model(model, "reduce_model")
-    _check_request(full, order, tolerance, method)
     weights = _weights(full, input_weight, output_weight)
+    part = None if band is None else checked_band(band, full.dt, "reduce_model")
+    _check_request(full, order, tolerance, method)
+    _check_extras(method, weights != (None, None), part, floor)
     if method == "coprime":
-        if weights != (None, None):
-            raise InputError("reduce_model", "weights with method 'coprime'", "truncation or residualisation")
-        candidate, n_least, n_most = _coprime_reduction(full)
+        candidate, n_least, n_most, limits = _coprime_reduction(full)
     else:
-        candidate, n_least, n_most = _balanced_reduction(full, method, weights)
+        candidate, n_least, n_most, limits = _balanced_reduction(full, method, weights, part, floor)
     if order is not None:
         if order < n_least:
             text = f"{n_least} modes are not stable and are kept apart"
@@ -256,9 +211,11 @@ def reduce_model(
         return candidate(min(order, n_most))
     assert tolerance is not None
     for n in range(n_least, n_most):
+        if limits[n - n_least] > tolerance * (1 + 1e-6):  # no model of this order is as close
+            continue
         try:
             found = candidate(n)
-        except NoTrustworthyNumber:  # this order is not stable (two weights) or not well posed
+        except NoTrustworthyNumber:  # this order is not stable (two weights, a band) or not well posed
             continue
         if found.error.upper <= tolerance and found.status.trustworthy:
             return found
@@ -276,6 +233,19 @@ def _check_request(full: StateSpaceModel, order: int | None, tolerance: float | 
         raise InputError("reduce_model", f"tolerance {tolerance}", "a positive number")
     if method not in METHODS:
         raise InputError("reduce_model", f"method {method!r}", f"one of {', '.join(METHODS)}")
+
+
+def _check_extras(method: str, weighted: bool, band: Band | None, floor: float) -> None:
+    balanced = "truncation or residualisation"
+    for name, given in (("weights", weighted), ("a band", band is not None)):
+        if given and method not in ("truncation", "residualisation"):
+            raise InputError("reduce_model", f"{name} with method {method!r}", balanced)
+    if weighted and band is not None:
+        raise InputError("reduce_model", "weights and a band", "one of them")
+    if not 0 <= floor < np.inf:
+        raise InputError("reduce_model: floor", f"{floor}", "a number that is not negative")
+    if floor and method != "stochastic":
+        raise InputError("reduce_model", f"floor with method {method!r}", "stochastic")
 
 
 def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
@@ -298,35 +268,166 @@ def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
     return found[0], found[1]
 
 
-Candidates = tuple[Callable[[int], ReducedModel], int, int]
+# Makes the candidate of an order; least and largest order; for each of them what no model of that order is nearer than.
+Candidates = tuple[Callable[[int], ReducedModel], int, int, Array]
 
 
-def _balanced_reduction(full: StateSpaceModel, method: Projection, weights: Weights) -> Candidates:
-    """What makes the candidate of a given order, and the least and largest order there are."""
-    weighted = weights != (None, None)
-    unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))  # a weight has the units of the model
-    ordinary = unchanged if weighted else moderated(full, "reduce_model")
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """One way to reduce the stable part of a model, continuous or discrete.
+
+    ``values`` are its Hankel values in the units of the model as given, ``most`` the largest order. ``reduced`` gives
+    the part of an order, ``measured`` the certified size of a difference, ``bound`` what is promised for it, and
+    ``seen`` turns differences of responses at frequencies, as given, into what ``measured`` is the largest norm of.
+    """
+
+    values: Array
+    most: int
+    reduced: Callable[[int], StateSpaceModel]
+    measured: Callable[[StateSpaceModel], HinfNorm]
+    bound: Callable[[int], float] = lambda _: np.nan
+    seen: Callable[[Array, ComplexArray], ComplexArray] = lambda _, gap: gap
+
+
+def _balanced_reduction(
+    full: StateSpaceModel, method: str, weights: Weights, band: Band | None, floor: float
+) -> Candidates:
+    own_units = weights != (None, None) or method == "stochastic"  # a weight or a floor has the units of the model
+    unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))
+    ordinary = unchanged if own_units else moderated(full, "reduce_model")
     split = split_stable(ordinary.model)
     stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, ordinary.model.dt)
-    balancing = Balancing.of(*(weighted_factors(stable, *weights) if weighted else gramian_factors(stable)))
+    name = method
+    if method == "stochastic":
+        way = _stochastic_way(stable, floor)
+    elif method == "hankel":
+        way = _hankel_way(stable, ordinary)
+    else:
+        projection: Projection = "residualisation" if method == "residualisation" else "truncation"
+        if band is not None:
+            name, way = f"band {method}", _band_way(stable, ordinary, band, projection)
+        elif own_units:
+            name, way = f"weighted {method}", _weighted_way(stable, weights, projection)
+        else:
+            way = _plain_way(stable, ordinary, projection)
     apart = split.apart.n_states
-    values = np.array([ordinary.value(value, "reduce_model") for value in balancing.values])
 
     def candidate(order: int) -> ReducedModel:
-        small = balancing.reduced(stable, order - apart, method)
+        small = way.reduced(order - apart)
         if small.n_states and not small.is_stable():
             raise NoTrustworthyNumber(
                 "reduce_model",
                 f"the model of order {small.n_states + apart} is not stable",
-                hint="another order, or one weight instead of two" if weighted else "another order",
+                hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
-        bound = np.nan if weighted else error_bound(values, small.n_states)
-        error = norm_as_given(hinf_norm(_weighted(_difference(stable, small), *weights)), ordinary)
-        name = f"weighted {method}" if weighted else method
-        model = ordinary.as_given(split.joined(small), "reduce_model")
-        return _checked(full, model, name, error, bound, values, apart, weights)
+        difference = _difference(stable, small)
+        found = _checked(
+            full, ordinary.as_given(split.joined(small), "reduce_model"), name, way, way.measured(difference),
+            way.bound(small.n_states), apart,
+        )  # fmt: skip
+        if method == "hankel":
+            return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
+        if band is None and method != "stochastic":
+            return found
+        return replace(found, difference=norm_as_given(hinf_norm(difference), ordinary))
 
-    return candidate, apart, apart + len(balancing.left)
+    limits = np.zeros(way.most + 1) if np.isnan(way.bound(0)) else np.append(way.values, 0.0)
+    return candidate, apart, apart + way.most, limits
+
+
+def _plain_way(stable: StateSpaceModel, ordinary: Moderated, projection: Projection) -> _Way:
+    balancing = Balancing.of(*gramian_factors(stable))
+    values = _values_as_given(balancing, ordinary)
+    return _Way(
+        values,
+        len(balancing.left),
+        lambda order: balancing.reduced(stable, order, projection),
+        lambda difference: norm_as_given(hinf_norm(difference), ordinary),
+        lambda order: error_bound(values, order),
+    )
+
+
+def _weighted_way(stable: StateSpaceModel, weights: Weights, projection: Projection) -> _Way:
+    balancing = Balancing.of(*weighted_factors(stable, *weights))
+    into, out = weights
+
+    def seen(omega: Array, gap: ComplexArray) -> ComplexArray:
+        gap = gap if into is None else gap @ frequency_response(into, omega)
+        return gap if out is None else frequency_response(out, omega) @ gap
+
+    return _Way(
+        balancing.values,
+        len(balancing.left),
+        lambda order: balancing.reduced(stable, order, projection),
+        lambda difference: hinf_norm(_weighted(difference, *weights)),
+        seen=seen,
+    )
+
+
+def _band_way(stable: StateSpaceModel, ordinary: Moderated, band: Band, projection: Projection) -> _Way:
+    low, high = (float(np.ldexp(omega, -ordinary.rate)) for omega in band)
+    balancing = Balancing.of(*band_gramian_factors(stable, low, high))
+    return _Way(
+        _values_as_given(balancing, ordinary),
+        len(balancing.left),
+        lambda order: balancing.reduced(stable, order, projection),
+        lambda difference: norm_as_given(linf_norm(difference, band=(low, high)), ordinary),
+        seen=lambda omega, gap: gap[(omega >= band[0]) & (omega <= band[1])],
+    )
+
+
+def _hankel_way(stable: StateSpaceModel, ordinary: Moderated) -> _Way:
+    continuous = _in_continuous_time(stable)
+    balancing = Balancing.of(*gramian_factors(continuous))
+    values = _values_as_given(balancing, ordinary)
+    return _Way(
+        values,
+        len(balancing.left),
+        lambda order: _back(nearest_in_hankel_norm(continuous, balancing, order), stable.dt),
+        lambda difference: norm_as_given(hinf_norm(difference), ordinary),
+        lambda order: hankel_bound(values, order),
+    )
+
+
+def _stochastic_way(stable: StateSpaceModel, floor: float) -> _Way:
+    spectrum = Spectrum.of(_in_continuous_time(stable), floor)
+    balancing, dt = spectrum.balancing, stable.dt
+
+    def measured(difference: StateSpaceModel) -> HinfNorm:
+        found = spectrum.relative(_in_continuous_time(difference))
+        return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
+
+    return _Way(
+        balancing.values,
+        len(balancing.left),
+        lambda order: _back(balancing.reduced(spectrum.model, order, "truncation"), dt),
+        measured,
+        lambda order: relative_bound(balancing.values, order),
+        lambda omega, gap: relative_gap(frequency_response(stable, omega), gap, floor),
+    )
+
+
+def _values_as_given(balancing: Balancing, ordinary: Moderated) -> Array:
+    return np.array([ordinary.value(value, "reduce_model") for value in balancing.values])
+
+
+def _in_continuous_time(model: StateSpaceModel) -> StateSpaceModel:
+    return bilinear_to_continuous(model) if model.is_discrete else model
+
+
+def _back(model: StateSpaceModel, dt: float) -> StateSpaceModel:
+    return bilinear_to_discrete(model, dt) if dt else model
+
+
+def _with_hankel_norm(found: ReducedModel, size: float) -> ReducedModel:
+    """With the Hankel norm of the difference, which theory says is the first value left out."""
+    left = found.hankel[found.order - found.n_apart :]
+    wanted, largest = float(left.max(initial=0.0)), float(found.hankel.max(initial=0.0))
+    status, reason = found.status, found.reason
+    if status is Status.CERTIFIED and abs(size - wanted) > 1e-6 * wanted + BOUND_ROUNDING * largest:
+        reason = f"the Hankel norm of the error is {size:.6g}, not {wanted:.6g}: digits were lost"
+        status = Status.INACCURATE
+    return replace(found, hankel_error=size, status=status, reason=reason)
 
 
 def weighted_factors(
@@ -370,92 +471,46 @@ def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSp
 
 
 def _checked(
-    full: StateSpaceModel,
-    model: StateSpaceModel,
-    method: str,
-    error: HinfNorm,
-    bound: float,
-    values: Array,
-    apart: int,
-    weights: Weights,
+    full: StateSpaceModel, model: StateSpaceModel, method: str, way: _Way, error: HinfNorm, bound: float, apart: int
 ) -> ReducedModel:
     """The result; the models as given and as returned are compared at frequencies of the full one."""
     named = StateSpaceModel(
         model.A, model.B, model.C, model.D, full.dt, full.inputs, full.outputs, where="reduced model"
     )
+    values = np.array(way.values)
+    values.setflags(write=False)
     largest = float(values.max(initial=0.0))
     reason = error.reason
     if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
     if not reason and method != "coprime":
-        seen, size = _seen_difference(full, named, weights)
+        seen, size = _seen_difference(full, named, way)
         if seen > error.upper * (1 + 1e-6) + 1e-9 * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
-    values = np.array(values)
-    values.setflags(write=False)
     return ReducedModel(named, method, error, bound, values, apart, full, status, reason)
 
 
-def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, weights: Weights) -> tuple[float, float]:
-    """Largest weighted difference of the two responses on a grid away from poles, and the size of the responses."""
+def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, way: _Way) -> tuple[float, float]:
+    """Largest difference of the two responses, as it is measured, on a grid away from poles; size of the responses."""
     if not full.n_inputs or not full.n_outputs or not full.n_states:
         return 0.0, 0.0
     omega = default_grid(full, 40) * 1.0123
     if full.is_discrete:
         omega = omega[omega < np.pi / full.dt]
     first = frequency_response(full, omega)
-    gap = first - frequency_response(model, omega)
-    if weights[0] is not None:
-        gap = gap @ frequency_response(weights[0], omega)
-    if weights[1] is not None:
-        gap = frequency_response(weights[1], omega) @ gap
+    gap = way.seen(omega, first - frequency_response(model, omega))
     size_of = np.linalg.norm
     return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, 2, axis=(1, 2)).max(initial=0.0))
 
 
-class CoprimeReduction:
-    """Balanced truncation of the normalised right coprime factors of a model, continuous or discrete."""
-
-    def __init__(self, full: StateSpaceModel) -> None:
-        self.full = full
-        self._mapped = continuous_models(full)
-        self.factors = coprime_factors(self._mapped.models[0]).right
-        self.balancing = Balancing.of(*gramian_factors(self.factors))
-
-    def reduced_factors(self, order: int) -> StateSpaceModel:
-        """``[N_r; M_r]`` in continuous time."""
-        return self.balancing.reduced(self.factors, order, "truncation")
-
-    def reduced(self, order: int) -> StateSpaceModel:
-        """``N_r M_r^{-1}``.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            M_r has no inverse.
-        """
-        small, p = self.reduced_factors(order), self.full.n_outputs
-        n, m = (small.C[:p], small.D[:p]), (small.C[p:], small.D[p:])
-        if small.n_inputs and np.linalg.cond(m[1]) > 1e12:
-            raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
-        back = np.linalg.inv(m[1])
-        gain, into = back @ m[0], small.B @ back
-        model = StateSpaceModel(small.A - into @ m[0], into, n[0] - n[1] @ gain, n[1] @ back)
-        if self.full.dt:
-            model = bilinear_to_discrete(model, self.full.dt)
-            if self._mapped.mirrored:
-                model = StateSpaceModel(-model.A, -model.B, model.C, model.D, self.full.dt)
-        return model
-
-
 def _coprime_reduction(full: StateSpaceModel) -> Candidates:
     reduction = CoprimeReduction(full)
-    values = reduction.balancing.values
+    balancing, factors = reduction.balancing, reduction.factors
+    way = _Way(balancing.values, len(balancing.left), reduction.reduced, hinf_norm)
 
     def candidate(order: int) -> ReducedModel:
-        error = hinf_norm(_difference(reduction.factors, reduction.reduced_factors(order)))
-        bound = error_bound(values, order)
-        return _checked(full, reduction.reduced(order), "coprime", error, bound, values, 0, (None, None))
+        error = way.measured(_difference(factors, reduction.reduced_factors(order)))
+        return _checked(full, way.reduced(order), "coprime", way, error, error_bound(way.values, order), 0)
 
-    return candidate, 0, len(reduction.balancing.left)
+    return candidate, 0, way.most, np.append(way.values, 0.0)

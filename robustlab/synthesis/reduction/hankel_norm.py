@@ -1,0 +1,101 @@
+r"""Optimal Hankel-norm approximation of a stable continuous model, by the all-pass dilation of its balanced states.
+
+With :math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_{k+1}`, and A, B, C cut alike,
+
+.. math:: U = -(C_2^T)^+ B_2, \quad \Gamma = \Sigma_1^2 - \sigma^2 I, \quad
+   \hat A = \Gamma^{-1} (\sigma^2 A_{11}^T + \Sigma_1 A_{11} \Sigma_1 - \sigma C_1^T U B_1^T), \quad
+   \hat B = \Gamma^{-1} (\Sigma_1 B_1 + \sigma C_1^T U), \quad \hat C = C_1 \Sigma_1 + \sigma U B_1^T, \quad
+   \hat D = D - \sigma U
+
+differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
+the Hankel norm, at a distance of exactly sigma; a constant stands for the others, which are not stable. U is a
+contraction: a block of a unitary matrix that does the same for the model with rows and columns of zeros, so that models
+need not be square, and no part of U is left to choice.
+
+References
+----------
+Glover, "All optimal Hankel-norm approximations of linear multivariable systems and their L-infinity error bounds", Int.
+J. Control 39 (1984), theorems 6.3 and 9.7.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.reduction.balancing import Balancing, gramian_factors, split_stable
+
+__all__ = ["hankel_bound", "hankel_norm", "nearest_in_hankel_norm"]
+
+# Hankel values that agree to this share are one repeated value: dividing by their difference would cost more digits.
+REPEATED = 1e-8
+
+
+def _dilated(model: StateSpaceModel, balancing: Balancing, k: int) -> StateSpaceModel:
+    """The dilation that leaves out the value at index k, however often it comes; states times the root of |Gamma|."""
+    a, b, c = balancing.left @ model.A @ balancing.right, balancing.left @ model.B, model.C @ balancing.right
+    values = balancing.values[: len(a)]
+    level = values[k]
+    cut = np.abs(values - level) <= REPEATED * level
+    u = -np.linalg.pinv(c[:, cut].T) @ b[cut]
+    s, a, b, c = values[~cut], a[np.ix_(~cut, ~cut)], b[~cut], c[:, ~cut]
+    gamma = s**2 - level**2
+    root = np.sqrt(np.abs(gamma))
+    inverse = (np.sign(gamma) / root)[:, None]
+    middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
+    return StateSpaceModel(
+        inverse * middle / root,
+        inverse * (s[:, None] * b + level * c.T @ u),
+        (c * s + level * u @ b.T) / root,
+        model.D - level * u,
+    )
+
+
+def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
+    """The nearest model of at most this order; of fewer where the value after the cut is a repeated one.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        As many modes are stable as there should not be: digits were lost.
+    """
+    values = balancing.values[: len(balancing.left)]
+    if order >= len(values):
+        return balancing.reduced(model, order, "truncation")
+    order = int((values > values[order] * (1 + REPEATED)).sum())
+    parts = split_stable(_dilated(model, balancing, order))
+    if parts.stable.n_states != order:
+        found = f"{parts.stable.n_states} stable modes where there should be {order}: digits were lost"
+        raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
+    m = parts.stable
+    return StateSpaceModel(m.A, m.B, m.C, m.D + _constant_near(parts.apart), 0.0, model.inputs, model.outputs)
+
+
+def _constant_near(unstable: StateSpaceModel) -> AnyArray:
+    """A constant no farther from a strictly proper model without stable modes than the sum of its Hankel values.
+
+    One value after another, the smallest first: each dilation moves the model by no more than the value that it takes.
+    """
+    left = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
+    while left.n_states:
+        balancing = Balancing.of(*gramian_factors(left))
+        smallest = len(balancing.left) - 1
+        if smallest < 0:
+            break
+        left = _dilated(left, balancing, smallest)
+    return left.D
+
+
+def hankel_bound(values: AnyArray, order: int) -> float:
+    """What the H-infinity error cannot exceed: the value after the cut once, and the sum of all that are smaller."""
+    if order >= len(values):
+        return 0.0
+    level = values[order]
+    return float(level + values[values < level * (1 - REPEATED)].sum())
+
+
+def hankel_norm(model: StateSpaceModel) -> float:
+    """The largest Hankel value of a stable model, continuous or discrete."""
+    return float(Balancing.of(*gramian_factors(model)).values.max(initial=0.0))

@@ -1,0 +1,102 @@
+"""What a reduction of a model gives: the model, its certified error, what theory promises, and the Hankel values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.norms import HinfNorm
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["ReducedModel"]
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel(Shown):
+    r"""A model of lower order with its certified error.
+
+    Attributes
+    ----------
+    model
+        The reduced model, with the inputs and outputs of the one given.
+    method
+        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` or ``"band "`` before it where that was asked
+        for; ``"hankel"``, ``"stochastic"`` or ``"coprime"``.
+    error
+        H-infinity norm of the difference: of the models (of their stable parts, for the others are equal); times the
+        weights where there are any; inside the band where there is one; relative to the model for ``"stochastic"``;
+        for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
+    bound
+        What theory promises for ``error`` before anything is computed, as in `reduce_model`. NaN with weights or a
+        band: there is no such promise.
+    hankel
+        Hankel singular values of what was reduced (of the coprime factors for ``"coprime"``, of the phase of the model
+        for ``"stochastic"``), in decreasing order.
+    n_apart
+        Number of states kept apart, because their modes are not stable.
+    full
+        The model as given.
+    status
+        CERTIFIED where ``error`` is proved and the two models agree with it wherever they were compared; INACCURATE
+        where digits were lost.
+    reason
+        Why it is inaccurate; else empty.
+    difference
+        H-infinity norm of the difference at all frequencies, where ``error`` is that inside a band or a relative one.
+    hankel_error
+        Hankel norm of the difference, from its own Gramians; NaN for other methods than ``"hankel"``.
+    """
+
+    model: StateSpaceModel
+    method: str
+    error: HinfNorm
+    bound: float
+    hankel: Array
+    n_apart: int
+    full: StateSpaceModel
+    status: Status
+    reason: str = ""
+    difference: HinfNorm | None = None
+    hankel_error: float = np.nan
+
+    @property
+    def order(self) -> int:
+        """Number of states of the reduced model."""
+        return self.model.n_states
+
+    def to_model(self) -> StateSpaceModel:
+        """The reduced model."""
+        return self.model
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        words = {"coprime": "error of the coprime factors", "stochastic": "relative error"}
+        kind = self.method.partition(" ")[0]
+        what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
+        bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
+        rows = [
+            ("order", f"{self.order} of {self.full.n_states} states"),
+            ("method", self.method),
+            (what, f"{self.error.upper:.6g} at {self.error.frequency:.4g} rad/s (verified upper bound{bound})"),
+            ("status", self.status.value),
+            ("Hankel norm of the error", number(self.hankel_error, digits=6)),
+            ("error at all frequencies", "" if self.difference is None else number(self.difference.upper, digits=6)),
+            ("Hankel values", ", ".join(f"{value:.4g}" for value in self.hankel[:12]) or "none"),
+        ]
+        if self.n_apart:
+            rows.append(("kept apart", f"{self.n_apart} states of modes that are not stable"))
+        return [*rows, ("why", self.reason)] if self.reason else rows
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the model as given."""
+        return {
+            "type": "ReducedModel",
+            **{name: getattr(self, name) for name in self.__dataclass_fields__ if name != "full"},
+            "order": self.order,
+            "full_order": self.full.n_states,
+        }

@@ -1,0 +1,347 @@
+"""Hankel-norm approximation, stochastic balancing, bands: closed forms, published examples, other ways to compute."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, logm, solve_continuous_are, solve_continuous_lyapunov
+from unit.test_model_reduction import difference_on_grid, stable_model
+
+import robustlab as rl
+from robustlab.result import Status
+from robustlab.synthesis.reduction import model_reduction
+from robustlab.synthesis.reduction.band_gramians import band_gramian_factors
+from robustlab.synthesis.reduction.relative_error import Spectrum
+
+
+def slicots_example() -> rl.StateSpaceModel:
+    """The model of the examples in the documentation of AB09CD and AB09HD (SLICOT 5.0)."""
+    A = np.array([
+        [-0.04165, 0.0000, 4.9200, -4.9200, 0.0000, 0.0000, 0.0000],
+        [-5.2100, -12.500, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000],
+        [0.0000, 3.3300, -3.3300, 0.0000, 0.0000, 0.0000, 0.0000],
+        [0.5450, 0.0000, 0.0000, 0.0000, -0.5450, 0.0000, 0.0000],
+        [0.0000, 0.0000, 0.0000, 4.9200, -0.04165, 0.0000, 4.9200],
+        [0.0000, 0.0000, 0.0000, 0.0000, -5.2100, -12.500, 0.0000],
+        [0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 3.3300, -3.3300],
+    ])  # fmt: skip
+    B = np.zeros((7, 2))
+    B[1, 0] = B[5, 1] = 12.5
+    C = np.zeros((3, 7))
+    C[0, 0] = C[1, 3] = C[2, 4] = 1.0
+    return rl.StateSpaceModel(A, B, C, np.zeros((3, 2)))
+
+
+def lag(pole: float, gain: float) -> rl.StateSpaceModel:
+    return rl.StateSpaceModel([[-pole]], [[1.0]], [[gain]], [[0.0]])
+
+
+# --- Hankel norm -----------------------------------------------------------------------------------------------------
+
+
+def test_the_nearest_constant_of_a_lag_in_closed_form():
+    # 6 / (s + 2) has the Hankel value 1.5, and 6 / (s + 2) - 1.5 = 1.5 (2 - s) / (s + 2) is all-pass.
+    found = rl.reduce_model(lag(2.0, 6.0), 0, method="hankel")
+    np.testing.assert_allclose(found.model.D, [[1.5]], rtol=1e-12)
+    assert found.bound == pytest.approx(1.5)
+    assert found.error.upper == pytest.approx(1.5, rel=1e-5)
+    assert found.hankel_error == pytest.approx(1.5)
+    assert found.status is Status.CERTIFIED
+
+
+def test_slicots_published_hankel_norm_approximation():
+    found = rl.reduce_model(slicots_example(), 5, method="hankel")
+    first = [[-0.5038, -5.3070, -3.2250], [1.8355, -0.5038, -2.6289], [0, 0, -1.5171]]
+    A = block_diag(first, [[-1.2925, -9.0718], [0.5047, -1.2925]])
+    B = [[-1.5343, 1.5343], [-0.3614, 0.3614], [-1.1096, 1.1096], [-4.5325, -4.5325], [-0.7396, -0.7396]]
+    C = [
+        [1.8971, -0.3055, -2.1124, 0.4421, -2.1023],
+        [-0.0394, 1.1112, -0.3119, 0, 0],
+        [-1.8971, 0.3055, 2.1124, 0.4421, -2.1023],
+    ]
+    theirs = rl.StateSpaceModel(A, B, C, np.zeros((3, 2)))
+    ours = rl.StateSpaceModel(found.model.A, found.model.B, found.model.C, np.zeros((3, 2)))
+    assert difference_on_grid(ours, theirs, [0.0, 0.5, 1.0, 3.0, 10.0]) < 4e-4  # printed to four digits
+    assert found.hankel_error == pytest.approx(found.hankel[5], rel=1e-9)
+    # Their direct term comes from the dilation alone; ours stands for the unstable modes too, and keeps half the bound.
+    assert found.error.upper <= found.bound * (1 + 1e-6)
+    assert found.bound == pytest.approx(found.hankel[5:].sum())
+
+
+@pytest.mark.parametrize(("n", "m", "p", "order"), [(6, 1, 1, 2), (7, 2, 3, 4), (9, 3, 1, 0)])
+def test_the_hankel_matrix_of_the_error_has_the_norm_of_the_next_value(n, m, p, order):
+    # Another way to the Hankel norm: the largest singular value of the block Hankel matrix of Markov parameters.
+    G = stable_model(n, n, 0.1, m, p)
+    found = rl.reduce_model(G, order, method="hankel")
+    assert found.status is Status.CERTIFIED
+    assert found.order == order
+
+    def markov(model):
+        x, blocks = model.B, []
+        for _ in range(400):
+            blocks.append(model.C @ x)
+            x = model.A @ x
+        return np.array(blocks)
+
+    h = markov(G) - markov(found.model)
+    k = len(h) // 2
+    matrix = np.block([[h[i + j] for j in range(k)] for i in range(k)])
+    assert np.linalg.norm(matrix, 2) == pytest.approx(found.hankel[order], rel=1e-6)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_no_balanced_truncation_is_nearer_in_the_hankel_norm(dt):
+    G = stable_model(8, 3, dt)
+    for order in range(8):
+        nearest, truncated = (rl.reduce_model(G, order, method=method) for method in ("hankel", "truncation"))
+        gap = G - truncated.model
+        assert nearest.hankel_error <= rl.hankel_singular_values(gap)[0] * (1 + 1e-9)
+        assert nearest.error.lower <= nearest.bound * (1 + 1e-9)
+        assert nearest.bound <= truncated.bound / 2 * (1 + 1e-9)
+
+
+def test_a_repeated_value_is_left_out_as_a_whole():
+    # Two equal channels side by side: every value comes twice, and the model of order 2 is as near as one of order 3.
+    G = stable_model(3, 1, m=1, p=1)
+    both = rl.StateSpaceModel(*(np.kron(np.eye(2), getattr(G, name)) for name in "ABCD"))
+    single, double = rl.reduce_model(G, 1, method="hankel"), rl.reduce_model(both, 3, method="hankel")
+    assert double.order == 2
+    assert double.hankel_error == pytest.approx(single.hankel_error, rel=1e-9)
+    assert double.status is Status.CERTIFIED
+
+
+@pytest.mark.parametrize("method", ["hankel", "stochastic"])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_modes_that_are_not_stable_stay_and_what_is_not_minimal_goes(method, dt):
+    G = stable_model(4, 2, dt, 1, 1)
+    twice = rl.StateSpaceModel(
+        block_diag(G.A, G.A, 1.3), np.vstack([G.B, G.B, [[1.0]]]), np.hstack([G.C / 2, G.C / 2, [[1.0]]]), G.D, dt
+    )
+    kept = rl.reduce_model(twice, 9, method=method)
+    assert (kept.order, kept.n_apart) == (5, 1)
+    omega = np.linspace(0.2, 9.0, 30)
+    assert difference_on_grid(twice, kept.model, omega) < 1e-7
+    small = rl.reduce_model(twice, 3, method=method)
+    assert small.status is Status.CERTIFIED
+    assert np.abs(small.model.poles() - 1.3).min() < 1e-7
+
+
+def test_a_wrong_approximation_is_not_certified(monkeypatch):
+    # A model of the right order that is not the nearest: the Gramians of the difference tell.
+    right = model_reduction.nearest_in_hankel_norm
+
+    def wrong(model, balancing, order):
+        found = right(model, balancing, order)
+        return rl.StateSpaceModel(found.A * (1 + 1e-3), found.B, found.C, found.D)
+
+    monkeypatch.setattr(model_reduction, "nearest_in_hankel_norm", wrong)
+    found = rl.reduce_model(stable_model(6, 4), 3, method="hankel")
+    assert found.status is Status.INACCURATE
+    assert "the Hankel norm of the error is" in found.reason
+
+
+# --- relative error --------------------------------------------------------------------------------------------------
+
+
+def test_slicots_published_stochastic_hankel_values():
+    found = rl.reduce_model(slicots_example(), 5, method="stochastic", floor=1.0)
+    np.testing.assert_allclose(found.hankel, [0.8803, 0.8506, 0.8038, 0.4494, 0.3973, 0.0214, 0.0209], atol=6e-5)
+    theirs = np.linalg.eigvals([
+        [1.2729, 0.0000, 6.5947, 0.0000, -3.4229], [0.0000, 0.8169, 0.0000, 2.4821, 0.0000],
+        [-2.9889, 0.0000, -2.9028, 0.0000, -0.3692], [0.0000, -3.3921, 0.0000, -3.1126, 0.0000],
+        [-1.4767, 0.0000, -2.0339, 0.0000, -0.6107],
+    ])  # fmt: skip
+    np.testing.assert_allclose(np.sort_complex(found.model.poles()), np.sort_complex(theirs), atol=2e-4)
+    mu = found.hankel[5:]
+    assert found.bound == pytest.approx(np.prod((1 + mu) / (1 - mu)) - 1, rel=1e-9)
+    assert found.error.upper <= found.bound
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_relative_error_of_a_square_model_is_that_of_its_inverse(seed):
+    G = stable_model(6, seed, m=2, p=2)
+    found = rl.reduce_model(G, 4, method="stochastic")
+    assert found.status is Status.CERTIFIED
+    by_inverse = rl.linf_norm(G.inverse() @ (G - found.model))  # no Riccati equation
+    assert found.error.lower == pytest.approx(by_inverse.lower, rel=1e-5)
+    assert found.error.lower <= found.bound * (1 + 1e-9)
+    assert found.difference.upper >= difference_on_grid(G, found.model, np.geomspace(0.01, 100, 50)) * (1 - 1e-9)
+
+
+def test_the_values_are_those_of_a_riccati_equation_solved_elsewhere():
+    G = stable_model(5, 8, m=3, p=2)
+    P = solve_continuous_lyapunov(G.A, -G.B @ G.B.T)
+    into, R = P @ G.C.T + G.B @ G.D.T, G.D @ G.D.T
+    loop = G.A - into @ np.linalg.solve(R, G.C)
+    X = solve_continuous_are(loop, into, G.C.T @ np.linalg.solve(R, G.C), -R)
+    values = np.sort(np.sqrt(np.linalg.eigvals(P @ X).real))[::-1]
+    np.testing.assert_allclose(rl.reduce_model(G, 3, method="stochastic").hankel, values, rtol=1e-7)
+
+
+def test_a_zero_on_the_right_must_stay_and_is_named_by_an_infinite_bound():
+    # (s - 1)(s + 3) / ((s + 2)(s + 5)): one value is 1, the phase of the zero.
+    A, B = [[-7.0, -10.0], [1.0, 0.0]], [[1.0], [0.0]]
+    G = rl.StateSpaceModel(A, B, [[-5.0, -13.0]], [[1.0]])
+    found = rl.reduce_model(G, 1, method="stochastic")
+    assert found.hankel[0] == pytest.approx(1.0, abs=1e-9)
+    assert np.isfinite(found.bound)
+    np.testing.assert_allclose(rl.zeros(found.model).values.real, [1.0], rtol=1e-6)  # and its zero stays where it is
+    assert rl.reduce_model(G, 0, method="stochastic").bound == np.inf
+
+
+def test_small_gains_are_kept_as_well_as_large_ones():
+    # A slow mode of gain 100, another of gain 1 beside it, and a resonance at 20 rad/s that stands out of their tails.
+    weak = rl.StateSpaceModel([[0, 1], [-400, -0.4]], [[0], [1]], [[0.4, 0]], [[1e-3]])
+    G = lag(0.01, 1.0) + lag(0.02, 0.02) + weak
+    truncated, relative = rl.balanced_truncation(G, 2), rl.reduce_model(G, 3, method="stochastic")
+    at = np.array([20.0])
+    size = abs(rl.frequency_response(G, at)[0, 0, 0])
+    assert difference_on_grid(G, truncated.model, at) > 0.4 * size
+    assert relative.error.upper < 0.02
+    assert difference_on_grid(G, relative.model, at) < 0.02 * size
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.2])
+def test_the_relative_error_holds_on_a_grid_with_its_own_arithmetic(dt):
+    G, floor = stable_model(7, 5, dt, 2, 3), 0.3
+    found = rl.reduce_model(G, 4, method="stochastic", floor=floor)
+    omega = np.linspace(0.0, np.pi / (dt or 0.2), 700)
+    g, e = rl.frequency_response(G, omega), rl.frequency_response(G - found.model, omega)
+    worst = max(
+        np.linalg.norm(np.linalg.solve(u * np.sqrt(s**2 + floor**2) @ u.conj().T, gap), 2)
+        for (u, s, _), gap in zip((full(h) for h in g), e, strict=True)
+    )
+    assert 0.95 * found.error.lower <= worst <= found.error.upper * (1 + 1e-9)
+    assert found.error.frequency <= np.pi / dt if dt else True
+
+
+def full(h):
+    """Left singular vectors and as many values, zeros included."""
+    u, s, v = np.linalg.svd(h)
+    return u, np.pad(s, (0, len(u) - len(s))), v
+
+
+def test_models_whose_gain_vanishes_ask_for_a_floor():
+    with pytest.raises(rl.InputError, match=r"no full row rank.*\n?.*floor="):
+        rl.reduce_model(lag(1.0, 1.0), 0, method="stochastic")
+    washout = rl.StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[1.0]])  # s / (s + 1)
+    with pytest.raises(rl.NoTrustworthyNumber, match="the gain vanishes at some frequency"):
+        rl.reduce_model(washout, 0, method="stochastic")
+    assert rl.reduce_model(washout, 0, method="stochastic", floor=0.1).status is Status.CERTIFIED
+
+
+def test_an_error_told_too_small_is_seen(monkeypatch):
+    right = Spectrum.relative
+
+    def too_small(self, error):
+        found = right(self, error)
+        return replace(found, lower=0.5 * found.lower, upper=0.5 * found.upper)
+
+    monkeypatch.setattr(Spectrum, "relative", too_small)
+    found = rl.reduce_model(stable_model(6, 4, m=2, p=2), 2, method="stochastic")
+    assert found.status is Status.INACCURATE
+    assert "more than the certified" in found.reason
+
+
+# --- bands -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gramians_of_a_band_in_closed_form(seed):
+    # Benner, Kuerschner, Saak 2016: A P + P A' + F B B' + B B' F' = 0 with F = Re(i / pi ln(-A - i w I)) between ends.
+    G, low, high = stable_model(6, seed), 0.3, 4.0
+    reach, see = band_gramian_factors(G, low, high)
+
+    def half(A, w):
+        return np.real(1j / np.pi * logm(-A - 1j * w * np.eye(len(A))))
+
+    for A, B, L in ((G.A, G.B, reach), (G.A.T, G.C.T, see)):
+        F = half(A, high) - half(A, low)
+        P = solve_continuous_lyapunov(A, -(F @ B @ B.T + B @ B.T @ F.T))
+        np.testing.assert_allclose(L @ L.T, P, atol=1e-8 * np.abs(P).max())
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_the_band_of_all_frequencies_is_balanced_truncation(dt):
+    G = stable_model(7, 6, dt)
+    everywhere = rl.reduce_model(G, 3, band=(0.0, np.pi / dt if dt else np.inf))
+    ordinary = rl.balanced_truncation(G, 3)
+    np.testing.assert_allclose(everywhere.hankel, ordinary.hankel, rtol=1e-6, atol=1e-9 * ordinary.hankel[0])
+    assert everywhere.error.upper == pytest.approx(ordinary.error.upper, rel=1e-5)
+    assert everywhere.difference.upper == pytest.approx(ordinary.error.upper, rel=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("method", ["truncation", "residualisation"])
+def test_the_error_in_a_band_is_proved_there_and_smaller_than_without_it(dt, method):
+    G, band = stable_model(10, 9, dt, 1, 1), (1.0, 4.0)
+    inside, anywhere = rl.reduce_model(G, 4, method=method, band=band), rl.reduce_model(G, 4, method=method)
+    assert inside.status is Status.CERTIFIED
+    omega = np.linspace(*band, 3000)
+    seen = difference_on_grid(G, inside.model, omega)
+    assert seen <= inside.error.upper * (1 + 1e-9)
+    assert inside.error.lower == pytest.approx(seen, rel=1e-4)
+    assert seen < 0.5 * difference_on_grid(G, anywhere.model, omega)
+    assert np.isnan(inside.bound)
+    assert band[0] <= inside.error.frequency <= band[1] * (1 + 1e-12)
+    assert inside.difference.upper >= inside.error.lower
+    assert dict(inside.facts())["error at all frequencies"]
+
+
+def test_a_band_promises_no_stability_and_an_unstable_model_is_refused():
+    refused = []
+    for seed in range(40):
+        G = stable_model(8, seed, m=1, p=1)
+        for order in range(1, 8):
+            try:
+                found = rl.reduce_model(G, order, band=(0.5, 1.0))
+            except rl.NoTrustworthyNumber as error:
+                refused.append((seed, order))
+                assert "is not stable" in str(error)
+            else:
+                assert found.model.is_stable()
+        if refused:
+            break
+    seed, order = refused[0]
+    G = stable_model(8, seed, m=1, p=1)
+    tolerance = 1e-12 * rl.hinf_norm(G).upper
+    assert rl.reduce_model(G, tolerance=tolerance, band=(0.5, 1.0)).model.is_stable()  # that order is passed over
+
+
+# --- requests --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["hankel", "stochastic", "coprime", "truncation"])
+def test_tolerance_takes_the_lowest_order_that_keeps_it_whatever_the_method(method):
+    G = stable_model(7, 11, m=2, p=2)
+    errors = [rl.reduce_model(G, r, method=method).error.upper for r in range(7)]
+    tolerance = 0.5 * (errors[4] + errors[3])
+    found = rl.reduce_model(G, tolerance=tolerance, method=method)
+    assert found.order == min(r for r in range(7) if errors[r] <= tolerance)
+
+
+WEIGHT = rl.StateSpaceModel([], [], [], [[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "hankel", "input_weight": WEIGHT}, "weights with method 'hankel'"),
+        ({"method": "stochastic", "band": (1, 2)}, "a band with method 'stochastic'"),
+        ({"band": (1, 2), "input_weight": WEIGHT}, "weights and a band"),
+        ({"band": (2, 1)}, "2 to 1 rad/s, expected 0 <= low < high"),
+        ({"band": 3.0}, "two frequencies"),
+        ({"floor": 1.0}, "floor with method 'truncation'"),
+        ({"floor": -1.0, "method": "stochastic"}, "not negative"),
+    ],
+)
+def test_bad_requests_are_named(arguments, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.reduce_model(stable_model(4, 1), 2, **arguments)
+
+
+def test_a_band_beyond_half_the_sample_rate_is_refused():
+    with pytest.raises(rl.InputError, match=r"up to pi / dt = 31\.4159 rad/s"):
+        rl.reduce_model(stable_model(4, 1, 0.1), 2, band=(1.0, 40.0))
