@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ from robustlab.norms import hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
-from robustlab.synthesis.hinf.lmi_synthesis import solve_conic
+from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
 from robustlab.synthesis.scheduling.lpv_model import EXACT, SAMPLED, LPVModel
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
@@ -173,10 +173,10 @@ def gain_from(
     lyapunov: Lyapunov | None,
     budget: Budget,
     say: Callable[[str], None],
-    guesses: Sequence[Array] = (),
+    guess: Array | None = None,
     tuning: SchedulingTuning = TUNING,
 ) -> LPVGain:
-    """`lpv_gain` on a budget; ``guesses`` are constant Lyapunov matrices to try before a solver is asked."""
+    """`lpv_gain` on a budget; ``guess`` is a constant Lyapunov matrix to try, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
     varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
     lower, at, frequency, unstable = _frozen(model)
@@ -194,25 +194,26 @@ def gain_from(
         raise InputError("lpv_gain", found, f"at most {tuning.inequalities}", "fewer points, or lyapunov='constant'")
     if not model.n_states:
         posed = Inequality(model, False)
-    say(f"{len(posed.coefficients)} inequalities of size {posed.n + sum(posed.blocks(posed.coefficients[0], _one(posed))[3].shape)}")
-    best, how = _from_guesses(posed, guesses, lower, tuning), "by the Lyapunov matrix of the synthesis"
-    # A guess is what the LMIs start from; only where it is far from the frozen norms is the solver worth its time.
+    say(f"{len(posed.coefficients)} inequalities of size {sum(model.matrices.shape[-2:]) - posed.n}")
+    best, how = None, "by the Lyapunov matrix of the synthesis"
+    basis = np.eye(posed.n)
+    if guess is not None:
+        scaled = posed.scaled(0.5 * (guess + guess.T))
+        basis = _basis(scaled, basis)
+        best = _level_of(posed, np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape))), lower, tuning)
+    # Only where that is far from the frozen norms is the solver worth its time.
     if best is None or best[0] > (1 + tuning.near) * lower * posed.gain:
-        solved, text = _solved(posed, lower, budget, say, tuning)
+        solved, text = _solved(posed, basis, lower, budget, say, tuning)
         if solved is not None and (best is None or solved[0] < best[0]):
             best, how = solved, text
         elif best is None:
-            status = Status.INFEASIBLE if "infeasible" in text else Status.INCONCLUSIVE
+            status = Status.INFEASIBLE if "PrimalInfeasible" in text else Status.INCONCLUSIVE
             return told(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
     gamma, P = best
     status = Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED
     made = told(gamma / posed.gain, posed.as_given(P), status, how)
     made.P.setflags(write=False)
     return made
-
-
-def _one(posed: Inequality) -> Array:
-    return np.broadcast_to(np.eye(posed.n), (*posed.shape, posed.n, posed.n))
 
 
 def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, bool]:
@@ -227,17 +228,18 @@ def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, bool]:
     return lower, at, frequency, False
 
 
-def _from_guesses(
-    posed: Inequality, guesses: Sequence[Array], lower: float, tuning: SchedulingTuning
-) -> tuple[float, Array] | None:
-    """The smallest level (scaled) that a guessed P proves, by bisection; None where none does."""
-    found = None
-    for guess in guesses:
-        P = np.array(np.broadcast_to(posed.scaled(0.5 * (guess + guess.T)), (*posed.shape, posed.n, posed.n)))
-        level = _smallest(posed, P, max(lower, 1e-12) * posed.gain, tuning)
-        if level is not None and (found is None or level < found[0]):
-            found = level, P
-    return found
+def _basis(P: Array, before: Array) -> Array:
+    """T with ``T^T P T = I``; the one before where P is not positive definite."""
+    try:
+        return np.linalg.inv(np.linalg.cholesky(P)).T
+    except np.linalg.LinAlgError:
+        return before
+
+
+def _level_of(posed: Inequality, P: Array, lower: float, tuning: SchedulingTuning) -> tuple[float, Array] | None:
+    """The smallest level (scaled) that P proves, with it; None where none is found."""
+    level = _smallest(posed, P, max(lower, 1e-12) * posed.gain, tuning)
+    return None if level is None else (level, P)
 
 
 def _smallest(posed: Inequality, P: Array, low: float, tuning: SchedulingTuning) -> float | None:
@@ -252,51 +254,115 @@ def _smallest(posed: Inequality, P: Array, low: float, tuning: SchedulingTuning)
 
 
 def _solved(
-    posed: Inequality, lower: float, budget: Budget, say: Callable[[str], None], tuning: SchedulingTuning
+    posed: Inequality, basis: Array, lower: float, budget: Budget, say: Callable[[str], None], tuning: SchedulingTuning
 ) -> tuple[tuple[float, Array] | None, str]:
-    """Smallest proved level and its P by the LMIs, or None and why."""
-    gamma, _, text = _posed(posed, None, budget)
-    if gamma is None:
-        return None, text
-    say(f"LMIs: optimum {gamma / posed.gain:.6g}")
-    start = max(gamma, lower * posed.gain)
-    for backoff in tuning.gain_backoffs:
-        level = start * (1 + backoff)
-        _, P, text = _posed(posed, level, budget)
-        if P is not None and posed.proves(P, level * (1 + 1e-9)):
-            smallest = _smallest(posed, P, start, tuning)
-            say(f"proved at {level / posed.gain:.6g}")
-            told = f"LMIs with optimum {gamma / posed.gain:.6g}; {len(posed.coefficients)} inequalities checked outside"
-            return (smallest or level * (1 + 1e-9), P), f"{told} of the solver"
-    return None, f"the LMIs' optimum {gamma / posed.gain:.6g} could not be proved outside of the solver ({text})"
+    """Smallest proved level and its P by the LMIs, or None and why.
+
+    They are posed again in the states in which the last P is the identity, until the optimum stands.
+    """
+    best, last, text = None, np.inf, ""
+    for _ in range(tuning.balancings):
+        turned = posed.turned(basis)
+        gamma, _, text = _posed(turned, None, budget)
+        if gamma is None:
+            break
+        say(f"LMIs: optimum {gamma / posed.gain:.6g}")
+        start, found = max(gamma, lower * posed.gain), None
+        for backoff in tuning.gain_backoffs:
+            level = start * (1 + backoff)
+            _, found, text = _posed(turned, level, budget)
+            if found is None:
+                continue
+            back = np.linalg.inv(basis)
+            P = back.T @ found @ back
+            P = 0.5 * (P + np.swapaxes(P, -1, -2))
+            if posed.proves(P, level * (1 + 1e-9)):
+                smallest = _smallest(posed, P, start, tuning) or level * (1 + 1e-9)
+                if best is None or smallest < best[0]:
+                    best = smallest, P
+                break
+        if gamma > last * (1 - 0.5 * tuning.near) or posed.n == 1 or start <= lower * posed.gain * (1 + tuning.near):
+            break
+        if found is None:
+            break
+        last, basis = gamma, basis @ _basis(found[tuple(size // 2 for size in posed.shape)], np.eye(posed.n))
+    if best is None:
+        return None, text if last == np.inf else f"an optimum of {last / posed.gain:.6g} could not be proved ({text})"
+    return best, f"LMIs; {len(posed.coefficients)} inequalities checked outside of the solver"
 
 
 def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
-    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked."""
-    import cvxpy as cp
+    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked.
 
-    n = posed.n
-    P = {w: cp.Variable((n, n), symmetric=True) for w in np.ndindex(*posed.shape)}
-    gamma: Any = cp.Variable() if level is None else level
-    margin, size = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
-    constraints: list[Any] = [p >> 0 for p in P.values()] + [margin <= 1]
-    if any(c.deviation.any() for c in posed.coefficients) or level is not None:
-        constraints += [size * np.eye(n) - p >> 0 for p in P.values()]
+    Unknowns: the triangles of P, then gamma, a margin on the states, and a bound of P's size, with which the model's
+    deviation counts.
+    """
+    from scipy import sparse
+
+    n, at = posed.n, {w: k for k, w in enumerate(np.ndindex(*posed.shape))}
+    basis = _symmetric_basis(n)
+    m, count = len(basis), len(at)
+    gamma, margin, size = (m * count + k for k in range(3))
+    robust = any(c.deviation.any() for c in posed.coefficients)
+    # margin <= 1, margin >= 0, size >= 0
+    rows, right = [sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))], [[1, 0, 0]]
+    sizes: list[int] = []
+
+    def add(parts: dict[int, Array], constant: Array) -> None:
+        """``constant - sum parts[column] x`` has to be positive semidefinite; parts are stacks of matrices."""
+        made = sparse.lil_matrix((len(constant) * (len(constant) + 1) // 2, size + 1))
+        for column, part in parts.items():
+            made[:, column : column + len(part)] = triangle(part).T
+        rows.append(made.tocsr())
+        right.append(triangle(constant))
+        sizes.append(len(constant))
+
+    for k in range(count):
+        add({k * m: -basis}, np.zeros((n, n)))
+        if robust or level is not None:
+            add({k * m: basis, size: -np.eye(n)[None]}, np.zeros((n, n)))
     for c in posed.coefficients:
-        top, into, out, direct = posed.blocks(c, P)
-        n_w, n_z = into.shape[1], len(out)
-        L = cp.bmat([[top, into, out.T], [into.T, -gamma * np.eye(n_w), direct.T], [out, direct, -gamma * np.eye(n_z)]])
-        parts = (c.deviation[:n, :n], c.deviation[:n, n:], c.deviation[n:, :n], c.deviation[n:, n:])
-        a, b, o, d = (float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in parts)
-        slack = size * (2 * a + b) + (o + d) if a + b + o + d > 0 else 0.0
-        shift = np.diag(np.append(np.ones(n), np.zeros(n_w + n_z)))
-        constraints.append(0.5 * (L + L.T) + margin * shift + slack * np.eye(n + n_w + n_z) << 0)
-    goal = cp.Minimize(gamma) if level is None else cp.Maximize(margin - 1e-6 * size)
-    unknowns = len(P) * n * (n + 1) / 2
-    work = 2000 + 2e-4 * unknowns**2 * len(posed.coefficients) * n
-    outcome = solve_conic(cp.Problem(goal, constraints), budget, work)
-    values = [p.value for p in P.values()]
-    if not outcome.usable or any(v is None for v in values):
-        return None, None, outcome.text
-    stack = np.array([0.5 * (v + v.T) for v in values]).reshape(*posed.shape, n, n)
-    return (float(gamma.value) if level is None else level), stack, outcome.text
+        parts, out, direct = posed.parts(c, basis)
+        whole = n + direct.shape[1] + len(direct)
+        wide = np.zeros((2, 1, whole, whole))
+        wide[0, 0, :n, :n], wide[1, 0, n:, n:] = np.eye(n), -np.eye(whole - n)
+        fixed = np.zeros((whole, whole))
+        fixed[n + direct.shape[1] :, : n + direct.shape[1]] = np.hstack([out, direct])
+        fixed = fixed + fixed.T
+        a, b, o, d = _norms(c.deviation, n)
+        columns = {at[w] * m: part for w, part in parts.items()} | {margin: wide[0]}
+        if robust:
+            columns[size] = (2 * a + b) * np.eye(whole)[None]
+        if level is None:
+            columns[gamma] = wide[1]
+        else:
+            fixed = fixed + level * wide[1, 0]
+        add(columns, -fixed - (o + d) * np.eye(whole))
+    cost = np.zeros(size + 1)
+    if level is None:
+        cost[gamma] = 1.0
+    else:
+        cost[margin], cost[size] = -1.0, 1e-6
+    matrix = sparse.vstack(rows)
+    answer = solve_semidefinite(
+        cost, matrix, np.concatenate(right), 3, sizes, budget, TUNING.steps, 1e-3 * matrix.nnz * len(cost)
+    )
+    if answer.x is None:
+        return None, None, f"the LMI solver says {answer.text}"
+    P = np.einsum("kb,bij->kij", answer.x[: m * count].reshape(count, m), basis)
+    return (float(answer.x[gamma]) if level is None else level), P.reshape(*posed.shape, n, n), answer.text
+
+
+def _symmetric_basis(n: int) -> Array:
+    """Symmetric matrices with one entry, or one pair of entries, that is 1; shape (n (n + 1) / 2, n, n)."""
+    rows, columns = np.triu_indices(n)
+    basis = np.zeros((len(rows), n, n))
+    basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
+    return basis
+
+
+def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:
+    """2-norms of the bounds for A, B, C and D."""
+    parts = deviation[:n, :n], deviation[:n, n:], deviation[n:, :n], deviation[n:, n:]
+    a, b, c, d = (float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in parts)
+    return a, b, c, d

@@ -20,6 +20,7 @@ bounded entry by entry and allowed for in the check.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -107,6 +108,16 @@ class Inequality:
         s = self.scaling
         return P / s.states[:, None] / s.states / (s.z * s.rate / s.w)
 
+    def turned(self, T: Array) -> Inequality:
+        """The same, rounded, in states ``x = T x'``: for a solver, not for a proof."""
+        made, n, back = copy(self), self.n, np.linalg.inv(T)
+        left, right = np.eye(self.model.matrices.shape[-2]), np.eye(self.model.matrices.shape[-1])
+        left[:n, :n], right[:n, :n] = back, T
+        deviation = np.abs(left) @ self.model.deviation @ np.abs(right)
+        made.model = self.model.with_matrices(left @ self.model.matrices @ right, deviation)
+        made.__dict__.pop("coefficients", None)
+        return made
+
     # --- coefficients ------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -159,19 +170,36 @@ class Inequality:
                     total[at] = total.get(at, 0.0) + part
         return tuple((part, at) for at, part in total.items() if part)
 
-    # --- posed -------------------------------------------------------------------------------------------------------
+    # --- evaluated ---------------------------------------------------------------------------------------------------
 
-    def blocks(self, c: Coefficient, P: Any) -> tuple[Any, Any, Array, Array]:
-        """``A^T P + P A + dP/dt``, ``P B``, C and D of a coefficient; P is an array or holds variables of a solver."""
+    def blocks(self, c: Coefficient, P: Array) -> tuple[Array, Array, Array, Array]:
+        """``A^T P + P A + dP/dt``, ``P B``, C and D of a coefficient, for stacked P."""
         n, share = self.n, 1.0 / len(c.pairs)
-        half: Any = 0
-        into: Any = 0
+        half, into = np.zeros((n, n)), np.zeros((n, self.model.matrices.shape[-1] - n))
         for v, w in c.pairs:
             m = self.model.matrices[v]
             half, into = half + share * (P[w] @ m[:n, :n]), into + share * (P[w] @ m[:n, n:])
-        mean = share * np.sum([self.model.matrices[v][n:] for v, _ in c.pairs], axis=0)
         moving = sum((part * P[w] for part, w in c.slopes), start=half + half.T)
-        return moving, into, mean[:, :n], mean[:, n:]
+        return moving, into, *self._outputs(c)
+
+    def _outputs(self, c: Coefficient) -> tuple[Array, Array]:
+        mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0)
+        return mean[:, : self.n], mean[:, self.n :]
+
+    def parts(self, c: Coefficient, basis: Array) -> tuple[dict[Index, Array], Array, Array]:
+        """For a solver: vertex of P -> what each matrix of a basis there adds to L, shape (m, N, N); C and D."""
+        n, share = self.n, 1.0 / len(c.pairs)
+        out, direct = self._outputs(c)
+        n_w, whole = direct.shape[1], n + sum(direct.shape)
+        found: dict[Index, Array] = {}
+        for v, w in c.pairs:
+            part = found.setdefault(w, np.zeros((len(basis), whole, whole)))
+            made = share * (basis @ self.model.matrices[v][:n])
+            part[:, :n, : n + n_w] += made
+            part[:, : n + n_w, :n] += np.swapaxes(made, 1, 2)
+        for factor, w in c.slopes:
+            found.setdefault(w, np.zeros((len(basis), whole, whole)))[:, :n, :n] += factor * basis
+        return found, out, direct
 
     # --- checked -----------------------------------------------------------------------------------------------------
 

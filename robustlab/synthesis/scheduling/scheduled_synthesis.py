@@ -14,7 +14,7 @@ from plant and controller.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal
 
@@ -30,7 +30,7 @@ from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
 from robustlab.synthesis.scheduling.lpv_model import EXACT, LPVModel
@@ -207,6 +207,28 @@ def lpv_hinf(
 
 
 @dataclass(frozen=True, eq=False)
+class _Conditioned:
+    """The plants of the grid points scaled, and in states ``x_scaled = turn x'``; gamma is the LMIs' optimum there."""
+
+    plants: list[PlantMatrices]
+    scaling: Scaling
+    turn: Array
+    gamma: float
+
+    @property
+    def optimum(self) -> float:
+        """Of the plant as given."""
+        return self.gamma / self.scaling.gain
+
+    def in_given_states(self, X: Array) -> Array:
+        """The closed loop's Lyapunov matrix for the plant's own states; the controller's stay."""
+        n, s = len(self.turn), self.scaling
+        back = np.eye(len(X))
+        back[:n, :n] = np.linalg.inv(self.turn) / s.states
+        return back.T @ X @ back * (s.w / (s.z * s.rate))
+
+
+@dataclass(frozen=True, eq=False)
 class _Task:
     """One design: what is asked for, and what it may cost."""
 
@@ -216,6 +238,7 @@ class _Task:
     budget: Budget
     say: Callable[[str], None]
     tuning: SchedulingTuning
+    known: list[tuple[_Conditioned | None, str]] = field(default_factory=list)
 
     def result(self) -> LPVSynthesis:
         bounded = any(np.isfinite(p.rate) for p in self.plant.parameters)
@@ -238,33 +261,81 @@ class _Task:
     def _designed(self, varying: Literal["", "R", "S"]) -> tuple[LPVSynthesis | None, str]:
         """The best verified loop of one kind of Lyapunov matrices, and how it went."""
         words = {"": "R and S shared", "R": "R varies, S shared", "S": "S varies, R shared"}[varying]
-        middle = self.matrices[len(self.matrices) // 2]
-        scaling = equilibrated(middle)
-        scaled = [scaling.apply(p) for p in self.matrices]
+        problem, outcome = self._conditioned()
+        if problem is None:
+            return None, f"R and S shared: {outcome}"
+        scaling, gamma = problem.scaling, problem.gamma
         slopes = self._slopes(scaling.rate) if varying else ()
-        gamma, _, outcome = projection(scaled, None, 1.0, self.budget, varying=varying, slopes=slopes)
-        if gamma is None:
-            return None, f"{words}: {outcome.text}"
+        if varying:
+            gamma, _, solver = projection(problem.plants, None, 1.0, self.budget, varying=varying, slopes=slopes)
+            if gamma is None:
+                return None, f"{words}: {solver.text}"
         optimum = gamma / scaling.gain
         self.say(f"{words}: LMIs with optimum {optimum:.6g}")
         best: LPVSynthesis | None = None
-        for backoff, coupling in product(self.tuning.synthesis_backoffs, (1.5, 1.05)):
-            level = gamma * (1 + backoff) + 1e-9
-            _, outer, outcome = projection(scaled, level, coupling, self.budget, varying=varying, slopes=slopes)
-            if outer is None:
-                continue
-            lyapunov = _closed_lyapunov(outer, slopes, varying)
-            K = None if lyapunov is None else self._controller(scaled, scaling, lyapunov, level * (1 + 0.5 * backoff))
-            if K is None:
-                continue
-            guess = [] if varying or lyapunov is None else [_in_given_states(lyapunov[0][0], scaling)]
-            found = self._verified(K, guess, optimum, f"{words}, {backoff:.1%} above the LMIs' optimum")
-            if found is not None and (best is None or found.gamma < best.gamma):
-                best = found
+        for backoff in self.tuning.synthesis_backoffs:
+            for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
+                level = gamma * (1 + backoff) + 1e-9
+                _, outer, _ = projection(
+                    problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes
+                )
+                lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
+                K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
+                if K is None or lyapunov is None:
+                    continue
+                guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0])
+                found = self._verified(K, guess, varying, optimum, f"{words}, {backoff:.1%} above the LMIs' optimum")
+                if found is not None and (best is None or found.gamma < best.gamma):
+                    best = found
+                break
             # A larger back-off is for those that rounding, or the loop between the points, spoils.
             if best is not None and best.gamma <= optimum * (1 + backoff + self.tuning.near):
                 break
         return best, f"{words}: optimum {optimum:.6g}" + (", no loop of it could be proved" if best is None else "")
+
+    def _conditioned(self) -> tuple[_Conditioned | None, str]:
+        """The plants in states in which R and S are equal and diagonal, as found at the last optimum, until that stands.
+
+        Without it the optimum that a solver in double precision finds may be many times too large: R and S of a
+        singular problem range over ten decades.
+        """
+        if self.known:
+            return self.known[0]
+        middle = self.matrices[len(self.matrices) // 2]
+        found: _Conditioned | None = None
+        text = ""
+        # The median of the eigenvalues is a unit of time that fast filters may make much too short.
+        starts = (paths_first(middle), paths_first(middle, slower=self.tuning.slower), equilibrated(middle))
+        for scaling in starts:
+            made, stands, text = self._balanced(scaling)
+            if made is not None and (found is None or made.optimum < found.optimum):
+                found = made
+            if stands:
+                break
+        self.known.append((found, text))
+        return found, text
+
+    def _balanced(self, scaling: Scaling) -> tuple[_Conditioned | None, bool, str]:
+        """The best of the rounds from one scaling, whether its optimum stands, and what the solver said."""
+        turn, found, waited = np.eye(self.plant.n_states), None, 0
+        for _ in range(self.tuning.balancings):
+            plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
+            gamma, outer, outcome = projection(plants, None, 1.0, self.budget)
+            if gamma is None or outer is None:
+                return found, False, outcome.text
+            self.say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
+            best = np.inf if found is None else found.gamma
+            if gamma < best:
+                found = _Conditioned(plants, scaling, turn, gamma)
+            # The first rounds may go up: R and S of a bad start say little.
+            waited = 0 if gamma < best * (1 - 0.5 * self.tuning.near) else waited + 1
+            if waited == 2 or abs(gamma / best - 1) < 0.5 * self.tuning.near:
+                return found, abs(gamma / best - 1) < self.tuning.near, outcome.text
+            # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
+            _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
+            outer = outer if softer is None else softer
+            turn = turn @ _balancing(outer.R[0], outer.S[0])
+        return found, True, "the optimum still falls"
 
     def _slopes(self, rate: float) -> Slopes:
         """For each point the derivatives along the motions that leave it into the cells beside it, at rates' ends."""
@@ -288,15 +359,15 @@ class _Task:
         return found
 
     def _controller(
-        self, scaled: Sequence[PlantMatrices], scaling: Scaling, lyapunov: list[tuple[Array, list[Array]]], level: float
+        self, problem: _Conditioned, lyapunov: list[tuple[Array, list[Array]]], level: float
     ) -> LPVModel | None:
         """The controllers of the grid points in the units of the plant, or None where one has none."""
         made: list[Realisation] = []
-        for p, (X, motions) in zip(scaled, lyapunov, strict=True):
+        for p, (X, motions) in zip(problem.plants, lyapunov, strict=True):
             K = reconstructed(p, X, level, self.budget, motions=motions)
             if K is None:
                 return None
-            made.append(scaling.controller_to_plant(K))
+            made.append(problem.scaling.controller_to_plant(K))
         n_z, n_w = (len(side) for side in (self.matrices[0].C1, self.matrices[0].B1.T))
         whole = np.array([np.block([[K.A, K.B], [K.C, K.D]]) for K in made])
         n = len(made[0].A)
@@ -305,11 +376,10 @@ class _Task:
             self.plant.outputs[n_z:], self.plant.inputs[n_w:], [Signal(f"k{i + 1}") for i in range(n)],
         )  # fmt: skip
 
-    def _verified(self, K: LPVModel, guess: list[Array], optimum: float, how: str) -> LPVSynthesis | None:
+    def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
         """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
         loop = closed_loop(self.plant, K, "lpv_hinf")
-        kind: Lyapunov = "constant" if guess else "varying"
-        gain = gain_from(loop, kind, self.budget, self.say, guess, self.tuning)
+        gain = gain_from(loop, "varying" if varying else "constant", self.budget, self.say, guess, self.tuning)
         if not np.isfinite(gain.upper):
             self.say(f"{how}: {gain.reason}")
             return None
@@ -338,10 +408,18 @@ def _added(ways: Sequence[dict[int, float]]) -> dict[int, float]:
     return total
 
 
-def _in_given_states(X: Array, scaling: Scaling) -> Array:
-    """The closed loop's Lyapunov matrix of the scaled problem for the plant's own states; the controller's stay."""
-    t = np.append(scaling.states, np.ones(len(X) - len(scaling.states)))
-    return X / t[:, None] / t * (scaling.w / (scaling.z * scaling.rate))
+def _turned(p: PlantMatrices, T: Array) -> PlantMatrices:
+    """The plant in states ``x = T x'``."""
+    back = np.linalg.inv(T)
+    return replace(p, A=back @ p.A @ T, B1=back @ p.B1, B2=back @ p.B2, C1=p.C1 @ T, C2=p.C2 @ T)
+
+
+def _balancing(R: Array, S: Array) -> Array:
+    """T with ``T^-1 R T^-T = T^T S T`` diagonal: states in which both are equal."""
+    values, vectors = np.linalg.eigh(R)
+    root = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    squares, turn = np.linalg.eigh(root.T @ S @ root)
+    return root @ turn / np.maximum(squares, 1e-14 * squares[-1]) ** 0.25
 
 
 def _closed_lyapunov(
