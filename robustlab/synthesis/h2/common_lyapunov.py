@@ -13,8 +13,6 @@ unit vectors of the unknowns, and another level changes a few constants only.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from robustlab.arrays import AnyArray
@@ -23,12 +21,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
 
 __all__ = ["CommonLyapunov", "solver_work"]
-
-
-# Solver endings whose numbers are worth a look; the rebuilt loop decides.
-ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +95,7 @@ class CommonLyapunov:
             unit = self.nothing.copy()
             unit[k] = 1.0
             parts = self._inequalities(unit, 0.0, 0.0)
-            self.rows[:, k] = np.concatenate([_triangle(m - b) for m, b in zip(parts, base, strict=True)])
+            self.rows[:, k] = np.concatenate([triangle(m - b) for m, b in zip(parts, base, strict=True)])
             self.cost[k] = self._cost(self._unknowns(unit))
 
     def _count(self) -> int:
@@ -154,31 +149,12 @@ class CommonLyapunov:
         alone that is a scaling of its Lyapunov matrix, but with a common one it is a choice. 1 fits channels that
         share w. Whatever the solver says about its accuracy, only the loop rebuilt from K counts.
         """
-        import clarabel
-        from scipy import sparse
-
-        solver: Any = clarabel  # its types are not declared
         constant = self._inequalities(self.nothing, share, level**2 / share)
-        right = np.concatenate([_triangle(m) for m in constant])
-        cones = [solver.PSDTriangleConeT(len(m)) for m in constant]
-        settings = solver.DefaultSettings()
-        settings.verbose = False
-        settings.max_iter = int(np.clip(self.budget.left / self.step_work, 1, self.tuning.lyapunov_steps))
-        if np.isfinite(self.budget.seconds_left):
-            settings.time_limit = max(self.budget.seconds_left, 1e-3)
-        nothing = sparse.csc_matrix((len(self.cost), len(self.cost)))
-        try:
-            solution = solver.DefaultSolver(
-                nothing, self.cost, sparse.csc_matrix(-self.rows), right, cones, settings
-            ).solve()
-        except BaseException as error:
-            # Clarabel's own panics derive from BaseException, past every except clause for errors.
-            if type(error).__name__ != "PanicException":
-                raise
-            return None
-        self.budget.spend(solution.iterations * self.step_work)
-        x = np.array(solution.x)
-        if str(solution.status) not in ACCEPTED or not np.isfinite(x).all():
+        right, sizes = np.concatenate([triangle(m) for m in constant]), [len(m) for m in constant]
+        x = solve_semidefinite(
+            self.cost, -self.rows, right, 0, sizes, self.budget, self.tuning.lyapunov_steps, self.step_work
+        ).x
+        if x is None:
             return None
         try:
             return self._rebuilt(self._unknowns(x))
@@ -215,12 +191,3 @@ def _symmetric(entries: AnyArray, n: int) -> AnyArray:
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = entries
     return matrix + np.triu(matrix, 1).T
-
-
-def _triangle(matrix: AnyArray) -> AnyArray:
-    """Upper triangle by columns, off-diagonal entries times the root of two, as Clarabel's cone asks."""
-    rows, columns = np.triu_indices(len(matrix))
-    order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    return scale * 0.5 * (matrix[rows, columns] + matrix[columns, rows])

@@ -9,12 +9,16 @@ A controller of full order with closed-loop norm below gamma exists iff there ar
     \end{bmatrix} N_S \prec 0, \quad \begin{bmatrix} R & I \\ I & S \end{bmatrix} \succeq 0
 
 (Gahinet, Apkarian 1994, theorem 4.2). Nothing is assumed about ranks of D12 and D21 or zeros on the axis.
+
+Several plants may share R and S: those at the vertices of a polytope, between which the controllers are interpolated
+(Apkarian, Gahinet, Becker 1995). One of the two may then vary from plant to plant, at bounded rates.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,11 +28,23 @@ from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = ["LmiOutcome", "lmi_controllers", "solve_conic"]
+__all__ = ["LmiOutcome", "Outer", "Slopes", "lmi_controllers", "projection", "reconstructed", "shared", "solve_conic"]
 
 
 # Singular values below it, relative to the largest, span a null space.
 NULL = 1e-10
+
+
+# For each plant the motions of the matrix that varies: factors of its values at the plants, whose sum is its derivative.
+Slopes = Sequence[Sequence[Mapping[int, float]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Outer:
+    """R and S of each plant; equal ones where they are shared."""
+
+    R: Sequence[AnyArray]
+    S: Sequence[AnyArray]
 
 
 @dataclass(frozen=True)
@@ -101,17 +117,18 @@ def lmi_controllers(
     if n > tuning.lmi_states:
         return [], f"the LMI was not tried: {n} states, at most {tuning.lmi_states}"
     scaled = scaling.apply(p)
-    gamma, _, _, outcome = _projection(scaled, None, 1.0, budget, tuning)
+    gamma, _, outcome = projection([scaled], None, 1.0, budget, tuning)
     if gamma is None:
         return [], outcome.text
     found: list[Realisation] = []
     for backoff in tuning.lmi_backoffs:
         for coupling in tuning.lmi_couplings:
             level = gamma * (1 + backoff) + 1e-9
-            _, R, S, outcome = _projection(scaled, level, coupling, budget, tuning)
-            if R is None or S is None:
+            _, outer, outcome = projection([scaled], level, coupling, budget, tuning)
+            X = None if outer is None else shared(outer.R[0], outer.S[0])
+            if X is None:
                 continue
-            K = _reconstructed(scaled, R, S, level * (1 + 0.5 * backoff), budget, tuning)
+            K = reconstructed(scaled, X, level * (1 + 0.5 * backoff), budget, tuning)
             if K is not None:
                 found.append(scaling.controller_to_plant(K))
                 break
@@ -123,29 +140,57 @@ def _work(n: int) -> float:
     return 5000 + 30 * n**4
 
 
-def _projection(
-    p: PlantMatrices, level: float | None, coupling: float, budget: Budget, tuning: HinfTuning
-) -> tuple[float | None, AnyArray | None, AnyArray | None, LmiOutcome]:
-    """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
+def projection(
+    plants: Sequence[PlantMatrices],
+    level: float | None,
+    coupling: float,
+    budget: Budget,
+    tuning: HinfTuning = TUNING,
+    varying: Literal["", "R", "S"] = "",
+    slopes: Slopes = (),
+) -> tuple[float | None, Outer | None, LmiOutcome]:
+    """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``.
+
+    Parameters
+    ----------
+    plants
+        Of equal sizes, without D22.
+    level, coupling
+        The level asked for, and t.
+    varying, slopes
+        Which of the two varies with the plant, and how it may move at each: ``- dR/dt`` stands in the first inequality,
+        ``dS/dt`` in the second.
+    """
     import cvxpy as cp
 
-    n, m, _, q, _ = p.sizes
-    R, S = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
+    n, m, _, q, _ = plants[0].sizes
+    count = {kind: len(plants) if kind == varying else 1 for kind in "RS"}
+    found = {kind: [cp.Variable((n, n), symmetric=True) for _ in range(count[kind])] for kind in "RS"}
     gamma: Any = cp.Variable() if level is None else level
-    N_R, N_S = _outer_factors(p)
-    left = cp.bmat([[p.A @ R + R @ p.A.T, R @ p.C1.T, p.B1], [p.C1 @ R, -gamma * np.eye(q), p.D11],
-                    [p.B1.T, p.D11.T, -gamma * np.eye(m)]])  # fmt: skip
-    right = cp.bmat([[p.A.T @ S + S @ p.A, S @ p.B1, p.C1.T], [p.B1.T @ S, -gamma * np.eye(m), p.D11.T],
-                     [p.C1, p.D11, -gamma * np.eye(q)]])  # fmt: skip
-    parts = [N.T @ M @ N for N, M in ((N_R, left), (N_S, right))]
-    constraints: list[Any] = [0.5 * (part + part.T) << 0 for part in parts]
-    constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
-    goal = gamma if level is None else cp.trace(R) + cp.trace(S)
-    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, _work(n), tuning)
-    if not outcome.usable or R.value is None or S.value is None:
-        return None, None, None, outcome
-    value = float(gamma.value) if level is None else level
-    return value, np.asarray(R.value), np.asarray(S.value), outcome
+    constraints: list[Any] = []
+    for k, p in enumerate(plants):
+        R, S = (found[kind][k if kind == varying else 0] for kind in "RS")
+        N_R, N_S = _outer_factors(p)
+        left = cp.bmat([[p.A @ R + R @ p.A.T, R @ p.C1.T, p.B1], [p.C1 @ R, -gamma * np.eye(q), p.D11],
+                        [p.B1.T, p.D11.T, -gamma * np.eye(m)]])  # fmt: skip
+        right = cp.bmat([[p.A.T @ S + S @ p.A, S @ p.B1, p.C1.T], [p.B1.T @ S, -gamma * np.eye(m), p.D11.T],
+                         [p.C1, p.D11, -gamma * np.eye(q)]])  # fmt: skip
+        for kind, N, M, sign in (("R", N_R, left, -1), ("S", N_S, right, 1)):
+            states = N[:n]
+            for slope in slopes[k] if kind == varying else ({},):
+                moving = sum(sign * part * (states.T @ found[kind][i] @ states) for i, part in slope.items())
+                part = N.T @ M @ N + moving
+                constraints.append(0.5 * (part + part.T) << 0)
+        if k == 0 or varying:
+            constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
+    goal = gamma if level is None else sum(cp.trace(one) / len(ones) for ones in found.values() for one in ones)
+    work = _work(n) * len(constraints) / 3
+    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, work, tuning)
+    values = {kind: [one.value for one in ones] for kind, ones in found.items()}
+    if not outcome.usable or any(one is None for ones in values.values() for one in ones):
+        return None, None, outcome
+    R, S = ([np.asarray(one) for one in values[kind]] * (len(plants) // count[kind]) for kind in "RS")
+    return float(gamma.value) if level is None else level, Outer(R, S), outcome
 
 
 def _outer_factors(p: PlantMatrices) -> tuple[AnyArray, AnyArray]:
@@ -158,22 +203,36 @@ def _outer_factors(p: PlantMatrices) -> tuple[AnyArray, AnyArray]:
     return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
 
 
-def _reconstructed(
-    p: PlantMatrices, R: AnyArray, S: AnyArray, gamma: float, budget: Budget, tuning: HinfTuning
-) -> Realisation | None:
-    """Controller of full order for given R and S: the bounded real LMI, linear in it, at the largest margin."""
-    import cvxpy as cp
-    from scipy.linalg import block_diag
-
-    n, m, n_u, q, n_y = p.sizes
-    U, s, Vt = np.linalg.svd(np.eye(n) - R @ S)
+def shared(R: AnyArray, S: AnyArray) -> AnyArray | None:
+    """The closed loop's Lyapunov matrix of one R and S, with ``M N^T = I - R S`` split evenly; None where singular."""
+    U, s, Vt = np.linalg.svd(np.eye(len(R)) - R @ S)
     M, N = U * np.sqrt(s), Vt.T * np.sqrt(s)
-    zero, eye = np.zeros((n, n)), np.eye(n)
+    zero, eye = np.zeros_like(R), np.eye(len(R))
     try:
         X = np.linalg.solve(np.block([[R, eye], [M.T, zero]]).T, np.block([[eye, S], [zero, N.T]]).T)
     except np.linalg.LinAlgError:
         return None
-    values, vectors = np.linalg.eigh(0.5 * (X + X.T))
+    return 0.5 * (X + X.T)
+
+
+def reconstructed(
+    p: PlantMatrices,
+    X: AnyArray,
+    gamma: float,
+    budget: Budget,
+    tuning: HinfTuning = TUNING,
+    motions: Sequence[AnyArray] = (),
+) -> Realisation | None:
+    """Controller of full order for a given X: the bounded real LMI, linear in it, at the largest margin.
+
+    ``motions`` are the derivatives ``dX/dt`` with which it has to hold; none where X stands still.
+    """
+    import cvxpy as cp
+    from scipy.linalg import block_diag
+
+    n, m, n_u, q, n_y = p.sizes
+    zero, eye = np.zeros((n, n)), np.eye(n)
+    values, vectors = np.linalg.eigh(X)
     if values[0] <= 1e-12 * values[-1]:
         return None
     T, T_inv = vectors / np.sqrt(values), (vectors * np.sqrt(values)).T  # in these coordinates X is the identity
@@ -186,8 +245,12 @@ def _reconstructed(
     C = np.hstack([p.C1, np.zeros((q, n))]) @ T + z_u @ K @ out
     D = p.D11 + z_u @ K @ y_w
     real = cp.bmat([[A + A.T, B, C.T], [B.T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
-    shift = block_diag(np.eye(2 * n), np.zeros((m + q, m + q)))
-    constraints: list[Any] = [0.5 * (real + real.T) + margin * shift << 0, margin <= 1e3]
+    rest = np.zeros((m + q, m + q))
+    shift = block_diag(np.eye(2 * n), rest)
+    constraints: list[Any] = [margin <= 1e3]
+    for motion in motions or (np.zeros_like(X),):
+        moving = block_diag(T.T @ motion @ T, rest)
+        constraints.append(0.5 * (real + real.T) + 0.5 * (moving + moving.T) + margin * shift << 0)
     outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), budget, _work(n), tuning)
     value = K.value
     if not outcome.usable or value is None or not np.isfinite(value).all():

@@ -240,9 +240,13 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     return t
 
 
-def paths_first(p: PlantMatrices, discrete: bool = False) -> Scaling:
-    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
+def paths_first(p: PlantMatrices, discrete: bool = False, slower: float = 1.0) -> Scaling:
+    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y.
+
+    ``slower``, a power of two, makes the unit of time longer than that of A, which fast filters may dominate.
+    """
     s = _start(p, discrete)
+    s = replace(s, rate=s.rate / slower)
     for last in (False, False, True):
         q = s.apply(p)
         if (s.z, s.w) == (1.0, 1.0):

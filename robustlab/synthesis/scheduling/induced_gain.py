@@ -1,0 +1,368 @@
+"""`lpv_gain`: a proved bound of the induced L2 gain of an LPV model, for all trajectories of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.norms import hinf_norm
+from robustlab.provenance import Traced
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
+from robustlab.synthesis.scheduling.lpv_model import EXACT, SAMPLED, LPVModel
+from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
+from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
+
+__all__ = ["LPVGain", "gain_from", "lpv_gain"]
+
+Lyapunov = Literal["constant", "varying"]
+
+
+@dataclass(frozen=True, eq=False)
+class LPVGain(Shown, Traced):
+    r"""A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
+
+    Attributes
+    ----------
+    lower
+        Largest H-infinity norm of a frozen model that was looked at; attained, because a parameter may stand still.
+    upper
+        Proved bound of the gain; infinite where none was found.
+    at
+        Values of the parameters at ``lower``.
+    frequency
+        Frequency in rad/s at which that frozen model attains it.
+    P
+        Lyapunov matrix, or those at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along a parameter
+        with which it does not vary; empty where nothing was proved.
+    lyapunov
+        ``"constant"``: proved for trajectories of any rate; ``"varying"``: for those within the bounds of the rates.
+    model
+        The model that it is about, so that it can be checked again.
+    status
+        CERTIFIED: every inequality was checked from P and the model outside of the solver. CONVERGED: checked likewise,
+        but how far the family is from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function, as the
+        solver says, which proves no instability.
+    reason
+        How it was found, and what it holds for.
+    """
+
+    lower: float
+    upper: float
+    at: dict[str, float]
+    frequency: float
+    P: Array
+    lyapunov: str
+    model: LPVModel
+    status: Status
+    reason: str
+
+    @property
+    def scope(self) -> str:
+        """What the bound holds for."""
+        if not self.P.size:
+            return ""
+        known = {
+            EXACT: "certified between the grid points: the model is multi-linear there",
+            SAMPLED: "certified between the grid points for what samples saw of the family there",
+        }.get(self.model.known, "certified between the grid points: the deviation there is proved and allowed for")
+        names = [f"|d{p.name}/dt| <= {number(p.rate)}" for p in self.model.parameters if np.isfinite(p.rate)]
+        free = self.lyapunov == "constant" or not names
+        return f"{known}; {'any rate of change' if free else ', '.join(names)}"
+
+    def recheck(self) -> bool:
+        """Whether ``P`` still proves ``upper`` for ``model``; no solver is asked."""
+        if not self.P.size:
+            return False
+        posed = Inequality(self.model, self.lyapunov == "varying")
+        return posed.proves(posed.scaled(self.P), self.upper * posed.gain)
+
+    def facts(self) -> Facts:
+        """The bracket, where it is attained, what it holds for."""
+        place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
+        return [
+            ("gain", f"{number(self.lower, digits=6)} (frozen, attained) .. {number(self.upper, digits=6)} (proved)"),
+            ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if place else ""),
+            ("holds", self.scope),
+            ("Lyapunov function", self.lyapunov),
+            ("how", self.reason),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the model."""
+        return {name: value for name, value in vars(self).items() if name not in ("model", "provenance")} | {
+            "scope": self.scope
+        }
+
+
+@told_as("lpv_gain")
+def lpv_gain(
+    model: Any,
+    lyapunov: Lyapunov | None = None,
+    *,
+    effort: float = 1.0,
+    time_limit: float | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> LPVGain:
+    r"""Bound of the induced L2 gain of an LPV model over all admissible trajectories of its parameters.
+
+    .. math:: \sup_{\rho(\cdot)} \sup_{w \ne 0} \frac{\|z\|_2}{\|w\|_2} \le \gamma
+
+    by a Lyapunov function :math:`x^T P(\rho) x` and the inequality of
+    `robustlab.synthesis.scheduling.lyapunov_inequality`, imposed on the Bernstein coefficients of every cell: it holds
+    between the grid points because it is a convex combination of them there. A family that is not multi-linear is
+    allowed for by the model's ``deviation``.
+
+    Parameters
+    ----------
+    model
+        `LPVModel`, from w to z.
+    lyapunov
+        ``"constant"``: one P, for parameters of any rate. ``"varying"``: P multi-linear on the model's grid along the
+        parameters whose rates are bounded; `LPVModel.refined` gives it more freedom. Where left out: varying where a
+        rate is bounded.
+    effort
+        Multiple of the usual work.
+    time_limit
+        Guard in s; where it strikes the answer is not repeatable.
+    progress
+        Called with one short line after every stage.
+
+    Returns
+    -------
+    LPVGain
+        ``upper`` is infinite where nothing could be proved: ``status`` and ``reason`` say why.
+
+    Raises
+    ------
+    InputError
+        Not an LPV model, an unknown ``lyapunov``, more inequalities than can be solved.
+
+    References
+    ----------
+    Becker, Packard 1994; Wu, Yang, Packard, Becker 1996; Apkarian, Tuan 2000 (relaxations by coefficients); Rump 2006
+    (definiteness with rounding errors).
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> slow, fast = (StateSpaceModel([[-a]], [[a]], [[1.0]], [[0.0]]) for a in (1.0, 4.0))
+    >>> found = lpv_gain(LPVModel({"a": [1.0, 4.0]}, [slow, fast]))
+    >>> found.status.value, round(found.lower, 3), round(found.upper, 3)
+    ('certified', 1.0, 1.25)
+    """
+    if not isinstance(model, LPVModel):
+        raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
+    kinds = ("constant", "varying")
+    if lyapunov is not None and lyapunov not in kinds:
+        raise InputError("lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
+    budget = search_budget("lpv_gain", TUNING.work, effort, time_limit)
+    with one_thread():
+        return gain_from(model, lyapunov, budget, progress or (lambda _: None))
+
+
+def gain_from(
+    model: LPVModel,
+    lyapunov: Lyapunov | None,
+    budget: Budget,
+    say: Callable[[str], None],
+    guess: Array | None = None,
+    tuning: SchedulingTuning = TUNING,
+) -> LPVGain:
+    """`lpv_gain` on a budget; ``guess`` is a constant Lyapunov matrix to try, and in whose states the LMIs are posed."""
+    bounded = any(np.isfinite(p.rate) for p in model.parameters)
+    varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
+    lower, at, frequency, unstable = _frozen(model)
+    word = "varying" if varying else "constant"
+
+    def told(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
+        return LPVGain(lower, upper, at, frequency, P, word, model, status, reason)
+
+    nothing = np.zeros((0, 0))
+    if unstable:
+        return told(np.inf, nothing, Status.CERTIFIED, "a frozen model is not stable: the gain is infinite")
+    posed = Inequality(model, varying)
+    if posed.count() > tuning.inequalities:
+        found = f"{posed.count()} inequalities"
+        raise InputError("lpv_gain", found, f"at most {tuning.inequalities}", "fewer points, or lyapunov='constant'")
+    if not model.n_states:
+        posed = Inequality(model, False)
+    say(f"{len(posed.coefficients)} inequalities of size {sum(model.matrices.shape[-2:]) - posed.n}")
+    best, how = None, "by the Lyapunov matrix of the synthesis"
+    basis = np.eye(posed.n)
+    if guess is not None:
+        scaled = posed.scaled(0.5 * (guess + guess.T))
+        basis = _basis(scaled, basis)
+        best = _level_of(posed, np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape))), lower, tuning)
+    # Only where that is far from the frozen norms is the solver worth its time.
+    if best is None or best[0] > (1 + tuning.near) * lower * posed.gain:
+        solved, text = _solved(posed, basis, lower, budget, say, tuning)
+        if solved is not None and (best is None or solved[0] < best[0]):
+            best, how = solved, text
+        elif best is None:
+            status = Status.INFEASIBLE if "PrimalInfeasible" in text else Status.INCONCLUSIVE
+            return told(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
+    gamma, P = best
+    status = Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED
+    made = told(gamma / posed.gain, posed.as_given(P), status, how)
+    made.P.setflags(write=False)
+    return made
+
+
+def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, bool]:
+    """Largest attained norm of the models at the points, where, at which frequency, and whether one is unstable."""
+    lower, at, frequency = 0.0, {}, float("nan")
+    for values, one in model.nodes():
+        norm = hinf_norm(one)
+        if not np.isfinite(norm.upper):
+            return np.inf, values, norm.frequency, True
+        if norm.lower >= lower:
+            lower, at, frequency = norm.lower, values, norm.frequency
+    return lower, at, frequency, False
+
+
+def _basis(P: Array, before: Array) -> Array:
+    """T with ``T^T P T = I``; the one before where P is not positive definite."""
+    try:
+        return np.linalg.inv(np.linalg.cholesky(P)).T
+    except np.linalg.LinAlgError:
+        return before
+
+
+def _level_of(posed: Inequality, P: Array, lower: float, tuning: SchedulingTuning) -> tuple[float, Array] | None:
+    """The smallest level (scaled) that P proves, with it; None where none is found."""
+    level = _smallest(posed, P, max(lower, 1e-12) * posed.gain, tuning)
+    return None if level is None else (level, P)
+
+
+def _smallest(posed: Inequality, P: Array, low: float, tuning: SchedulingTuning) -> float | None:
+    """The smallest level that P proves, from just above ``low`` on; None where not even a hundred times it is."""
+    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if posed.proves(P, low * f)), None)
+    if high is None:
+        return None
+    for _ in range(tuning.gain_bisections):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if posed.proves(P, middle) else (middle, high)
+    return high
+
+
+def _solved(
+    posed: Inequality, basis: Array, lower: float, budget: Budget, say: Callable[[str], None], tuning: SchedulingTuning
+) -> tuple[tuple[float, Array] | None, str]:
+    """Smallest proved level and its P by the LMIs, or None and why.
+
+    They are posed again in the states in which the last P is the identity, until the optimum stands.
+    """
+    best, last, text = None, np.inf, ""
+    for _ in range(tuning.balancings):
+        turned = posed.turned(basis)
+        gamma, _, text = _posed(turned, None, budget)
+        if gamma is None:
+            break
+        say(f"LMIs: optimum {gamma / posed.gain:.6g}")
+        start, found = max(gamma, lower * posed.gain), None
+        for backoff in tuning.gain_backoffs:
+            level = start * (1 + backoff)
+            _, found, text = _posed(turned, level, budget)
+            if found is None:
+                continue
+            back = np.linalg.inv(basis)
+            P = back.T @ found @ back
+            P = 0.5 * (P + np.swapaxes(P, -1, -2))
+            if posed.proves(P, level * (1 + 1e-9)):
+                smallest = _smallest(posed, P, start, tuning) or level * (1 + 1e-9)
+                if best is None or smallest < best[0]:
+                    best = smallest, P
+                break
+        if gamma > last * (1 - 0.5 * tuning.near) or posed.n == 1 or start <= lower * posed.gain * (1 + tuning.near):
+            break
+        if found is None:
+            break
+        last, basis = gamma, basis @ _basis(found[tuple(size // 2 for size in posed.shape)], np.eye(posed.n))
+    if best is None:
+        return None, text if last == np.inf else f"an optimum of {last / posed.gain:.6g} could not be proved ({text})"
+    return best, f"LMIs; {len(posed.coefficients)} inequalities checked outside of the solver"
+
+
+def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
+    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked.
+
+    Unknowns: the triangles of P, then gamma, a margin on the states, and a bound of P's size, with which the model's
+    deviation counts.
+    """
+    from scipy import sparse
+
+    n, at = posed.n, {w: k for k, w in enumerate(np.ndindex(*posed.shape))}
+    basis = _symmetric_basis(n)
+    m, count = len(basis), len(at)
+    gamma, margin, size = (m * count + k for k in range(3))
+    robust = any(c.deviation.any() for c in posed.coefficients)
+    # margin <= 1, margin >= 0, size >= 0
+    rows, right = [sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))], [[1, 0, 0]]
+    sizes: list[int] = []
+
+    def add(parts: dict[int, Array], constant: Array) -> None:
+        """``constant - sum parts[column] x`` has to be positive semidefinite; parts are stacks of matrices."""
+        made = sparse.lil_matrix((len(constant) * (len(constant) + 1) // 2, size + 1))
+        for column, part in parts.items():
+            made[:, column : column + len(part)] = triangle(part).T
+        rows.append(made.tocsr())
+        right.append(triangle(constant))
+        sizes.append(len(constant))
+
+    for k in range(count):
+        add({k * m: -basis}, np.zeros((n, n)))
+        if robust or level is not None:
+            add({k * m: basis, size: -np.eye(n)[None]}, np.zeros((n, n)))
+    for c in posed.coefficients:
+        parts, out, direct = posed.parts(c, basis)
+        whole = n + direct.shape[1] + len(direct)
+        wide = np.zeros((2, 1, whole, whole))
+        wide[0, 0, :n, :n], wide[1, 0, n:, n:] = np.eye(n), -np.eye(whole - n)
+        fixed = np.zeros((whole, whole))
+        fixed[n + direct.shape[1] :, : n + direct.shape[1]] = np.hstack([out, direct])
+        fixed = fixed + fixed.T
+        a, b, o, d = _norms(c.deviation, n)
+        columns = {at[w] * m: part for w, part in parts.items()} | {margin: wide[0]}
+        if robust:
+            columns[size] = (2 * a + b) * np.eye(whole)[None]
+        if level is None:
+            columns[gamma] = wide[1]
+        else:
+            fixed = fixed + level * wide[1, 0]
+        add(columns, -fixed - (o + d) * np.eye(whole))
+    cost = np.zeros(size + 1)
+    if level is None:
+        cost[gamma] = 1.0
+    else:
+        cost[margin], cost[size] = -1.0, 1e-6
+    matrix = sparse.vstack(rows)
+    answer = solve_semidefinite(
+        cost, matrix, np.concatenate(right), 3, sizes, budget, TUNING.steps, 1e-3 * matrix.nnz * len(cost)
+    )
+    if answer.x is None:
+        return None, None, f"the LMI solver says {answer.text}"
+    P = np.einsum("kb,bij->kij", answer.x[: m * count].reshape(count, m), basis)
+    return (float(answer.x[gamma]) if level is None else level), P.reshape(*posed.shape, n, n), answer.text
+
+
+def _symmetric_basis(n: int) -> Array:
+    """Symmetric matrices with one entry, or one pair of entries, that is 1; shape (n (n + 1) / 2, n, n)."""
+    rows, columns = np.triu_indices(n)
+    basis = np.zeros((len(rows), n, n))
+    basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
+    return basis
+
+
+def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:
+    """2-norms of the bounds for A, B, C and D."""
+    parts = deviation[:n, :n], deviation[:n, n:], deviation[n:, :n], deviation[n:, n:]
+    a, b, c, d = (float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in parts)
+    return a, b, c, d

@@ -1,0 +1,423 @@
+r"""Linear parameter-varying (LPV) models: state-space models at the points of a grid, multi-linear between them.
+
+.. math:: \dot x = A(\rho) x + B(\rho) u, \qquad y = C(\rho) x + D(\rho) u, \qquad
+    M(\rho) = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \sum_v \alpha_v(\rho)\, M_v + E(\rho), \quad |E(\rho)| \le \bar E_{cell}
+
+:math:`\alpha_v \ge 0` are the products of the linear weights along each parameter, so that :math:`\rho` lies in one cell
+of the grid and M is a convex combination of the cell's vertices. Two points for each parameter make a polytopic model;
+there every affine dependence is exact. :math:`\bar E` bounds, entry by entry, what a family that is not multi-linear
+does between the points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array
+from robustlab.errors import InputError, did_you_mean
+from robustlab.provenance import Traced
+from robustlab.shown import Facts, Shown, listed, number, short, with_units
+from robustlab.signals import Signal, real_array
+from robustlab.statespace import StateSpaceModel, as_model
+
+__all__ = ["EXACT", "KNOWN", "PROVED", "SAMPLED", "LPVModel", "SchedulingParameter"]
+
+EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
+# How the deviation between the points of the grid is known.
+KNOWN = (EXACT, PROVED, SAMPLED)
+
+
+@dataclass(frozen=True)
+class SchedulingParameter:
+    """A measured parameter of an LPV model.
+
+    Attributes
+    ----------
+    name
+        Unique in its model.
+    points
+        Values at which the model is given, ascending, at least two; the first and last are the ends of its range.
+    rate
+        Bound of ``|d rho/dt|`` in its unit per second; infinite where it may jump, 0 where it is unknown but constant.
+    unit
+        Its unit.
+    """
+
+    name: str
+    points: tuple[float, ...]
+    rate: float = np.inf
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"LPVModel: parameter {self.name!r}"
+        values = real_array("points", self.points, 1, where)
+        if len(values) < 2 or not (np.diff(values) > 0).all():
+            raise InputError(where, f"points {listed(values)}", "at least two, ascending")
+        object.__setattr__(self, "points", tuple(float(v) for v in values))
+        if isinstance(self.rate, bool) or not isinstance(self.rate, (int, float, np.number)) or not self.rate >= 0:
+            raise InputError(where, f"rate {self.rate!r}", "a bound >= 0 in its unit per second, or inf")
+        object.__setattr__(self, "rate", float(self.rate))
+
+    @property
+    def words(self) -> str:
+        """Range, points and rate for a person."""
+        low, high = number(self.points[0]), number(self.points[-1], self.unit)
+        rate = "any rate" if np.isinf(self.rate) else f"rate <= {number(self.rate, f'{self.unit or 1}/s')}"
+        return f"{self.name} = {low} .. {high} ({len(self.points)} points, {rate})"
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class LPVModel(Shown, Traced):
+    r"""A family of continuous state-space models over a box of measured parameters; immutable.
+
+    .. math:: M(\rho) = \sum_v \alpha_v(\rho) M_v + E(\rho), \qquad M = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
+
+    with multi-linear weights within each cell of the grid. The states must mean the same at all points: equal names are
+    asked for, and equal coordinates are the user's matter (models of one plant in its physical states have them;
+    balanced or reduced models have not).
+
+    Parameters
+    ----------
+    points
+        Name of each parameter -> its values, ascending. Two values each make a polytopic model.
+    models
+        Models at the points, the last parameter first to change: a list of all of them, or nested lists.
+    rates
+        Name -> bound of ``|d rho/dt|``; infinite where left out.
+    units
+        Name -> unit of the parameter.
+    deviation
+        Bound of ``|M(rho) - interpolation|`` for each cell, shape (n_1 - 1, ..., n_k - 1, n_x + n_y, n_x + n_u); zero
+        where left out.
+    known
+        How that bound is known: ``"exact"`` (the model is its interpolation), ``"proved"`` or ``"sampled"``.
+
+    Raises
+    ------
+    InputError
+        Points that do not ascend, a wrong number of models, models of different sizes, names or units, a discrete one.
+
+    Examples
+    --------
+    >>> slow, fast = (StateSpaceModel([[-a]], [[a]], [[1.0]], [[0.0]]) for a in (1.0, 4.0))
+    >>> model = LPVModel({"a": [1.0, 4.0]}, [slow, fast], rates={"a": 2.0})
+    >>> model.at(a=2.5).A
+    array([[-2.5]])
+    """
+
+    parameters: tuple[SchedulingParameter, ...]
+    matrices: Array
+    n_states: int
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[Signal, ...]
+    deviation: Array
+    known: str
+
+    def __init__(
+        self,
+        points: Mapping[str, ArrayLike],
+        models: Sequence[Any],
+        rates: Mapping[str, float] | None = None,
+        units: Mapping[str, str] | None = None,
+        deviation: ArrayLike | None = None,
+        known: str = EXACT,
+    ) -> None:
+        rates, units = rates or {}, units or {}
+        for name in (*rates, *units):
+            if name not in points:
+                hint = did_you_mean(name, tuple(points))
+                raise InputError("LPVModel", f"no parameter {name!r}", f"one of {', '.join(points)}", hint)
+        found = tuple(
+            SchedulingParameter(n, tuple(np.atleast_1d(p)), rates.get(n, np.inf), units.get(n, ""))
+            for n, p in points.items()
+        )
+        if not found:
+            raise InputError("LPVModel", "no parameter", "at least one", "a model without any is a StateSpaceModel")
+        grid = tuple(len(p.points) for p in found)
+        flat = _flat(models, len(grid))
+        if len(flat) != int(np.prod(grid)):
+            raise InputError("LPVModel", f"{len(flat)} models", f"{' x '.join(map(str, grid))}, one for each point")
+        first = flat[0]
+        for k, other in enumerate(flat):
+            _check_alike(k, first, other)
+        whole = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat]).reshape(*grid, *_size(first))
+        self._set(found, whole, first.n_states, first.inputs, first.outputs, first.states, deviation, known)
+
+    def _set(
+        self,
+        parameters: tuple[SchedulingParameter, ...],
+        matrices: Array,
+        n_states: int,
+        inputs: tuple[Signal, ...],
+        outputs: tuple[Signal, ...],
+        states: tuple[Signal, ...],
+        deviation: ArrayLike | None,
+        known: str,
+    ) -> None:
+        if known not in KNOWN:
+            raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", did_you_mean(known, KNOWN))
+        cells = (*(len(p.points) - 1 for p in parameters), *matrices.shape[-2:])
+        given = np.zeros(cells) if deviation is None else real_array("deviation", deviation, len(cells), "LPVModel")
+        if given.shape != cells or (given < 0).any():
+            found = "a negative entry" if given.shape == cells else f"shape {given.shape}"
+            raise InputError("LPVModel: deviation", found, f"shape {cells}, entries >= 0")
+        if known == EXACT and given.any():
+            raise InputError("LPVModel: known", "'exact' with a deviation that is not zero", "'proved' or 'sampled'")
+        matrices, given = np.array(matrices), np.array(given)
+        for array in (matrices, given):
+            array.setflags(write=False)
+        fields = (parameters, matrices, n_states, inputs, outputs, states, given, known)
+        for name, value in zip(type(self).__dataclass_fields__, fields, strict=True):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(
+        cls,
+        parameters: tuple[SchedulingParameter, ...],
+        matrices: Array,
+        n_states: int,
+        inputs: Sequence[Signal],
+        outputs: Sequence[Signal],
+        states: Sequence[Signal],
+        deviation: ArrayLike | None = None,
+        known: str = EXACT,
+    ) -> LPVModel:
+        """From the stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u), of sizes that fit."""
+        made = object.__new__(cls)
+        made._set(parameters, matrices, n_states, tuple(inputs), tuple(outputs), tuple(states), deviation, known)
+        return made
+
+    def with_matrices(self, matrices: Array, deviation: ArrayLike | None = None) -> LPVModel:
+        """Other matrices of the same sizes at the same points."""
+        return LPVModel.of(
+            self.parameters, matrices, self.n_states, self.inputs, self.outputs, self.states,
+            self.deviation if deviation is None else deviation, self.known,
+        )  # fmt: skip
+
+    # --- sizes and parts ---------------------------------------------------------------------------------------------
+
+    @property
+    def grid(self) -> tuple[int, ...]:
+        """Numbers of points of the parameters."""
+        return self.matrices.shape[:-2]
+
+    @property
+    def is_polytopic(self) -> bool:
+        """Whether each parameter has two points: the model is given at the vertices of its box."""
+        return set(self.grid) == {2}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    def model_of(self, matrix: Array) -> StateSpaceModel:
+        """A matrix ``[A B; C D]`` as a model with the names of this one."""
+        n = self.n_states
+        parts = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
+        return StateSpaceModel(*parts, 0.0, self.inputs, self.outputs, self.states, where="LPVModel")
+
+    def nodes(self) -> Iterator[tuple[dict[str, float], StateSpaceModel]]:
+        """The values of the parameters and the model at each point of the grid."""
+        for index in np.ndindex(self.grid):
+            values = {p.name: p.points[i] for p, i in zip(self.parameters, index, strict=True)}
+            yield values, self.model_of(self.matrices[index])
+
+    def cells(self) -> Iterator[tuple[int, ...]]:
+        """Index of the lowest vertex of each cell."""
+        return iter(np.ndindex(*(n - 1 for n in self.grid)))
+
+    # --- evaluation --------------------------------------------------------------------------------------------------
+
+    def at(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> StateSpaceModel:
+        """The model at one value of every parameter: a mapping, a sequence in their order, or by name.
+
+        Raises
+        ------
+        InputError
+            A parameter that is missing or unknown, a value outside its range.
+        """
+        return self.model_of(self.matrix_at(self.place(rho, **values)))
+
+    def place(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> Array:
+        """The values of the parameters in their order, checked, shape (k,)."""
+        if rho is not None and not isinstance(rho, Mapping):
+            array = real_array("rho", rho, 1, "LPVModel.at")
+            if len(array) != len(self.names):
+                raise InputError("LPVModel.at", f"{len(array)} values", f"{len(self.names)}: {', '.join(self.names)}")
+            rho = dict(zip(self.names, array.tolist(), strict=True))
+        given = {**(rho or {}), **values}
+        for name in given:
+            if name not in self.names:
+                hint = did_you_mean(name, self.names)
+                raise InputError("LPVModel.at", f"no parameter {name!r}", f"one of {', '.join(self.names)}", hint)
+        for p in self.parameters:
+            if p.name not in given:
+                raise InputError("LPVModel.at", f"{p.name} is missing", f"a value of each of {', '.join(self.names)}")
+            low, high = p.points[0], p.points[-1]
+            if not low <= given[p.name] <= high:
+                found = f"{p.name} = {given[p.name]:g}"
+                raise InputError("LPVModel.at", found, f"{low:g} .. {high:g} {p.unit}".strip())
+        return np.array([float(given[name]) for name in self.names])
+
+    def matrix_at(self, rho: Array) -> Array:
+        """``[A B; C D]`` at the values rho (k,), held at the ends of the ranges; nothing is checked: for simulations."""
+        found = self.matrices
+        for p, value in zip(self.parameters, rho, strict=True):
+            i = min(max(int(np.searchsorted(p.points, value)) - 1, 0), len(p.points) - 2)
+            share = (value - p.points[i]) / (p.points[i + 1] - p.points[i])
+            share = min(max(share, 0.0), 1.0)
+            found = (1 - share) * found[i] + share * found[i + 1]
+        return found
+
+    def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
+        """The same model with every cell cut into ``pieces`` along each parameter, or along those named: a finer grid
+        for Lyapunov functions and controllers.
+        """
+        cuts = {name: pieces for name in self.names} if isinstance(pieces, int) else dict(pieces)
+        points = {}
+        for p in self.parameters:
+            count = cuts.get(p.name, 1)
+            if not count >= 1:
+                raise InputError("LPVModel.refined", f"{count} pieces of {p.name}", "at least 1")
+            ends = np.array(p.points)
+            steps = np.diff(ends)[:, None] * np.arange(count) / count
+            points[p.name] = tuple(np.append((ends[:-1, None] + steps).ravel(), ends[-1]))
+        return self.on_points(points)
+
+    def on_points(self, points: Mapping[str, Sequence[float]]) -> LPVModel:
+        """The same model on a grid that holds all its points, and more."""
+        matrices, deviation = self.matrices, self.deviation
+        parameters = []
+        for axis, p in enumerate(self.parameters):
+            values = np.array(points[p.name])
+            parent = np.clip(np.searchsorted(p.points, values, side="right") - 1, 0, len(p.points) - 2)
+            low, high = np.array(p.points)[parent], np.array(p.points)[parent + 1]
+            share = ((values - low) / (high - low)).reshape(-1, *([1] * (matrices.ndim - axis - 1)))
+            before, after = np.take(matrices, parent, axis), np.take(matrices, parent + 1, axis)
+            matrices = np.where(share == 0, before, np.where(share == 1, after, (1 - share) * before + share * after))
+            deviation = np.take(deviation, parent[:-1], axis)
+            parameters.append(SchedulingParameter(p.name, tuple(values), p.rate, p.unit))
+        return LPVModel.of(
+            tuple(parameters), matrices, self.n_states, self.inputs, self.outputs, self.states, deviation, self.known
+        )
+
+    def with_rates(self, **rates: float) -> LPVModel:
+        """The same model with other bounds of the rates of the named parameters."""
+        for name in rates:
+            if name not in self.names:
+                hint = did_you_mean(name, self.names)
+                raise InputError("with_rates", f"no parameter {name!r}", f"one of {', '.join(self.names)}", hint)
+        changed = tuple(
+            SchedulingParameter(p.name, p.points, rates.get(p.name, p.rate), p.unit) for p in self.parameters
+        )
+        return LPVModel.of(
+            changed, self.matrices, self.n_states, self.inputs, self.outputs, self.states, self.deviation, self.known
+        )
+
+    def simulate(self, t: ArrayLike, u: ArrayLike, rho: ArrayLike, x0: ArrayLike | None = None) -> tuple[Array, Array]:
+        r"""States (n, n_x) and outputs (n, n_y) along a trajectory of the parameters.
+
+        In each step the parameters are held at the mean of its ends and the inputs go straight from sample to sample;
+        that is solved exactly. The error is of second order in the steps.
+
+        Parameters
+        ----------
+        t
+            Times in s, ascending, (n,).
+        u
+            Inputs (n, n_u), or (n,) of one.
+        rho
+            Parameters (n, k), or (n,) of one; within their ranges.
+        x0
+            State at the first time; zero where left out.
+        """
+        from scipy.linalg import expm
+
+        clock = real_array("t", t, 1, "LPVModel.simulate")
+        count, n, m = len(clock), self.n_states, len(self.inputs)
+        into, place = (np.asarray(a, float).reshape(count, -1) for a in (u, rho))
+        if into.shape[1] != m or place.shape[1] != len(self.names) or not (np.diff(clock) > 0).all():
+            found = f"{count} times, u {np.shape(u)}, rho {np.shape(rho)}"
+            raise InputError("LPVModel.simulate", found, f"ascending times, u (n, {m}), rho (n, {len(self.names)})")
+        for values in (place.min(axis=0), place.max(axis=0)):
+            self.place(values)
+        x = np.zeros((count, n))
+        x[0] = 0.0 if x0 is None else x0
+        for k in range(count - 1):
+            step = clock[k + 1] - clock[k]
+            whole = self.matrix_at(0.5 * (place[k] + place[k + 1]))
+            held = np.zeros((n + 2 * m, n + 2 * m))
+            held[:n, : n + m] = step * whole[:n]
+            held[n : n + m, n + m :] = np.eye(m)
+            x[k + 1] = (expm(held) @ np.concatenate([x[k], into[k], into[k + 1] - into[k]]))[:n]
+        y = np.array([self.matrix_at(p)[n:] @ np.append(s, v) for p, s, v in zip(place, x, into, strict=True)])
+        return x, y
+
+    # --- words -------------------------------------------------------------------------------------------------------
+
+    @property
+    def between(self) -> str:
+        """What is known between the points of the grid, in words."""
+        if self.known == EXACT:
+            return "the model is multi-linear there"
+        size = number(float(self.deviation.max(initial=0.0)))
+        word = "proved" if self.known == PROVED else "seen at samples only"
+        return f"within {size} of the interpolation, entry by entry ({word})"
+
+    def facts(self) -> Facts:
+        """Parameters, signals, what is known between the points."""
+        kind = "polytopic" if self.is_polytopic else "gridded"
+        return [
+            ("parameters", "; ".join(p.words for p in self.parameters)),
+            ("models", f"{int(np.prod(self.grid))}, {kind}, {self.n_states} states"),
+            ("inputs", with_units(self.inputs)),
+            ("outputs", with_units(self.outputs)),
+            ("between the points", self.between),
+        ]
+
+    def __repr__(self) -> str:
+        ins, outs = (short([s.name for s in side]) for side in (self.inputs, self.outputs))
+        size = " x ".join(map(str, self.grid))
+        return f"LPVModel({size} over {', '.join(self.names)}, {self.n_states} states, [{ins}] -> [{outs}])"
+
+    def to_json(self) -> dict[str, object]:
+        """Parameters, signals and stacked matrices."""
+        sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
+        told = [vars(p).copy() for p in self.parameters]
+        return {"parameters": told, "matrices": self.matrices, **sides, "deviation": self.deviation, "known": self.known}
+
+
+def _flat(models: Any, depth: int) -> list[StateSpaceModel]:
+    """All models of nested lists, the last level first to change."""
+    if isinstance(models, (list, tuple)) or (isinstance(models, np.ndarray) and models.dtype == object):
+        if depth >= 1:
+            return [m for part in models for m in _flat(part, depth - 1)]
+        raise InputError("LPVModel: models", "lists nested deeper than there are parameters", "one level for each")
+    return [as_model(models, "LPVModel: models")]
+
+
+def _size(m: StateSpaceModel) -> tuple[int, int]:
+    return m.n_states + m.n_outputs, m.n_states + m.n_inputs
+
+
+def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None:
+    """Sizes, names and units of the first; continuous."""
+    where = f"LPVModel: model {k}"
+    if other.is_discrete:
+        raise InputError(where, f"discrete, dt = {other.dt:g} s", "a continuous model")
+    if (other.n_states, *_size(other)) != (first.n_states, *_size(first)):
+        found = f"{other.n_states} states, {other.n_inputs} inputs, {other.n_outputs} outputs"
+        raise InputError(where, found, f"{first.n_states}, {first.n_inputs} and {first.n_outputs} as model 0")
+    for side in ("states", "inputs", "outputs"):
+        mine, theirs = getattr(first, side), getattr(other, side)
+        if mine != theirs:
+            one, two = next((a, b) for a, b in zip(mine, theirs, strict=True) if a != b)
+            hint = "the coordinates must be the same at all points" if side == "states" else None
+            raise InputError(where, f"{side}: {' '.join(two).strip()!r}", f"{' '.join(one).strip()!r}", hint)

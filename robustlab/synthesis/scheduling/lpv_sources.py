@@ -1,0 +1,207 @@
+r"""LPV models of uncertain sets, with a proved error between the points, and of functions, with a sampled one.
+
+An uncertain model with real parameters is :math:`M_0 + B \Delta (I - D \Delta)^{-1} C`. Along the entry
+:math:`\delta_i` its second derivative is :math:`2 B V E_i W D E_i W C` with :math:`W = (I - D \Delta)^{-1}`,
+:math:`V = (I - \Delta D)^{-1}`, and multi-linear interpolation over steps :math:`h_i` errs by at most
+:math:`\sum_i h_i^2 / 8 \max |\partial^2 M / \partial \delta_i^2|`, entry by entry. Over a cell :math:`|W|` and
+:math:`|V|` are bounded by Neumann series of absolute values. Where no parameter meets itself through D, affine and
+multi-affine sets among them, that bound is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.scheduling.lpv_model import EXACT, PROVED, SAMPLED, LPVModel
+from robustlab.uncertainty.blocks import RealScalar, block_slices
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["lpv_model"]
+
+
+@told_as("lpv_model")
+def lpv_model(
+    source: UncertainModel | Callable[..., Any],
+    points: Mapping[str, int | Sequence[float]] | None = None,
+    rates: Mapping[str, float] | None = None,
+    units: Mapping[str, str] | None = None,
+    *,
+    samples: int = 200,
+    seed: int = 0,
+) -> LPVModel:
+    r"""LPV model of an uncertain set whose parameters are measured, or of a function of the parameters.
+
+    Parameters
+    ----------
+    source
+        An `UncertainModel` with real scalar blocks only: each becomes a scheduling parameter of its name, in its unit
+        where it stands for a physical parameter, else normalised. Or a function of keywords that returns the model at
+        these values, for example ``lambda tz: rl.linearise(platform, at=[0, 0, tz, 0, 0, 0])``: its states must be the
+        same physical ones everywhere, as those of linearised plants are.
+    points
+        Name -> values, ascending, or a number of equal steps' ends (2 are the ends alone). Of an uncertain model those
+        left out have 2; of a function all are needed, as values.
+    rates
+        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second; infinite where left out.
+    units
+        Name -> unit; of an uncertain model those of its parameters where left out.
+    samples
+        Of a function: places, the middles of the cells beside random ones, at which the distance from the interpolation
+        is looked for.
+    seed
+        Of the random places.
+
+    Returns
+    -------
+    LPVModel
+        Of an uncertain model ``known`` is ``"exact"`` (the dependence is multi-affine) or ``"proved"``; of a function
+        ``"sampled"``: the largest distance seen in each cell.
+
+    Raises
+    ------
+    InputError
+        Blocks that are no real parameters, unknown names, values outside the ranges, a discrete model.
+    NoTrustworthyNumber
+        Cells so wide that no error can be proved in them: more points are needed.
+
+    Notes
+    -----
+    Models linearised at equilibria tell how deviations from a resting point evolve. That the resting point itself
+    moves, ``- dx0/drho rho'`` in the equations, is no part of them.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.parametric import parametric
+    >>> spring = parametric([[0, 1], ["-k", -0.4]], [[0], [1]], [[1, 0]], [[0]], {"k": (2.0, 1.0, 3.0)})
+    >>> lpv_model(spring, rates={"k": 0.5}).known
+    'exact'
+    """
+    if isinstance(source, UncertainModel):
+        return _of_uncertain(source, points or {}, rates, units or {})
+    if not callable(source):
+        found = type(source).__name__
+        raise InputError("lpv_model", f"a {found}", "an UncertainModel or a function of the parameters")
+    return _of_function(source, points or {}, rates, units, samples, seed)
+
+
+# --- uncertain sets ---------------------------------------------------------------------------------------------------
+
+
+def _of_uncertain(
+    source: UncertainModel,
+    points: Mapping[str, int | Sequence[float]],
+    rates: Mapping[str, float] | None,
+    units: Mapping[str, str],
+) -> LPVModel:
+    blocks: list[RealScalar] = []
+    for b in source.blocks:
+        if not isinstance(b, RealScalar):
+            hint = "what cannot be measured is no scheduling parameter: evaluate the set at a value of that block"
+            raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
+        blocks.append(b)
+    for name in points:
+        if name not in [b.name for b in blocks]:
+            raise InputError("lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(b.name for b in blocks)}")
+    values = {b.name: _values(b, points.get(b.name, 2)) for b in blocks}
+    entries = [_entries(b, values[b.name]) for b in blocks]
+    index = list(np.ndindex(*(len(e) for e in entries)))
+    models = []
+    for at in index:
+        delta = {b.name: b.delta(float(e[i])) for b, e, i in zip(blocks, entries, at, strict=True)}
+        models.append(source.evaluate(delta))
+    deviation = _proved_deviation(source, entries)
+    own = {b.name: b.parameter.unit for b in blocks if b.parameter is not None}
+    known = PROVED if deviation.any() else EXACT
+    return LPVModel(values, models, rates, {**own, **units}, deviation, known)
+
+
+def _values(block: RealScalar, given: int | Sequence[float]) -> Array:
+    """Values of a parameter, within its range."""
+    p = block.parameter
+    low, high = block.interval if p is None else (p.low, p.high)
+    if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
+        return np.linspace(low, high, max(int(given), 2))
+    values = np.asarray(given, float)
+    if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():
+        raise InputError(f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}")
+    return values
+
+
+def _entries(block: RealScalar, values: Array) -> Array:
+    """The numbers that stand in Delta for values of a parameter: one affine law."""
+    p = block.parameter
+    return values if p is None else (values - p.nominal) / p.radius
+
+
+def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array:
+    """Bound of the error of interpolation in each cell, entry by entry."""
+    (q, p), m, n = source.delta_shape, source.M, source.M.n_states
+    inner, size = m.D[:p, :q], np.abs(m.D[:p, :q])
+    left = np.abs(np.vstack([m.B[:, :q], m.D[p:, :q]]))
+    right = np.abs(np.hstack([m.C[:p], m.D[:p, q:]]))
+    shares = [np.zeros((q, p)) for _ in entries]
+    for share, (rows, cols) in zip(shares, block_slices(source.blocks), strict=True):
+        share[rows, cols] = np.eye(rows.stop - rows.start)
+    cells = tuple(len(e) - 1 for e in entries)
+    found = np.zeros((*cells, n + m.n_outputs - p, n + m.n_inputs - q))
+    for cell in np.ndindex(*cells):
+        ends = [(e[i], e[i + 1]) for e, i in zip(entries, cell, strict=True)]
+        middle = np.sum([0.5 * (a + b) * s for s, (a, b) in zip(shares, ends, strict=True)], axis=0)
+        radius = np.sum([0.5 * (b - a) * s for s, (a, b) in zip(shares, ends, strict=True)], axis=0)
+        # |W| and |V| over the cell, with D before them: only what returns to its own parameter counts.
+        at = np.abs(np.linalg.inv(np.eye(p) - inner @ middle))
+        loop = size @ radius @ at
+        if loop.size and not np.abs(np.linalg.eigvals(loop)).max() < 1 - 1e-6:
+            raise NoTrustworthyNumber(
+                "lpv_model", "a cell so wide that the set may not be well posed in it", None, "give more points"
+            )
+        W = at @ np.linalg.inv(np.eye(p) - loop)
+        back = np.abs(np.linalg.inv(np.eye(q) - middle @ inner))
+        V = np.linalg.inv(np.eye(q) - back @ radius @ size) @ back
+        for share, (a, b) in zip(shares, ends, strict=True):
+            returns = share @ W @ size @ share @ W  # E_i W D E_i W
+            found[cell] += 0.25 * (b - a) ** 2 * left @ V @ returns @ right
+    return found * (1 + 1e-12)  # rounding of these sums of absolute values
+
+
+# --- functions --------------------------------------------------------------------------------------------------------
+
+
+def _of_function(
+    source: Callable[..., Any],
+    points: Mapping[str, int | Sequence[float]],
+    rates: Mapping[str, float] | None,
+    units: Mapping[str, str] | None,
+    samples: int,
+    seed: int,
+) -> LPVModel:
+    if not points or any(isinstance(v, (int, np.integer)) for v in points.values()):
+        raise InputError("lpv_model: points", f"{dict(points)!r}", "the values of each parameter of the function")
+    values = {name: np.asarray(v, float) for name, v in points.items()}
+    models = [_called(source, dict(zip(values, at, strict=True))) for at in _every(list(values.values()))]
+    plain = LPVModel(values, models, rates, units)
+    cells, deviation = list(plain.cells()), np.array(plain.deviation)
+    rng = np.random.default_rng(seed)
+    for k in range(max(samples, len(cells))):
+        cell = cells[k] if k < len(cells) else cells[int(rng.integers(len(cells)))]
+        share = np.full(len(cell), 0.5) if k < len(cells) else rng.uniform(size=len(cell))
+        at = np.array([v[i] + s * (v[i + 1] - v[i]) for v, i, s in zip(values.values(), cell, share, strict=True)])
+        true = _called(source, dict(zip(values, at.tolist(), strict=True)))
+        found = np.abs(np.block([[true.A, true.B], [true.C, true.D]]) - plain.matrix_at(at))
+        deviation[cell] = np.maximum(deviation[cell], found)
+    return LPVModel(values, models, rates, units, deviation, SAMPLED)
+
+
+def _every(values: Sequence[Array]) -> list[list[float]]:
+    return [[float(v[i]) for v, i in zip(values, at, strict=True)] for at in np.ndindex(*(len(v) for v in values))]
+
+
+def _called(source: Callable[..., Any], values: Mapping[str, float]) -> StateSpaceModel:
+    said = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+    return as_model(source(**values), f"lpv_model: at {said}")

@@ -1,0 +1,251 @@
+r"""The dissipation inequality of an LPV model over whole cells: its coefficients, and their check outside a solver.
+
+:math:`V = x^T P(\rho) x` proves an induced gain below :math:`\gamma` where :math:`P \succ 0` and
+
+.. math:: L = \begin{bmatrix} A^T P + P A + \sum_i \dot\rho_i\, \partial P / \partial \rho_i & P B & C^T \\
+    \cdot & -\gamma I & D^T \\ \cdot & \cdot & -\gamma I \end{bmatrix} \prec 0
+    \qquad \text{for all } \rho \text{ and } |\dot\rho_i| \le \nu_i
+
+(Wu, Yang, Packard, Becker 1996). With model and P multi-linear in a cell, L is a polynomial of degree 2 in each
+parameter along which P varies and of degree 1 in the others. In Bernstein form,
+
+.. math:: L(\rho) = \sum_c \beta_c(\rho) L_c, \qquad \beta_c \ge 0, \quad \sum_c \beta_c = 1,
+
+it is a convex combination of its coefficients, each the mean of :math:`L(M_v, P_w)` over the pairs of vertices with
+:math:`v + w = c`. Where all of them are negative definite, so is L everywhere in the cell. It is affine in the rates,
+whose ends suffice. What the model deviates from its interpolation, and the rounding errors of the evaluation, are
+bounded entry by entry and allowed for in the check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.mu_analysis.matrix.certificate import EPS, positive_definite
+from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated
+from robustlab.synthesis.scheduling.lpv_model import LPVModel
+
+__all__ = ["Coefficient", "Inequality"]
+
+Index = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficient:
+    """One ``L_c``: means over the pairs, and what of P its derivative along the motion is.
+
+    Attributes
+    ----------
+    pairs
+        Vertex of the model, and of P.
+    slopes
+        Factor and vertex of P: their sum is the derivative of P.
+    cell
+        Vertices of P in the cell.
+    deviation
+        Bound of the model's deviation there.
+    """
+
+    pairs: tuple[tuple[Index, Index], ...]
+    slopes: tuple[tuple[float, Index], ...]
+    cell: tuple[Index, ...]
+    deviation: Array
+
+
+class Inequality:
+    """The coefficients of one model, scaled by powers of two.
+
+    Parameters
+    ----------
+    model
+        LPV model.
+    varying
+        Whether P varies along the parameters whose rates are bounded, multi-linear on the model's own grid; else P is
+        one matrix, and the rates do not matter.
+    """
+
+    def __init__(self, model: LPVModel, varying: bool) -> None:
+        self.varies = tuple(varying and np.isfinite(p.rate) for p in model.parameters)
+        n = model.n_states
+        middle = model.matrices[tuple(size // 2 for size in model.grid)]
+        nothing = (np.zeros((n, 0)), np.zeros((0, n)))
+        scaling = equilibrated(
+            PlantMatrices(
+                middle[:n, :n], middle[:n, n:], nothing[0], middle[n:, :n], nothing[1], middle[n:, n:],
+                np.zeros((len(middle) - n, 0)), np.zeros((0, middle.shape[1] - n)),
+            )
+        )  # fmt: skip
+        self.gain = scaling.gain
+        rows = np.append(1 / (scaling.states * scaling.rate), np.full(len(middle) - n, scaling.z))
+        cols = np.append(scaling.states, np.full(middle.shape[1] - n, scaling.w))
+        factor = rows[:, None] * cols
+        self.model = model.with_matrices(model.matrices * factor, model.deviation * factor)
+        self.scaling: Scaling = scaling
+        self.rates = tuple(p.rate / scaling.rate for p in model.parameters)
+        self.n = n
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the stack of P: the grid along the parameters with which it varies, 1 along the others."""
+        return tuple(size if v else 1 for size, v in zip(self.model.grid, self.varies, strict=True))
+
+    def scaled(self, P: Array) -> Array:
+        """P of the model as given in the scaled states, exactly."""
+        s = self.scaling
+        return P * s.states[:, None] * s.states * (s.z * s.rate / s.w)
+
+    def as_given(self, P: Array) -> Array:
+        """Inverse of `scaled`."""
+        s = self.scaling
+        return P / s.states[:, None] / s.states / (s.z * s.rate / s.w)
+
+    def turned(self, T: Array) -> Inequality:
+        """The same, rounded, in states ``x = T x'``: for a solver, not for a proof."""
+        made, n, back = copy(self), self.n, np.linalg.inv(T)
+        left, right = np.eye(self.model.matrices.shape[-2]), np.eye(self.model.matrices.shape[-1])
+        left[:n, :n], right[:n, :n] = back, T
+        deviation = np.abs(left) @ self.model.deviation @ np.abs(right)
+        made.model = self.model.with_matrices(left @ self.model.matrices @ right, deviation)
+        made.__dict__.pop("coefficients", None)
+        return made
+
+    # --- coefficients ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def coefficients(self) -> list[Coefficient]:
+        """All of them; those that neighbouring cells share once, with the larger deviation."""
+        found: dict[tuple[Any, Any], Coefficient] = {}
+        for cell in self.model.cells():
+            deviation = self.model.deviation[cell]
+            for made in self._of_cell(cell, deviation):
+                key = (made.pairs, made.slopes)
+                known = found.get(key)
+                if known is not None:
+                    larger = np.maximum(known.deviation, deviation)
+                    made = replace(made, deviation=larger, cell=tuple({*known.cell, *made.cell}))
+                found[key] = made
+        return list(found.values())
+
+    def count(self) -> int:
+        """How many inequalities there are at most, without making them."""
+        cells = int(np.prod([size - 1 for size in self.model.grid]))
+        return cells * int(np.prod([6 if v else 2 for v in self.varies]))
+
+    def _of_cell(self, cell: Index, deviation: Array) -> list[Coefficient]:
+        k, made = len(cell), []
+        own = tuple(product(*((i, i + 1) if v else (0,) for i, v in zip(cell, self.varies, strict=True))))
+        signs = [(1.0, -1.0) if v and rate > 0 else (0.0,) for v, rate in zip(self.varies, self.rates, strict=True)]
+        for c in product(*((0, 1, 2) if v else (0, 2) for v in self.varies)):
+            halves = [((0, 1), (1, 0)) if ci == 1 else ((ci // 2, ci // 2),) for ci in c]
+            pairs = []
+            for bits in product(*halves):
+                v = tuple(cell[i] + bits[i][0] for i in range(k))
+                pairs.append((v, tuple(cell[i] + bits[i][1] if self.varies[i] else 0 for i in range(k))))
+            for sign in product(*signs):
+                made.append(Coefficient(tuple(pairs), self._slopes(cell, pairs, sign), own, deviation))
+        return made
+
+    def _slopes(
+        self, cell: Index, pairs: Sequence[tuple[Index, Index]], sign: Sequence[float]
+    ) -> tuple[tuple[float, Index], ...]:
+        """The derivative of P along the motion, at rates at their ends, as a sum of vertices of P."""
+        total: dict[Index, float] = {}
+        for i, s in enumerate(sign):
+            if not s:
+                continue
+            points = self.model.parameters[i].points
+            factor = s * self.rates[i] / (points[cell[i] + 1] - points[cell[i]]) / len(pairs)
+            for _, w in pairs:
+                for end, part in ((1, factor), (0, -factor)):
+                    at = (*w[:i], cell[i] + end, *w[i + 1 :])
+                    total[at] = total.get(at, 0.0) + part
+        return tuple((part, at) for at, part in total.items() if part)
+
+    # --- evaluated ---------------------------------------------------------------------------------------------------
+
+    def blocks(self, c: Coefficient, P: Array) -> tuple[Array, Array, Array, Array]:
+        """``A^T P + P A + dP/dt``, ``P B``, C and D of a coefficient, for stacked P."""
+        n, share = self.n, 1.0 / len(c.pairs)
+        half, into = np.zeros((n, n)), np.zeros((n, self.model.matrices.shape[-1] - n))
+        for v, w in c.pairs:
+            m = self.model.matrices[v]
+            half, into = half + share * (P[w] @ m[:n, :n]), into + share * (P[w] @ m[:n, n:])
+        moving = sum((part * P[w] for part, w in c.slopes), start=half + half.T)
+        return moving, into, *self._outputs(c)
+
+    def _outputs(self, c: Coefficient) -> tuple[Array, Array]:
+        mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0)
+        return mean[:, : self.n], mean[:, self.n :]
+
+    def parts(self, c: Coefficient, basis: Array) -> tuple[dict[Index, Array], Array, Array]:
+        """For a solver: vertex of P -> what each matrix of a basis there adds to L, shape (m, N, N); C and D."""
+        n, share = self.n, 1.0 / len(c.pairs)
+        out, direct = self._outputs(c)
+        n_w, whole = direct.shape[1], n + sum(direct.shape)
+        found: dict[Index, Array] = {}
+        for v, w in c.pairs:
+            part = found.setdefault(w, np.zeros((len(basis), whole, whole)))
+            made = share * (basis @ self.model.matrices[v][:n])
+            part[:, :n, : n + n_w] += made
+            part[:, : n + n_w, :n] += np.swapaxes(made, 1, 2)
+        for factor, w in c.slopes:
+            found.setdefault(w, np.zeros((len(basis), whole, whole)))[:, :n, :n] += factor * basis
+        return found, out, direct
+
+    # --- checked -----------------------------------------------------------------------------------------------------
+
+    def proves(self, P: Array, gamma: float) -> bool:
+        """Whether P (scaled, stacked) proves the gain gamma (scaled): every coefficient, errors allowed for."""
+        flat = P.reshape(-1, self.n, self.n)
+        if not np.isfinite(flat).all() or not np.array_equal(flat, np.swapaxes(flat, 1, 2)):
+            return False
+        return all(_definite(one, np.zeros_like(one)) for one in flat) and all(
+            self._negative(c, P, gamma) for c in self.coefficients
+        )
+
+    def _negative(self, c: Coefficient, P: Array, gamma: float) -> bool:
+        n = self.n
+        top, into, out, direct = self.blocks(c, P)
+        n_w, n_z = into.shape[1], len(out)
+        L = np.block([
+            [0.5 * (top + top.T), into, out.T],
+            [into.T, -gamma * np.eye(n_w), direct.T],
+            [out, direct, -gamma * np.eye(n_z)],
+        ])  # fmt: skip
+        # What rounding, and what the deviation, may change of each entry.
+        unit = 4 * (n + 2 * len(c.pairs) + len(c.slopes) + 4) * EPS
+        large = np.max([np.abs(P[w]) for w in c.cell], axis=0)
+        size = np.max([np.abs(self.model.matrices[v]) for v, _ in c.pairs], axis=0)
+        moved = sum((abs(part) * np.abs(P[w]) for part, w in c.slopes), start=np.zeros((n, n)))
+        change = unit * size + c.deviation
+        a, b = large @ change[:n, :n], large @ change[:n, n:]
+        error = np.block([
+            [a + a.T + unit * moved, b, change[n:, :n].T],
+            [b.T, np.zeros((n_w, n_w)), change[n:, n:].T],
+            [change[n:, :n], change[n:, n:], np.zeros((n_z, n_z))],
+        ])  # fmt: skip
+        return _definite(-L, error)
+
+
+def _definite(X: Array, error: Array) -> bool:
+    """Whether every symmetric matrix within ``error`` (entry by entry) of X is positive definite.
+
+    Scaled to a unit diagonal by powers of two (exact) before Rump's criterion.
+    """
+    diagonal = np.diag(X)
+    if not len(X):
+        return True
+    if not np.isfinite(X).all() or not diagonal.min() > 0:
+        return False
+    s = np.exp2(np.rint(-0.5 * np.log2(diagonal)))
+    bound = error * s[:, None] * s
+    return positive_definite(X * s[:, None] * s, 1.01 * float(np.linalg.norm(bound, 2)))

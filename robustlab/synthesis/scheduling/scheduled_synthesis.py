@@ -1,0 +1,458 @@
+r"""`lpv_hinf`: H-infinity controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
+
+At the points of the grid the projection LMIs are solved with shared R and S, or with one of them varying at bounded
+rates (`robustlab.synthesis.hinf.lmi_synthesis`); at each point a controller is reconstructed for the closed loop's
+Lyapunov matrix X, and between the points the controllers are interpolated. With shared R and S, and with B2, C2, D12,
+D21 that do not depend on the parameters, X proves the interpolated loop in every cell (Apkarian, Gahinet, Becker 1995).
+
+Where R varies, S and N are constant and :math:`M(\rho) = (I - R S) N^{-T}`; where S varies, R and M are, and
+:math:`N(\rho) = (I - S R) M^{-T}`. Either way the terms with :math:`\dot\rho` drop out of the controller (Apkarian,
+Adams 1998). Whatever the LMIs say, a controller is returned with what `lpv_gain` proves of the loop that is rebuilt
+from plant and controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.norms import hinf_norm
+from robustlab.provenance import Traced
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.statespace import Signal, StateSpaceModel, lower_lft
+from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
+from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
+from robustlab.synthesis.scheduling.lpv_model import EXACT, LPVModel
+from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
+
+__all__ = ["LPVController", "LPVSynthesis", "lpv_hinf"]
+
+
+@dataclass(frozen=True, eq=False)
+class LPVController(Shown, Traced):
+    """A controller ``u = K(rho) y`` with positive feedback, scheduled by measured parameters.
+
+    Attributes
+    ----------
+    K
+        The controllers at the points of the grid, interpolated between them.
+    gamma
+        Induced gain that `lpv_gain` proved of the loop it was designed on; None where none was.
+    status
+        How much ``gamma`` can be trusted.
+    method
+        What made it.
+    """
+
+    K: LPVModel
+    gamma: float | None = None
+    status: Status = Status.INCONCLUSIVE
+    method: str = ""
+
+    def at(self, rho: Any = None, **values: float) -> StateSpaceModel:
+        """The controller at one value of every parameter; see `LPVModel.at`."""
+        return self.K.at(rho, **values)
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), *self.K.facts()]
+
+    def to_json(self) -> dict[str, object]:
+        """K and what was verified, as plain types."""
+        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LPVSynthesis(Shown):
+    """A scheduled controller whose loop was rebuilt from plant and controller and verified.
+
+    Attributes
+    ----------
+    controller
+        The controller with what was verified about it, as it is stored.
+    gain
+        What `lpv_gain` says of the rebuilt loop; ``gain.upper`` is ``gamma``.
+    closed_loop
+        That loop, from w to z.
+    lmi_gamma
+        Optimum of the LMIs at the grid points: what no controller of this method gets below.
+    frozen
+        Largest norm of frozen loops at random places between the points, each from plant and controller evaluated
+        there: sampled. NaN where none was looked at.
+    status
+        That of ``gain``.
+    reason
+        How it was found.
+    """
+
+    controller: LPVController
+    gain: LPVGain
+    closed_loop: LPVModel
+    lmi_gamma: float
+    frozen: float
+    status: Status
+    reason: str
+
+    @property
+    def K(self) -> LPVModel:
+        """The controllers at the points of the grid, interpolated between them."""
+        return self.controller.K
+
+    @property
+    def gamma(self) -> float:
+        """Proved bound of the loop's induced gain."""
+        return self.gain.upper
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        return [
+            ("gamma", f"{number(self.gamma, digits=6)} (induced L2 gain, proved)"),
+            ("holds", self.gain.scope),
+            ("optimum of the LMIs", number(self.lmi_gamma, digits=6)),
+            ("frozen loops", f"{number(max(self.frozen, self.gain.lower), digits=6)} at most of those looked at"),
+            ("controller", "; ".join(p.words for p in self.K.parameters) + f"; {self.K.n_states} states"),
+            ("how", self.reason),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return {
+            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma, "frozen": self.frozen,
+            "reason": self.reason, "K": self.K.to_json(), "gain": self.gain.to_json(),
+        }  # fmt: skip
+
+
+@told_as("lpv_hinf")
+def lpv_hinf(
+    plant: Any,
+    n_meas: int,
+    n_con: int,
+    lyapunov: Lyapunov | None = None,
+    *,
+    effort: float = 1.0,
+    time_limit: float | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> LPVSynthesis:
+    r"""H-infinity controller ``u = K(rho) y`` (positive feedback) of an LPV plant, scheduled by its parameters.
+
+    .. math:: \min_{K(\cdot)} \; \sup_{\rho(\cdot)} \sup_{w \ne 0} \|z\|_2 / \|w\|_2
+
+    as far as a quadratic Lyapunov function can tell. The controller needs the parameters, not their rates.
+
+    Parameters
+    ----------
+    plant
+        Generalised `LPVModel`: inputs [w; u], outputs [z; y], no direct term from u to y. Where B2, C2, D12 and D21 do
+        not depend on the parameters the loop is multi-linear between the points; where they do, its bend is bounded and
+        a finer grid (`LPVModel.refined`) lowers what it costs. A lag before u or behind y makes them constant.
+    n_meas, n_con
+        Numbers of measurements and controls.
+    lyapunov
+        ``"constant"``: shared R and S, for parameters of any rate. ``"varying"``: S, then R, varies over the grid at the
+        bounded rates. Where left out: constant, and varying after it where rates are bounded; the better loop wins.
+    effort
+        Multiple of the usual work.
+    time_limit
+        Guard in s; where it strikes the answer is not repeatable.
+    progress
+        Called with one short line after every stage.
+
+    Returns
+    -------
+    LPVSynthesis
+        ``gamma`` is what `lpv_gain` proved of the loop rebuilt from plant and controller.
+
+    Raises
+    ------
+    InputError
+        Not an LPV model, channels that it does not have, a direct term from u to y.
+    NoTrustworthyNumber
+        The LMIs have no solution, or no loop of theirs could be proved.
+
+    References
+    ----------
+    Apkarian, Gahinet, Becker 1995; Becker, Packard 1994; Wu, Yang, Packard, Becker 1996; Apkarian, Adams 1998.
+
+    Examples
+    --------
+    >>> def vertex(a):
+    ...     return StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> plant = LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)])
+    >>> design = lpv_hinf(plant, 1, 1)
+    >>> design.status.value, design.gamma < 1.45
+    ('certified', True)
+    """
+    if not isinstance(plant, LPVModel):
+        raise InputError("lpv_hinf", f"a {type(plant).__name__}", "an LPVModel", "rl.lpv_model makes one")
+    kinds = ("constant", "varying")
+    if lyapunov is not None and lyapunov not in kinds:
+        raise InputError("lpv_hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
+    matrices = plant_matrices(plant, n_meas, n_con, "lpv_hinf")
+    if not plant.n_states:
+        raise InputError("lpv_hinf", "a plant without states", "one with states")
+    budget = search_budget("lpv_hinf", TUNING.work, effort, time_limit)
+    with one_thread():
+        return _Task(plant, matrices, lyapunov, budget, progress or (lambda _: None), TUNING).result()
+
+
+@dataclass(frozen=True, eq=False)
+class _Conditioned:
+    """The plants of the grid points scaled, and in states ``x_scaled = turn x'``; gamma is the LMIs' optimum there."""
+
+    plants: list[PlantMatrices]
+    scaling: Scaling
+    turn: Array
+    gamma: float
+
+    @property
+    def optimum(self) -> float:
+        """Of the plant as given."""
+        return self.gamma / self.scaling.gain
+
+    def in_given_states(self, X: Array) -> Array:
+        """The closed loop's Lyapunov matrix for the plant's own states; the controller's stay."""
+        n, s = len(self.turn), self.scaling
+        back = np.eye(len(X))
+        back[:n, :n] = np.linalg.inv(self.turn) / s.states
+        return back.T @ X @ back * (s.w / (s.z * s.rate))
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One design: what is asked for, and what it may cost."""
+
+    plant: LPVModel
+    matrices: list[PlantMatrices]
+    lyapunov: Lyapunov | None
+    budget: Budget
+    say: Callable[[str], None]
+    tuning: SchedulingTuning
+    known: list[tuple[_Conditioned | None, str]] = field(default_factory=list)
+
+    def result(self) -> LPVSynthesis:
+        bounded = any(np.isfinite(p.rate) for p in self.plant.parameters)
+        asked = self.lyapunov or ("constant" if not bounded else None)
+        tried: list[Literal["", "R", "S"]] = [] if asked == "varying" and bounded else [""]
+        tried += ["S", "R"] if asked != "constant" and bounded else []
+        best: LPVSynthesis | None = None
+        notes = []
+        for varying in tried:
+            found, note = self._designed(varying)
+            notes.append(note)
+            self.say(note)
+            if found is not None and (best is None or found.gamma < best.gamma):
+                best = found
+        if best is None:
+            hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
+            raise NoTrustworthyNumber("lpv_hinf", "; ".join(notes), None, hint)
+        return best
+
+    def _designed(self, varying: Literal["", "R", "S"]) -> tuple[LPVSynthesis | None, str]:
+        """The best verified loop of one kind of Lyapunov matrices, and how it went."""
+        words = {"": "R and S shared", "R": "R varies, S shared", "S": "S varies, R shared"}[varying]
+        problem, outcome = self._conditioned()
+        if problem is None:
+            return None, f"R and S shared: {outcome}"
+        scaling, gamma = problem.scaling, problem.gamma
+        slopes = self._slopes(scaling.rate) if varying else ()
+        if varying:
+            gamma, _, solver = projection(problem.plants, None, 1.0, self.budget, varying=varying, slopes=slopes)
+            if gamma is None:
+                return None, f"{words}: {solver.text}"
+        optimum = gamma / scaling.gain
+        self.say(f"{words}: LMIs with optimum {optimum:.6g}")
+        best: LPVSynthesis | None = None
+        for backoff in self.tuning.synthesis_backoffs:
+            for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
+                level = gamma * (1 + backoff) + 1e-9
+                _, outer, _ = projection(
+                    problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes
+                )
+                lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
+                K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
+                if K is None or lyapunov is None:
+                    continue
+                guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0])
+                found = self._verified(K, guess, varying, optimum, f"{words}, {backoff:.1%} above the LMIs' optimum")
+                if found is not None and (best is None or found.gamma < best.gamma):
+                    best = found
+                break
+            # A larger back-off is for those that rounding, or the loop between the points, spoils.
+            if best is not None and best.gamma <= optimum * (1 + backoff + self.tuning.near):
+                break
+        return best, f"{words}: optimum {optimum:.6g}" + (", no loop of it could be proved" if best is None else "")
+
+    def _conditioned(self) -> tuple[_Conditioned | None, str]:
+        """The plants in states in which R and S are equal and diagonal, as found at the last optimum, until that stands.
+
+        Without it the optimum that a solver in double precision finds may be many times too large: R and S of a
+        singular problem range over ten decades.
+        """
+        if self.known:
+            return self.known[0]
+        middle = self.matrices[len(self.matrices) // 2]
+        found: _Conditioned | None = None
+        text = ""
+        # The median of the eigenvalues is a unit of time that fast filters may make much too short.
+        starts = (paths_first(middle), paths_first(middle, slower=self.tuning.slower), equilibrated(middle))
+        for scaling in starts:
+            made, stands, text = self._balanced(scaling)
+            if made is not None and (found is None or made.optimum < found.optimum):
+                found = made
+            if stands:
+                break
+        self.known.append((found, text))
+        return found, text
+
+    def _balanced(self, scaling: Scaling) -> tuple[_Conditioned | None, bool, str]:
+        """The best of the rounds from one scaling, whether its optimum stands, and what the solver said."""
+        turn, found, waited = np.eye(self.plant.n_states), None, 0
+        for _ in range(self.tuning.balancings):
+            plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
+            gamma, outer, outcome = projection(plants, None, 1.0, self.budget)
+            if gamma is None or outer is None:
+                return found, False, outcome.text
+            self.say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
+            best = np.inf if found is None else found.gamma
+            if gamma < best:
+                found = _Conditioned(plants, scaling, turn, gamma)
+            # The first rounds may go up: R and S of a bad start say little.
+            waited = 0 if gamma < best * (1 - 0.5 * self.tuning.near) else waited + 1
+            if waited == 2 or abs(gamma / best - 1) < 0.5 * self.tuning.near:
+                return found, abs(gamma / best - 1) < self.tuning.near, outcome.text
+            # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
+            _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
+            outer = outer if softer is None else softer
+            turn = turn @ _balancing(outer.R[0], outer.S[0])
+        return found, True, "the optimum still falls"
+
+    def _slopes(self, rate: float) -> Slopes:
+        """For each point the derivatives along the motions that leave it into the cells beside it, at rates' ends."""
+        grid, parameters = self.plant.grid, self.plant.parameters
+        strides = [int(np.prod(grid[i + 1 :])) for i in range(len(grid))]
+        found = []
+        for k, at in enumerate(np.ndindex(grid)):
+            ways: list[list[dict[int, float]]] = []
+            for i, p in enumerate(parameters):
+                if not np.isfinite(p.rate):
+                    raise InputError(
+                        "lpv_hinf", f"{p.name} may change at any rate", "a bound of its rate for lyapunov='varying'"
+                    )
+                sides = [s for s in (-1, 1) if 0 <= at[i] + s < grid[i]]
+                own = []
+                for side in sides:
+                    part = p.rate / rate / (p.points[at[i] + side] - p.points[at[i]])
+                    own += [{k + side * strides[i]: s * part, k: -s * part} for s in (1.0, -1.0)]
+                ways.append(own if p.rate > 0 else [{}])
+            found.append([_added(way) for way in product(*ways)])
+        return found
+
+    def _controller(
+        self, problem: _Conditioned, lyapunov: list[tuple[Array, list[Array]]], level: float
+    ) -> LPVModel | None:
+        """The controllers of the grid points in the units of the plant, or None where one has none."""
+        made: list[Realisation] = []
+        for p, (X, motions) in zip(problem.plants, lyapunov, strict=True):
+            K = reconstructed(p, X, level, self.budget, motions=motions)
+            if K is None:
+                return None
+            made.append(problem.scaling.controller_to_plant(K))
+        n_z, n_w = (len(side) for side in (self.matrices[0].C1, self.matrices[0].B1.T))
+        whole = np.array([np.block([[K.A, K.B], [K.C, K.D]]) for K in made])
+        n = len(made[0].A)
+        return LPVModel.of(
+            self.plant.parameters, whole.reshape(*self.plant.grid, *whole.shape[1:]), n,
+            self.plant.outputs[n_z:], self.plant.inputs[n_w:], [Signal(f"k{i + 1}") for i in range(n)],
+        )  # fmt: skip
+
+    def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
+        """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
+        loop = closed_loop(self.plant, K, "lpv_hinf")
+        gain = gain_from(loop, "varying" if varying else "constant", self.budget, self.say, guess, self.tuning)
+        if not np.isfinite(gain.upper):
+            self.say(f"{how}: {gain.reason}")
+            return None
+        controller = LPVController(K, gain.upper, gain.status, "lpv-hinf")
+        frozen = self._frozen(K)
+        if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
+            raise NoTrustworthyNumber("lpv_hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
+        return LPVSynthesis(
+            controller=controller, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
+            status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
+        )  # fmt: skip
+
+    def _frozen(self, K: LPVModel) -> float:
+        """Largest norm of frozen loops at random places, plant and controller evaluated there on their own."""
+        rng = np.random.default_rng(0)
+        low, high = (np.array([p.points[end] for p in K.parameters]) for end in (0, -1))
+        places = low + (high - low) * rng.uniform(size=(self.tuning.frozen_points, len(low)))
+        return max(hinf_norm(lower_lft(self.plant.at(at), K.at(at))).upper for at in places)
+
+
+def _added(ways: Sequence[dict[int, float]]) -> dict[int, float]:
+    total: dict[int, float] = {}
+    for way in ways:
+        for at, part in way.items():
+            total[at] = total.get(at, 0.0) + part
+    return total
+
+
+def _turned(p: PlantMatrices, T: Array) -> PlantMatrices:
+    """The plant in states ``x = T x'``."""
+    back = np.linalg.inv(T)
+    return replace(p, A=back @ p.A @ T, B1=back @ p.B1, B2=back @ p.B2, C1=p.C1 @ T, C2=p.C2 @ T)
+
+
+def _balancing(R: Array, S: Array) -> Array:
+    """T with ``T^-1 R T^-T = T^T S T`` diagonal: states in which both are equal."""
+    values, vectors = np.linalg.eigh(R)
+    root = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    squares, turn = np.linalg.eigh(root.T @ S @ root)
+    return root @ turn / np.maximum(squares, 1e-14 * squares[-1]) ** 0.25
+
+
+def _closed_lyapunov(
+    outer: Outer, slopes: Slopes, varying: Literal["", "R", "S"]
+) -> list[tuple[Array, list[Array]]] | None:
+    r"""X of the closed loop at each point, and its derivatives along the motions there; None where one is singular.
+
+    With :math:`X \Pi_1 = \Pi_2`, :math:`\Pi_1 = [R\ I; M^T\ 0]`, :math:`\Pi_2 = [I\ S; 0\ N^T]`.
+    """
+    if not varying:
+        X = shared(outer.R[0], outer.S[0])
+        return None if X is None else [(X, [])] * len(outer.R)
+    n = len(outer.R[0])
+    k = len(outer.R) // 2
+    U, s, Vt = np.linalg.svd(np.eye(n) - outer.R[k] @ outer.S[k])
+    fixed = U * np.sqrt(s) if varying == "S" else Vt.T * np.sqrt(s)  # M, or N
+    if not s[-1] > 1e-10 * s[0]:
+        return None
+    zero, eye, found = np.zeros((n, n)), np.eye(n), []
+    for R, S, ways in zip(outer.R, outer.S, slopes, strict=True):
+        other = np.linalg.solve(fixed, eye - (R @ S if varying == "S" else S @ R))  # N^T, or M^T
+        M_T, N_T = (fixed.T, other) if varying == "S" else (other, fixed.T)
+        first, second = np.block([[R, eye], [M_T, zero]]), np.block([[eye, S], [zero, N_T]])
+        if not np.linalg.cond(first) < 1e14:
+            return None
+        back = np.linalg.inv(first)
+        X, motions = second @ back, []
+        for way in ways:
+            moving = sum((part * (outer.S if varying == "S" else outer.R)[i] for i, part in way.items()), start=zero)
+            if varying == "S":
+                change = np.block([[zero, moving], [zero, -np.linalg.solve(fixed, R @ moving)]]) @ back
+            else:
+                change = -X @ np.block([[moving, zero], [-np.linalg.solve(fixed, S @ moving), zero]]) @ back
+            motions.append(0.5 * (change + change.T))
+        found.append((0.5 * (X + X.T), motions))
+    return found
