@@ -90,6 +90,12 @@ _PUBLIC = {
     "controllability": "structural",
     "observability": "structural",
     "frequency_response": "frequency",
+    # nonlinear and time-varying blocks
+    "iqc_gain": "iqc",
+    "iqc_stability": "iqc",
+    "effect_gain": "iqc.effect_gain_bounds",
+    "Varying": "iqc",
+    "Nonlinearity": "iqc",
     # synthesis
     "hinf": "synthesis.hinf.hinf_synthesis",
     "h2": "synthesis.h2.h2_synthesis",

@@ -3,7 +3,7 @@ r"""A discrete controller as plain C99: one struct of state, an init and a step 
 .. math:: y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k
 
 Where its outputs are limited, back-calculation tells the states what the limits took away
-(`robustlab.synthesis.sampled.anti_windup`). Every number is written as a hexadecimal floating constant, which is the
+(`robustlab.synthesis.windup.back_calculation`). Every number is written as a hexadecimal floating constant, which is the
 number itself, with its decimal form beside it in a comment. Sums are written out from left to right, zeros left out;
 with a compiler that keeps to C99's order of additions (no ``-ffast-math``) the step reproduces the model's recursion to
 rounding.
@@ -23,7 +23,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.synthesis.sampled.anti_windup import back_calculation
+from robustlab.synthesis.windup.back_calculation import back_calculation
 
 __all__ = ["c_source", "saturation_limits"]
 

@@ -53,7 +53,7 @@ def export_controller(
         Of the C names.
     saturation
         ``(low, high)`` of all control signals, or a mapping by name; the C step holds its outputs between them,
-        with back-calculation against windup (`robustlab.synthesis.sampled.anti_windup`).
+        with back-calculation against windup (`robustlab.synthesis.windup.back_calculation`).
     anti_windup
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
         samples where left out; inf leaves a stable controller's states alone.

@@ -16,7 +16,7 @@ import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.statespace import OperatingPoint
 from robustlab.storage.controller_code import c_source
-from robustlab.synthesis.sampled.anti_windup import back_calculation
+from robustlab.synthesis.windup.back_calculation import back_calculation
 from robustlab.synthesis.sampled.discretisation import discretise
 
 CC = shutil.which("cc")
