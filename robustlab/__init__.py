@@ -126,6 +126,7 @@ _PUBLIC = {
     "balanced_truncation": "synthesis.reduction.model_reduction",
     "reduce_model": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
+    "anti_windup": "synthesis.windup.static_anti_windup",
     "discretise": "synthesis.sampled.discretisation",
     "d2c": "synthesis.sampled.resampling",
     "d2d": "synthesis.sampled.resampling",

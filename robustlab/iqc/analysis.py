@@ -114,7 +114,11 @@ class IqcGain(Shown):
         """Both bounds and what they rest on."""
         text = bracket(self.lower, self.upper, ("attained", "proved"))
         if np.isinf(self.upper):
-            text = f"{number(self.lower)} (attained), no bound proved" if np.isfinite(self.lower) else "a member is unstable"
+            text = (
+                f"{number(self.lower)} (attained), no bound proved"
+                if np.isfinite(self.lower)
+                else "a member is unstable"
+            )
         return [
             ("worst-case L2 gain", text),
             ("blocks", listed(f"{name}: {text}" for name, text in self.nature.items())),
@@ -366,10 +370,12 @@ def _problem(
         raise InputError(f"{where}: pole", f"{pole!r}", "a positive number in rad/s")
     budget = search_budget(where, TUNING.work, effort, time_limit)
     given = dict(nature or {})
-    laws = {key: law for key, law in given.items() if isinstance(key, tuple)}
-    for key, law in laws.items():
-        if len(key) != 2 or not isinstance(law, Nonlinearity):
-            raise InputError(f"{where}: {key!r}", f"{law!r}", "(output, input) -> a Nonlinearity")
+    laws: dict[tuple[str, str], Nonlinearity] = {}
+    for key, law in given.items():
+        if isinstance(key, tuple):
+            if len(key) != 2 or not isinstance(law, Nonlinearity):
+                raise InputError(f"{where}: {key!r}", f"{law!r}", "(output, input) -> a Nonlinearity")
+            laws[key] = law
     whole = with_nonlinearities(model, laws).select(*channel)
     named: dict[str, Nature] = {":".join(k) if isinstance(k, tuple) else k: v for k, v in given.items()}
     if whole.M.is_discrete:
@@ -379,7 +385,9 @@ def _problem(
     known = [b.name for b in whole.blocks]
     for name in named:
         if name not in known:
-            raise InputError(f"{where}: {name!r}", "no such block", f"one of {listed(known)}", did_you_mean(name, known))
+            raise InputError(
+                f"{where}: {name!r}", "no such block", f"one of {listed(known)}", did_you_mean(name, known)
+            )
     return _Problem(where, centred(whole), named, order, pole), budget
 
 
@@ -422,7 +430,9 @@ class _Problem:
                 reach[b.name] = max(-1.0, m), min(1.0, k)
             elif b.is_scalar:
                 reach[b.name] = (-1.0, 1.0)
-        every = product(*reach.values()) if 2 ** len(reach) <= self.tuning.members else self._drawn(list(reach.values()))
+        every = (
+            product(*reach.values()) if 2 ** len(reach) <= self.tuning.members else self._drawn(list(reach.values()))
+        )
         worst, at = hinf_norm(self.middle.nominal).lower, dict.fromkeys(reach, 0.0)
         for values in every:
             delta = dict(zip(reach, values, strict=True))
@@ -447,7 +457,7 @@ class _Problem:
         """The least gain that is proved with these filters, and its proof; None where there is none."""
         size = float(max(hinf_norm(self.middle.nominal).upper, 1e-12))
         unit = 2.0 ** round(math.log2(size))
-        inequality, terms, rate = self._inequality(basis, 1.0, unit)
+        inequality, terms = self._inequality(basis, 1.0, unit)
         if inequality is None:
             return None
         least = inequality.solve(budget)
@@ -466,7 +476,7 @@ class _Problem:
     def proved_stable(self, size: float, budget: Budget) -> IqcProof | None:
         """The proof that the set times ``size`` is stable; None where none was found."""
         for basis in tuple(self.bases):
-            inequality, terms, _ = self._inequality(basis, size, None)
+            inequality, terms = self._inequality(basis, size, None)
             point = None if inequality is None or budget.over else inequality.solve(budget)
             if inequality is None or point is None:
                 continue
@@ -476,7 +486,7 @@ class _Problem:
                 return _proof(basis, inequality, terms, point, judged)
         return None
 
-    def _inequality(self, basis: Basis, size: float, unit: float | None) -> tuple[Inequality | None, list[Term], float]:
+    def _inequality(self, basis: Basis, size: float, unit: float | None) -> tuple[Inequality | None, list[Term]]:
         """In balanced states and in a time unit of its own; ``unit`` of the gain, None for stability alone."""
         M, q, p = self.middle.M, self.q, self.p
         n_w, n_z = (self.n_w, self.n_z) if unit is not None else (0, 0)
@@ -493,9 +503,9 @@ class _Problem:
         for block, (w, z) in zip(self.middle.blocks, block_slices(self.middle.blocks), strict=True):
             terms += self._terms(model, block, w, z, own, size, rate)
         if model.n > self.tuning.states:
-            return None, terms, rate
+            return None, terms
         seen = model.outputs(slice(p, p + n_z)) if n_z else None
-        return Inequality(model, terms, seen, slice(q, q + n_w)), terms, rate
+        return Inequality(model, terms, seen, slice(q, q + n_w)), terms
 
     def _terms(
         self, model: FilteredModel, block: Block, w: slice, z: slice, basis: Basis, size: float, rate: float

@@ -127,11 +127,13 @@ def effect_gain(
         raise InputError("effect_gain", type(plant).__name__, "a linear plant with effects (rl.with_effects)")
     slow = dict(stick_speed or {})
     places = {e.site.name: e for e in plant.effects if e.effect.id == "coulomb-friction"}
-    for name in slow:
+    for name, speed in slow.items():
         if name not in places:
-            raise InputError(f"effect_gain: stick_speed {name!r}", "no Coulomb friction there", listed(places) or "none")
-        if not slow[name] > 0:
-            raise InputError(f"effect_gain: stick_speed {name!r}", f"{slow[name]!r}", "a positive speed")
+            raise InputError(
+                f"effect_gain: stick_speed {name!r}", "no Coulomb friction there", listed(places) or "none"
+            )
+        if not speed > 0:
+            raise InputError(f"effect_gain: stick_speed {name!r}", f"{speed!r}", "a positive speed")
     rubbing = next((name for name in places if name not in slow), None)
     if rubbing is not None:
         raise InputError(

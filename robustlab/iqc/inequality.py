@@ -36,6 +36,8 @@ ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 STEPS = 200
 # Least eigenvalue of every multiplier's unknowns as a share of the inequality's slack.
 INSIDE = 1e-2
+# Relative rounding of an L1 norm, well above what its few exponentials can lose.
+NORM_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +196,7 @@ class Inequality:
                     return False
             if term.kernels is not None:
                 causal, anti, direct = term.kernels(x)
-                if l1_norm(causal) + l1_norm(anti) > direct:
+                if l1_norm(causal) + l1_norm(anti) > direct * (1 - NORM_ROUNDING):
                     return False
         return True
 
@@ -260,7 +262,7 @@ def _triangle(matrix: Array) -> Array:
 def _clarabel(
     rows: Array, constant: Array, cost: Array, sizes: list[int], fixed: tuple[Array, float] | None, budget: Budget
 ) -> Array | None:
-    """Least ``cost x`` with ``constant + rows x`` in cones of symmetric matrices; None where the solver has no answer."""
+    """Least ``cost x`` with ``constant + rows x`` in cones of symmetric matrices; None where there is no answer."""
     import clarabel
     from scipy import sparse
 

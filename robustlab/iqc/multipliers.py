@@ -5,20 +5,20 @@ r"""Multipliers: what is known of a block, as integral quadratic constraints wit
 for all z in L2 and all w that the block makes of it. `v` are rows of a `FilteredModel`. The filters are the basis
 :math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s + a})^\nu)`, or static for what may change at every instant.
 
-====================================  =================================================================================
-block                                 constraint
-====================================  =================================================================================
-dynamics, time-invariant, gain <= 1   :math:`\psi z^T X \psi z - \psi w^T X \psi w`, X >= 0: every D(jw) >= 0 with these
-                                      poles is :math:`\psi^* X \psi`
-real constant parameter               the same, and :math:`2 \psi z^T Y \psi w` with :math:`Y = -Y^T`
-varying arbitrarily fast              the same with :math:`\nu = 0`
-real parameter of bounded rate        the swapping lemma: :math:`\delta \psi z = \psi w + T (\dot\delta \, T_b z)` with
-                                      :math:`T` from the filters' states; :math:`\dot\delta T_b z` is an input of its own
-sector [-1, 1]                        :math:`x (z^2 - w^2)`, x >= 0
-the same, steady (Popov)              :math:`2 x w \dot z`, x of either sign, z without a direct term
-slope in [m, k] (Zames, Falb)         :math:`2 p (x_0 - h *) q`, p = k z - w, q = w - m z, :math:`\|h\|_1 \le x_0`, h of
-                                      both directions of time, h >= 0 unless the law is odd
-====================================  =================================================================================
+===============================  ======================================================================================
+block                            constraint
+===============================  ======================================================================================
+dynamics, time-invariant         :math:`\psi z^T X \psi z - \psi w^T X \psi w`, X >= 0: every D(jw) >= 0 of these
+                                 poles is :math:`\psi^* X \psi`
+real constant parameter          the same, and :math:`2 \psi z^T Y \psi w` with :math:`Y = -Y^T`
+varying arbitrarily fast         the same with :math:`\nu = 0`
+real parameter of bounded rate   the swapping lemma: :math:`\delta \psi z = \psi w + T (\dot\delta \, T_b z)`, T from
+                                 the filters' states on; :math:`\dot\delta T_b z` is an input of its own
+sector [-1, 1]                   :math:`x (z^2 - w^2)`, x >= 0
+the same, steady (Popov)         :math:`2 x w \dot z`, x of either sign, z without a direct term
+slope in [m, k] (Zames, Falb)    :math:`2 p (x_0 - h *) q`, p = k z - w, q = w - m z, :math:`\|h\|_1 \le x_0`, h of both
+                                 directions of time, h >= 0 unless the law is odd
+===============================  ======================================================================================
 
 The homotopy condition of Megretski and Rantzer holds for all of them alike: with each block of a class, tau times it
 belongs to the class for every tau in [0, 1], so it satisfies the same constraint.
@@ -201,20 +201,23 @@ def _zames_falb(model: FilteredModel, name: str, p: Rows, q: Rows, pole: float, 
 
 
 def _coefficients(grams: list[Array], order: int) -> Array:
-    r"""c of :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!` from :math:`s^T Q_1 s + a t \, s^T Q_2 s`, s_i = (at)^i / i!.
+    r"""Coefficients c of :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!` from Gram matrices.
 
-    Such sums are all polynomials that are not negative for t >= 0.
+    Its polynomial is :math:`s^T Q_1 s + a t \, s^T Q_2 s` with :math:`s_i = (a t)^i / i!`. Such sums are all
+    polynomials that are not negative for t >= 0.
     """
     found = np.zeros(order)
     for shift, gram in enumerate(grams):
         for i in range(len(gram)):
             for j in range(len(gram)):
-                found[i + j + shift] += gram[i, j] * math.factorial(i + j + shift) / math.factorial(i) / math.factorial(j)
+                found[i + j + shift] += (
+                    gram[i, j] * math.factorial(i + j + shift) / math.factorial(i) / math.factorial(j)
+                )
     return found
 
 
 def l1_norm(coefficients: Array) -> float:
-    r"""Integral of :math:`|h|`, :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!`: between its zeros, in closed form."""
+    r"""Integral of |h|, :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!`: between its zeros, in closed form."""
     if not np.any(coefficients):
         return 0.0
     powers = [c / math.factorial(j) for j, c in enumerate(coefficients)]

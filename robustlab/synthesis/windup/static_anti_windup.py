@@ -117,7 +117,10 @@ class AntiWindup(Shown):
         return [
             *said,
             ("loop that never saturates", number(self.linear)),
-            ("gain L", f"{self.L.shape[0]} x {self.L.shape[1]}, largest entry {number(float(np.abs(self.L).max(initial=0)))}"),
+            (
+                "gain L",
+                f"{self.L.shape[0]} x {self.L.shape[1]}, largest entry {number(float(np.abs(self.L).max(initial=0)))}",
+            ),
             ("holds", ", ".join(self.proved.conditions)),
         ]
 
@@ -320,7 +323,8 @@ def _synthesised(
         [Bw.T, width * Duw.T, -gamma * np.eye(n_w), Dzw.T],
         [Cz @ Q, zq.T, Dzw, -gamma * np.eye(n_z)],
     ])  # fmt: skip
-    holds: list[Any] = [0.5 * (matrix + matrix.T) << -1e-9 * np.eye(n + n_u + n_w + n_z), Q >> 1e-9 * np.eye(n), U >= 1e-9]
+    inside = -1e-9 * np.eye(n + n_u + n_w + n_z)
+    holds: list[Any] = [0.5 * (matrix + matrix.T) << inside, Q >> 1e-9 * np.eye(n), cp.min(U) >= 1e-9]
     work = 5000 + STEP * n**4
     outcome = solve_conic(cp.Problem(cp.Minimize(gamma), holds), budget, work)
     if not outcome.usable or gamma.value is None or U.value is None:
@@ -328,7 +332,7 @@ def _synthesised(
         raise NoTrustworthyNumber("anti_windup", f"no static gain was found: {outcome.text}", None, hint)
     least, found = float(gamma.value), (np.asarray(U.value), None if not n_v else np.asarray(X.value))
     if n_v:
-        small = [*holds, gamma <= least * (1 + RELAXED), U >= 0.3 * found[0]]
+        small: list[Any] = [*holds, gamma <= least * (1 + RELAXED), U - 0.3 * found[0] >= 0]
         again = solve_conic(cp.Problem(cp.Minimize(cp.norm(X, "fro")), small), budget, work)
         if again.usable and U.value is not None and X.value is not None:
             found = np.asarray(U.value), np.asarray(X.value)
