@@ -90,6 +90,12 @@ _PUBLIC = {
     "controllability": "structural",
     "observability": "structural",
     "frequency_response": "frequency",
+    # nonlinear and time-varying blocks
+    "iqc_gain": "iqc",
+    "iqc_stability": "iqc",
+    "effect_gain": "iqc.effect_gain_bounds",
+    "Varying": "iqc",
+    "Nonlinearity": "iqc",
     # synthesis
     "hinf": "synthesis.hinf.hinf_synthesis",
     "h2": "synthesis.h2.h2_synthesis",
@@ -120,6 +126,7 @@ _PUBLIC = {
     "balanced_truncation": "synthesis.reduction.model_reduction",
     "reduce_model": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
+    "anti_windup": "synthesis.windup.static_anti_windup",
     "discretise": "synthesis.sampled.discretisation",
     "d2c": "synthesis.sampled.resampling",
     "d2d": "synthesis.sampled.resampling",

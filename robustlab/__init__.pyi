@@ -26,6 +26,11 @@ from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import DataCover as DataCover
 from robustlab.identification.validation.data_cover import data_cover as data_cover
 from robustlab.invariant_zeros import zeros as zeros
+from robustlab.iqc import Nonlinearity as Nonlinearity
+from robustlab.iqc import Varying as Varying
+from robustlab.iqc import iqc_gain as iqc_gain
+from robustlab.iqc import iqc_stability as iqc_stability
+from robustlab.iqc.effect_gain_bounds import effect_gain as effect_gain
 from robustlab.linear_matrix_equations import dlyap as dlyap
 from robustlab.linear_matrix_equations import lyap as lyap
 from robustlab.linear_matrix_equations import sylvester as sylvester
@@ -93,6 +98,7 @@ from robustlab.synthesis.specifications.weight_design import design_weights as d
 from robustlab.synthesis.specifications.weight_design import makeweight as makeweight
 from robustlab.synthesis.specifications.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
+from robustlab.synthesis.windup.static_anti_windup import anti_windup as anti_windup
 from robustlab.uncertainty.algebra import beside as beside
 from robustlab.uncertainty.algebra import centred as centred
 from robustlab.uncertainty.algebra import reduction as reduction
@@ -197,6 +203,11 @@ __all__ = [
     "controllability",
     "observability",
     "frequency_response",
+    "iqc_gain",
+    "iqc_stability",
+    "effect_gain",
+    "Varying",
+    "Nonlinearity",
     "hinf",
     "h2",
     "h2_hinf",
@@ -225,6 +236,7 @@ __all__ = [
     "balanced_truncation",
     "reduce_model",
     "reduce_controller",
+    "anti_windup",
     "discretise",
     "d2c",
     "d2d",

@@ -150,6 +150,11 @@ def made_effects() -> Any:
     return effect_blocks(rl.plant("servo-axis", M=(95.0, 0.05), Fv=(200.0, 0.1)))
 
 
+def effect_gain() -> Any:
+    rough = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
+    return rl.effect_gain(rough, 30.0, outputs=["q"], amplitude={"u": 12.0}, order=1)
+
+
 @cache
 def mixsyn() -> Any:
     W1 = rl.performance_weight(1.0, 0.01, 2.0)
@@ -199,6 +204,10 @@ OBJECTS: dict[str, Any] = {
     "ClassicalMargins": lambda: rl.classical_margins(lag()),
     "Zeros": lambda: rl.zeros(lag()),
     "RobustGain": lambda: rl.robust_gain(loop(), 4.0),
+    "IqcGain": lambda: rl.iqc_gain(loop(), {"k": rl.Varying(0.1)}),
+    "IqcStability": lambda: rl.iqc_stability(first_order(), {"pole": rl.Varying()}, order=0),
+    "EffectGain": effect_gain,
+    "AntiWindup": lambda: rl.anti_windup(lag().select(), rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]])),
     "LinearSolution": lambda: rl.lyap([[-0.5]], [[2.0]]),
     "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),

@@ -3,10 +3,10 @@ r"""A discrete controller as plain C99: one struct of state, an init and a step 
 .. math:: y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k
 
 Where its outputs are limited, back-calculation tells the states what the limits took away
-(`robustlab.synthesis.sampled.anti_windup`). Every number is written as a hexadecimal floating constant, which is the
-number itself, with its decimal form beside it in a comment. Sums are written out from left to right, zeros left out;
-with a compiler that keeps to C99's order of additions (no ``-ffast-math``) the step reproduces the model's recursion to
-rounding.
+(`robustlab.synthesis.windup.back_calculation`). Every number is written as a hexadecimal floating constant, which is
+the number itself, with its decimal form beside it in a comment. Sums are written out from left to right, zeros left
+out; with a compiler that keeps to C99's order of additions (no ``-ffast-math``) the step reproduces the model's
+recursion to rounding.
 
 Names of signals are shown in comments, never used as code: what a file may hold as a name must not become code. The
 text itself is the template ``controller.c.j2``.
@@ -22,8 +22,8 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.synthesis.sampled.anti_windup import back_calculation
+from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.synthesis.windup.back_calculation import back_calculation
 
 __all__ = ["c_source", "saturation_limits"]
 
@@ -73,12 +73,28 @@ def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tu
     return tuple(found_limits)
 
 
+def _back_calculation(
+    model: StateSpaceModel, limits: Sequence[tuple[float, float]] | None, anti_windup: Any
+) -> tuple[float | None, Array]:
+    """The time of the back-calculation, None where its gain is given; and the gain."""
+    shape = (model.n_states, model.n_outputs)
+    if not limits:
+        return ANTI_WINDUP_SAMPLES * model.dt, np.zeros(shape)
+    if anti_windup is None or np.ndim(anti_windup) == 0:
+        time = ANTI_WINDUP_SAMPLES * model.dt if anti_windup is None else float(anti_windup)
+        return time, back_calculation(model, limits, time)
+    gain = real_array("anti_windup", anti_windup, 2, "C export")
+    if gain.shape != shape:
+        raise InputError("C export: anti_windup", f"a gain of {gain.shape}", f"{shape}: states and outputs")
+    return None, gain
+
+
 def c_source(
     model: StateSpaceModel,
     prefix: str = "controller",
     limits: Sequence[tuple[float, float]] | None = None,
     notes: Sequence[str] = (),
-    anti_windup: float | None = None,
+    anti_windup: Any = None,
 ) -> str:
     """The C99 source of a discrete model.
 
@@ -95,7 +111,8 @@ def c_source(
         Lines for the comment at the top.
     anti_windup
         Time T in s: during saturation modes that are slower are made to decay within it. Ten samples where left out;
-        inf leaves a stable controller's states alone. Of no effect without limits.
+        inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for`` adds to
+        the states. Of no effect without limits.
 
     Raises
     ------
@@ -122,8 +139,7 @@ def c_source(
         raise InputError(
             "C export: prefix", f"{prefix!r}", "a lower-case letter, then lower-case letters, digits or underscores"
         )
-    time = ANTI_WINDUP_SAMPLES * model.dt if anti_windup is None else anti_windup
-    back = back_calculation(model, limits, time) if limits else np.zeros((model.n_states, model.n_outputs))
+    time, back = _back_calculation(model, limits, anti_windup)
     unused = [name for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any())) if not used]
     return _template().render(
         model=model,

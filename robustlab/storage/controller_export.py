@@ -28,7 +28,7 @@ def export_controller(
     *,
     prefix: str = "controller",
     saturation: Any = None,
-    anti_windup: float | None = None,
+    anti_windup: Any = None,
     provenance: Provenance | None = None,
 ) -> Path:
     r"""Write a controller ``u = K y`` for another program; the extension of the file says which.
@@ -53,10 +53,11 @@ def export_controller(
         Of the C names.
     saturation
         ``(low, high)`` of all control signals, or a mapping by name; the C step holds its outputs between them,
-        with back-calculation against windup (`robustlab.synthesis.sampled.anti_windup`).
+        with back-calculation against windup (`robustlab.synthesis.windup.back_calculation`).
     anti_windup
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
-        samples where left out; inf leaves a stable controller's states alone.
+        samples where left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p), such as that
+        of `anti_windup`.
     provenance
         Where it comes from; time and versions of now where left out.
 

@@ -16,8 +16,8 @@ import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.statespace import OperatingPoint
 from robustlab.storage.controller_code import c_source
-from robustlab.synthesis.sampled.anti_windup import back_calculation
 from robustlab.synthesis.sampled.discretisation import discretise
+from robustlab.synthesis.windup.back_calculation import back_calculation
 
 CC = shutil.which("cc")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-ffp-contract=off"]

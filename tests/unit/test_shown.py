@@ -28,13 +28,16 @@ mpl.use("Agg")
 HOSTILE = "<script>alert(1)</script> & \x1b[31m \u202e $x$"
 NAMES = [*shown_objects.OBJECTS, "CampaignResult"]
 # What is no result: settings, names, and blocks, whose repr is what one writes to make them.
-PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations"}
+PLAIN = {
+    "Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations", "Varying", "Nonlinearity",
+}  # fmt: skip
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability",
-    "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "LinearSolution", "NuGap", "Passivity",
-    "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain",
-    "StreamedResponses", "Trim", "WellPosedness", "Zeros",
+    "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
+    "DelayStability", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "IqcGain",
+    "IqcStability", "LinearSolution", "NuGap", "Passivity", "PerformanceLimits", "PlantSamples", "Reduction",
+    "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim", "WellPosedness",
+    "Zeros",
 }  # fmt: skip
 
 

@@ -7,6 +7,5 @@ sampled_controller   formulas judged by that norm, and direct design on the lift
 held_intervals       the same over one interval with polynomials of any degree
 sampled_uncertainty  an uncertain plant over whole periods
 sampled_robustness   robust stability and performance of the sampled loop, proved
-anti_windup          back-calculation where an output is limited
 tuning               numbers that choose speed and accuracy
 """

@@ -1,0 +1,197 @@
+"""``robustlab iqc``: proved gain with nonlinear, time-varying and uncertain blocks; static anti-windup."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, require_trust
+from robustlab.cli.offers import one_of, plant_or_file
+from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, names
+from robustlab.errors import UsageError
+
+app = typer.Typer(
+    help="Proved gain with nonlinear and time-varying blocks; anti-windup.", no_args_is_help=True, add_completion=False
+)
+
+OrderOption = Annotated[int, typer.Option(help="Order of the multipliers' filters, 0..8.")]
+
+
+@dataclass(frozen=True)
+class BlockOptions:
+    """What the blocks are, and between which signals the gain is asked for."""
+
+    nature: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--nature",
+            help="What a block is, NAME=WORD:NUMBERS, or OUTPUT:INPUT=... between two signals: varying[:RATE], "
+            "saturation, dead-zone[:SIZE:REACH], friction:LEVEL:SPEED, sector:LOW:HIGH, slope:LOW:HIGH or "
+            "odd-slope:LOW:HIGH; repeatable.",
+        ),
+    ] = None
+    inputs: Annotated[str | None, typer.Option(help="Inputs to keep: a,b.")] = None
+    outputs: Annotated[str | None, typer.Option(help="Outputs to keep: a,b.")] = None
+    stability: Annotated[bool, typer.Option("--stability", help="The margin of stability instead of the gain.")] = False
+
+
+@dataclass(frozen=True)
+class EffectOptions:
+    """The loop of a plant with effects."""
+
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            "--controller", "-k", help="File with the controller of a plant with effects.", show_default=False
+        ),
+    ] = None
+    amplitude: Annotated[
+        list[str] | None,
+        typer.Option("--amplitude", help="Bound of the signal at an effect's place, NAME=VALUE; repeatable."),
+    ] = None
+    stick_speed: Annotated[
+        list[str] | None,
+        typer.Option("--stick-speed", help="Speed below which dry friction is creep, JOINT=VALUE; repeatable."),
+    ] = None
+    feedback: Annotated[
+        str,
+        typer.Option(help="negative (u = -K y) or positive.", autocompletion=one_of("negative", "positive")),
+    ] = "negative"
+
+
+@app.command()
+@grouped
+def gain(
+    *,
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Uncertain model, model, or a plant with effects: HDF5 file.",
+            metavar="FILE",
+            autocompletion=plant_or_file,
+        ),
+    ],
+    blocks: BlockOptions,
+    effects: EffectOptions,
+    order: OrderOption = 2,
+    effort: EffortOptions,
+    output: OutputOptions,
+) -> None:
+    """Worst L2 gain, proved for blocks that are nonlinear, vary with time, or are uncertain.
+
+    Example: robustlab iqc gain loop.h5 --nature y:u=saturation --nature k=varying:0.5
+    """
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+    from robustlab.iqc import iqc_gain, iqc_stability
+    from robustlab.iqc.nature import natures_in_words
+    from robustlab.storage import load
+    from robustlab.uncertainty.lft import UncertainModel
+
+    thing = load(file)
+    if isinstance(thing, ExtendedPlant):
+        result: Any = _effects(thing, blocks, effects, order, effort)
+    else:
+        if effects.controller or effects.amplitude or effects.stick_speed:
+            raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
+        known = [b.name for b in thing.blocks] if isinstance(thing, UncertainModel) else []
+        given = dict(_pair(text) for text in blocks.nature or [])
+        nature = natures_in_words(given, "--nature", known)
+        options = {"order": order, **vars(effort)}
+        if blocks.stability:
+            result = iqc_stability(thing, nature, **options)
+        else:
+            result = iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
+    output.keep(result)
+    emit("iqc gain", result.to_json(), result.summary(), output.as_json)
+    require_trust(result.status)
+
+
+def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: int, effort: EffortOptions) -> Any:
+    from robustlab.iqc.effect_gain_bounds import effect_gain
+    from robustlab.storage import load
+
+    if effects.controller is None:
+        raise UsageError("iqc gain", "a plant with effects without --controller", "the loop that it stands in")
+    if blocks.nature or blocks.inputs or blocks.stability:
+        raise UsageError("iqc gain", "--nature, --inputs or --stability for a plant with effects", "none of them",
+                         "its effects say what they are")  # fmt: skip
+    if effects.feedback not in ("negative", "positive"):
+        raise UsageError(f"--feedback {effects.feedback}", "no such word", "negative or positive")
+    return effect_gain(
+        plant, load(effects.controller), _names(blocks.outputs), assignments("--amplitude", effects.amplitude),
+        assignments("--stick-speed", effects.stick_speed), 1 if effects.feedback == "positive" else -1, order,
+        **vars(effort),
+    )  # fmt: skip
+
+
+def _names(text: str | None) -> list[str] | None:
+    return None if text is None else names(text)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, word = text.partition("=")
+    if not (name and equals and word):
+        raise UsageError(f"--nature {text}", "no name and word", "NAME=WORD:NUMBERS")
+    return name, word
+
+
+@app.command("anti-windup")
+@grouped
+def anti_windup(
+    *,
+    plant: Annotated[str, typer.Argument(help="Plant: HDF5 or .mat file; u and y are its last inputs and outputs.")],
+    controller: Annotated[str, typer.Argument(help="Controller u = K y: HDF5 or .mat file.")],
+    limits: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="Limits of a control signal, NAME=LOW:HIGH; repeatable. Left out: -1:1."),
+    ] = None,
+    reach: Annotated[
+        float,
+        typer.Option(
+            help="Bound of the demanded signal as a multiple of its limit; needed where the plant is not stable."
+        ),
+    ] = math.inf,
+    direct: Annotated[bool, typer.Option("--direct", help="Correct the outputs too, an algebraic loop.")] = False,
+    dt: Annotated[
+        float | None,
+        typer.Option(
+            "--dt", help="With --code: sample time in s of the controller that is written.", show_default=False
+        ),
+    ] = None,
+    code: Annotated[
+        str | None,
+        typer.Option("--code", help="C file to write: the controller held, with its gain.", show_default=False),
+    ] = None,
+    order: OrderOption = 2,
+    effort: EffortOptions,
+    output: OutputOptions,
+) -> None:
+    """Static anti-windup gain of least proved L2 gain, beside back-calculation and none.
+
+    Example: robustlab iqc anti-windup motor.h5 pi.h5 --limit u=-10:10 --out windup.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.storage.controller_export import export_controller
+    from robustlab.synthesis.windup.static_anti_windup import anti_windup as find_gain
+
+    K = as_model(load(controller), controller)
+    given = ends("--limit", limits)
+    unknown = [name for name in given if name not in K.output_names]
+    if unknown:
+        raise UsageError(f"--limit {unknown[0]}", "no such control signal", f"one of {', '.join(K.output_names)}")
+    pairs = [given.get(name, (-1.0, 1.0)) for name in K.output_names]
+    if (code is None) != (dt is None):
+        raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
+    result = find_gain(as_model(load(plant), plant), K, pairs, reach, direct, order=order, **vars(effort))
+    output.keep(result)
+    text = result.summary()
+    if code is not None and dt is not None:
+        held, back = result.sampled(dt)
+        export_controller(code, held, saturation=dict(zip(K.output_names, pairs, strict=True)), anti_windup=back)
+        text += f"\nwritten: {code}"
+    emit("iqc anti-windup", result.to_json(), text, output.as_json)
+    require_trust(result.status)

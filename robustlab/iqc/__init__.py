@@ -1,0 +1,22 @@
+"""Integral quadratic constraints: worst-case gain and stability with nonlinear, time-varying and uncertain blocks.
+
+nature          what a block is: a parameter that varies, a memoryless nonlinearity
+filtered_model  a model and the filters of its multipliers as one
+multipliers     the constraints of every class, with their unknowns
+inequality      the linear matrix inequality: solved, and proved without the solver
+analysis        worst-case gain and stability margin
+"""
+
+from robustlab.iqc.analysis import IqcGain, IqcProof, IqcStability, iqc_gain, iqc_stability
+from robustlab.iqc.nature import Nature, Nonlinearity, Varying
+
+__all__ = [
+    "IqcGain",
+    "IqcProof",
+    "IqcStability",
+    "Nature",
+    "Nonlinearity",
+    "Varying",
+    "iqc_gain",
+    "iqc_stability",
+]

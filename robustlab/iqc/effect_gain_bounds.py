@@ -1,0 +1,177 @@
+r"""Gain of a loop with the effects of its plant taken for what they are: a saturation for a saturation.
+
+`robustlab.dynamics.extended.effect_blocks` puts a gain with a range in the place of each effect that has a sector, and
+mu takes that gain for a constant. Here the same blocks are what the catalogue says of them:
+
+==========================  ==========================================================================================
+effect                      class
+==========================  ==========================================================================================
+saturation of an input      odd, slope in [0, 1], sector from limit / amplitude to 1
+dead zone of an input       odd, slope in [0, 1], sector from 0 to 1 - d / amplitude
+Coulomb friction            monotone with the sector [0, inf): refused, no strict inequality holds; with a stick speed
+                            v_s odd, slope and sector [0, Fc / v_s]
+any other with a sector     a gain between the ends of its sector that may change at every instant
+==========================  ==========================================================================================
+
+What is an effect's gain by harmonic balance only (a range of describing functions) is no sector and is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_blocks
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+from robustlab.errors import InputError, told_as
+from robustlab.iqc.analysis import IqcGain, iqc_gain
+from robustlab.iqc.nature import Nature, Nonlinearity, Varying
+from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, listed
+
+__all__ = ["EffectGain", "effect_gain"]
+
+# A relay F has the describing function 4 F / (pi a): at this multiple of the stick speed it is F / v_s.
+STICK = 1.2732395447351628
+# Effects on an input that are memoryless, odd and of slope in [0, 1].
+ODD_INPUTS = ("input-saturation", "input-dead-zone")
+
+
+@dataclass(frozen=True, eq=False)
+class EffectGain(Shown):
+    """The gain of a loop with effects: proved with each for what it is, and beside it what constant gains say.
+
+    Attributes
+    ----------
+    proved
+        By integral quadratic constraints; its blocks are the effects and the uncertain parameters.
+    as_constants
+        The worst-case gain of the same set with all effects as constant gains: what mu and harmonic balance look at. It
+        is no proof for a nonlinearity; it shows the price of one.
+    left_out
+        Effect at its place -> why it is in no block; bounded errors, which are inputs and no gains, among them.
+    status
+        That of ``proved``.
+    """
+
+    proved: IqcGain
+    as_constants: WorstCaseGain
+    left_out: Mapping[str, str]
+
+    @property
+    def status(self) -> Status:
+        """That of ``proved``."""
+        return self.proved.status
+
+    def facts(self) -> Facts:
+        """Both gains."""
+        constants = bracket(self.as_constants.lower, self.as_constants.upper, ("attained", "proved for constants"))
+        return [*self.proved.facts(), ("as constant gains", constants), ("not in it", listed(self.left_out))]
+
+    def to_json(self) -> dict[str, Any]:
+        """Both results and what is left out."""
+        parts = {"proved": self.proved, "as_constants": self.as_constants, "left_out": self.left_out}
+        return {"type": "EffectGain", **parts, "status": self.status}
+
+
+@told_as("effect_gain")
+def effect_gain(
+    plant: Any,
+    controller: Any,
+    outputs: Sequence[str] | None = None,
+    amplitude: Mapping[str, float] | None = None,
+    stick_speed: Mapping[str, float] | None = None,
+    sign: int = -1,
+    order: int = 2,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+) -> EffectGain:
+    r"""Worst L2 gain from disturbances at the plant's inputs to its outputs, with its effects as nonlinearities.
+
+    .. math:: e = d + s K y, \quad y = G(e), \qquad \|y\|_2 \le \gamma \|d\|_2
+
+    G has the effects and the tolerances of the plant, for example those that `discover` has named.
+
+    Parameters
+    ----------
+    plant
+        Linear plant with effects (`with_effects`, the updated plant of a discovery).
+    controller
+        K: a model, a `Controller`, a matrix or a number.
+    outputs
+        Outputs of the plant that K sees, in its order; all where left out.
+    amplitude
+        Place of an effect -> bound of its signal. A sector that is local holds while the signal stays within it.
+    stick_speed
+        Joint -> speed below which its dry friction grows in proportion to the speed.
+    sign
+        s: -1 for negative feedback, 1 for positive.
+    order, time_limit, effort
+        As in `iqc_gain`.
+
+    Returns
+    -------
+    EffectGain
+        The proved gain, and that of the same ranges as constant gains.
+
+    Raises
+    ------
+    InputError
+        No plant with effects; dry friction without a stick speed; an effect that needs an amplitude.
+    NoTrustworthyNumber
+        The loop is unstable with all effects at the middles of their sectors.
+    """
+    if not isinstance(plant, ExtendedPlant):
+        raise InputError("effect_gain", type(plant).__name__, "a linear plant with effects (rl.with_effects)")
+    slow = dict(stick_speed or {})
+    places = {e.site.name: e for e in plant.effects if e.effect.id == "coulomb-friction"}
+    for name, speed in slow.items():
+        if name not in places:
+            raise InputError(
+                f"effect_gain: stick_speed {name!r}", "no Coulomb friction there", listed(places) or "none"
+            )
+        if not speed > 0:
+            raise InputError(f"effect_gain: stick_speed {name!r}", f"{speed!r}", "a positive speed")
+    rubbing = next((name for name in places if name not in slow), None)
+    if rubbing is not None:
+        raise InputError(
+            "effect_gain", f"Coulomb friction at {rubbing}, of sector [0, inf): no strict inequality holds",
+            "a stick_speed there", "the speed below which the force grows in proportion to it, as in simulations",
+        )  # fmt: skip
+    levels = {**(amplitude or {}), **{name: STICK * v for name, v in slow.items()}}
+    made = effect_blocks(plant, outputs, amplitude=levels, dry="gain")
+    inputs = [s.name for s in plant.inputs]
+    loop = made.model.select(inputs).feedback(controller, sign)
+    natures = _natures(plant, made, amplitude or {}, slow)
+    proved = iqc_gain(loop, natures, None, None, order, None, time_limit, effort)
+    constants = worst_case_gain(loop, time_limit=time_limit, effort=effort)
+    noise = {n.name: "a bounded error: an input, no gain" for n in made.noise}
+    return EffectGain(proved, constants, {**made.left_out, **noise})
+
+
+def _natures(
+    plant: ExtendedPlant, made: EffectBlocks, amplitude: Mapping[str, float], slow: Mapping[str, float]
+) -> dict[str, Nature]:
+    """Block name -> nature, for every block that is an effect's; parameters stay constants."""
+    effects = {e.key: e for e in plant.effects}
+    found: dict[str, Nature] = {}
+    for block in made.model.blocks:
+        e = effects.get(block.name.rstrip("'"))
+        if e is None or block.parameter is None:
+            continue
+        sector = block.parameter.low, block.parameter.high
+        place = e.site.name
+        if e.effect.id in ODD_INPUTS:
+            holds = f"while the signal stays within {amplitude[place]:g}"
+            found[block.name] = Nonlinearity(sector, (0.0, 1.0), odd=True, holds=holds)
+        elif e.effect.id == "coulomb-friction":
+            words = f"sticking as creep below {slow[place]:g}"
+            found[block.name] = Nonlinearity(sector, sector, odd=True, holds=words)
+        elif block.name in made.approximate:
+            where = f"effect_gain: {e.key}"
+            raise InputError(where, "a gain by harmonic balance only", "an effect with a sector", "take it out")
+        elif not e.effect.delay and not e.time_constant and e.scale is None:
+            found[block.name] = Varying()
+    return found

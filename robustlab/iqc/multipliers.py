@@ -1,0 +1,234 @@
+r"""Multipliers: what is known of a block, as integral quadratic constraints with unknowns.
+
+.. math:: \int_0^\infty v^T M v \, dt \ge 0, \qquad v = \Psi (z, w), \quad M = M(\lambda) \text{ linear}
+
+for all z in L2 and all w that the block makes of it. `v` are rows of a `FilteredModel`. The filters are the basis
+:math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s + a})^\nu)`, or static for what may change at every instant.
+
+===============================  ======================================================================================
+block                            constraint
+===============================  ======================================================================================
+dynamics, time-invariant         :math:`\psi z^T X \psi z - \psi w^T X \psi w`, X >= 0: every D(jw) >= 0 of these
+                                 poles is :math:`\psi^* X \psi`
+real constant parameter          the same, and :math:`2 \psi z^T Y \psi w` with :math:`Y = -Y^T`
+varying arbitrarily fast         the same with :math:`\nu = 0`
+real parameter of bounded rate   the swapping lemma: :math:`\delta \psi z = \psi w + T (\dot\delta \, T_b z)`, T from
+                                 the filters' states on; :math:`\dot\delta T_b z` is an input of its own
+sector [-1, 1]                   :math:`x (z^2 - w^2)`, x >= 0
+the same, steady (Popov)         :math:`2 x w \dot z`, x of either sign, z without a direct term
+slope in [m, k] (Zames, Falb)    :math:`2 p (x_0 - h *) q`, p = k z - w, q = w - m z, :math:`\|h\|_1 \le x_0`, h of both
+                                 directions of time, h >= 0 unless the law is odd
+===============================  ======================================================================================
+
+The homotopy condition of Megretski and Rantzer holds for all of them alike: with each block of a class, tau times it
+belongs to the class for every tau in [0, 1], so it satisfies the same constraint.
+
+References
+----------
+Megretski, Rantzer 1997; Jönsson 1997 (Popov); Zames, Falb 1968; Chen, Wen 1995; Helmersson 1999, Köroğlu, Scherer 2007
+(bounded rates); Veenman, Scherer, Köroğlu, "Robust stability and performance analysis based on IQCs", 2016.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
+from robustlab.iqc.nature import Nonlinearity
+
+__all__ = ["Basis", "Term", "l1_norm", "nonlinear_terms", "rate_terms", "repeated_terms"]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Pole a in rad/s and highest power of ``a / (s + a)``."""
+
+    pole: float
+    order: int
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One constraint: its signals v, its M and what must be positive semidefinite, both linear in ``count`` unknowns.
+
+    ``kernels`` gives the coefficients of h, causal and anticausal parts, and x0 of a Zames-Falb multiplier.
+    """
+
+    block: str
+    kind: str
+    rows: Rows
+    count: int
+    middle: Callable[[Array], Array]
+    positive: Callable[[Array], list[Array]]
+    kernels: Callable[[Array], tuple[Array, Array, float]] | None = None
+
+
+# --- one unknown and the other ----------------------------------------------------------------------------------------
+
+
+def _symmetric(x: Array, size: int) -> Array:
+    found = np.zeros((size, size))
+    found[np.triu_indices(size)] = x
+    return found + np.triu(found, 1).T
+
+
+def _skew(x: Array, size: int) -> Array:
+    found = np.zeros((size, size))
+    found[np.triu_indices(size, 1)] = x
+    return found - found.T
+
+
+def _triangle(size: int) -> int:
+    return size * (size + 1) // 2
+
+
+def _scaled(name: str, kind: str, above: Rows, below: Rows, size: int, real: bool, copies: tuple[int, int]) -> Term:
+    """``above^T X above - below^T X below`` with X >= 0, and for a real scalar ``2 above^T Y below``.
+
+    X has ``size`` rows; each of its entries stands for so many ``copies`` (of z, of w) times the identity.
+    """
+    n_x = _triangle(size)
+
+    def middle(x: Array) -> Array:
+        X = _symmetric(x[:n_x], size)
+        over, under = np.kron(X, np.eye(copies[0])), np.kron(X, np.eye(copies[1]))
+        cross = _skew(x[n_x:], size) if real else np.zeros((len(over), len(under)))
+        return np.block([[over, cross], [cross.T, -under]])
+
+    count = n_x + (size * (size - 1) // 2 if real else 0)
+    return Term(name, kind, stacked(above, below), count, middle, lambda x: [_symmetric(x[:n_x], size)])
+
+
+# --- linear blocks ----------------------------------------------------------------------------------------------------
+
+
+def repeated_terms(
+    model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, *, scalar: bool, real: bool
+) -> list[Term]:
+    """A block of gain one: a scalar on every channel (real or not), or a full one; order 0 where it varies."""
+    above = stacked(z, *model.low_passes(z, basis.pole, basis.order))
+    below = stacked(w, *model.low_passes(w, basis.pole, basis.order))
+    what = ("real parameter" if real else "dynamics") + ("" if basis.order else ", static multiplier")
+    copies = (1, 1) if scalar else (len(z), len(w))
+    size = (basis.order + 1) * (len(z) if scalar else 1)
+    return [_scaled(name, what, above, below, size, real, copies)]
+
+
+def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, rate: float) -> list[Term]:
+    """A real scalar whose rate is at most ``rate`` per second."""
+    order, count = basis.order, len(z)
+    stages = model.low_passes(z, basis.pole, order)
+    slow = model.added_inputs(order * count)  # delta' x / rate, x the states of the stages
+    parts = [Rows(slow.c[i : i + count], rate * slow.d[i : i + count]) for i in range(0, order * count, count)]
+    moved = model.low_passes(w, basis.pole, order, parts)
+    size = (order + 1) * count
+    whole = _scaled(name, "real parameter", stacked(z, *stages), stacked(w, *moved), size, True, (1, 1))
+    states = stacked(*stages)
+    return [whole, _scaled(name, f"its rate, {rate:.4g} per s", states, slow, order * count, True, (1, 1))]
+
+
+# --- nonlinearities ---------------------------------------------------------------------------------------------------
+
+
+def nonlinear_terms(
+    model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, law: Nonlinearity, loops: bool
+) -> list[Term]:
+    """A memoryless law of sector [-1, 1]; ``loops``: whether z depends on any block without delay.
+
+    With such a dependence only constraints count that hold for differences of two signals too: these make the loop well
+    posed.
+    """
+    found: list[Term] = []
+    if not loops:
+        square = Term(name, "sector", stacked(z, w), 1, lambda x: np.diag([x[0], -x[0]]), lambda x: [x.reshape(1, 1)])
+        found.append(square)
+    if law.steady and not z.d.any():
+        rows = stacked(model.derivative(z), w)
+        found.append(Term(name, "Popov", rows, 1, lambda x: x[0] * np.array([[0.0, 1.0], [1.0, 0.0]]), lambda x: []))
+    if law.slope is not None:
+        m, k = law.slope
+        order = basis.order if law.steady else 0
+        found.append(_zames_falb(model, name, w.plus(k, z, -1.0), w.plus(-m, z), basis.pole, order, law.odd))
+    return found
+
+
+def _zames_falb(model: FilteredModel, name: str, p: Rows, q: Rows, pole: float, order: int, odd: bool) -> Term:
+    stages = [*model.low_passes(q, pole, order), *model.low_passes(p, pole, order)]
+    grams = [((order - 1) // 2 + 1), ((order - 2) // 2 + 1)] if order else []
+    each = [s for s in grams if s]
+    signs = [1.0, -1.0] if odd else [1.0]
+    per_kernel = sum(map(_triangle, each))
+
+    def split(x: Array) -> list[list[Array]]:
+        """Gram matrices of every kernel: causal (each sign), anticausal (each sign)."""
+        found, at = [], 1
+        for _ in range(2 * len(signs) if order else 0):
+            parts = []
+            for size in each:
+                parts.append(_symmetric(x[at : at + _triangle(size)], size))
+                at += _triangle(size)
+            found.append(parts)
+        return found
+
+    def kernels(x: Array) -> tuple[Array, Array, float]:
+        ways = [_coefficients(parts, order) for parts in split(x)]
+        half = len(signs)
+        causal = sum((s * c for s, c in zip(signs, ways[:half], strict=False)), np.zeros(order))
+        anti = sum((s * c for s, c in zip(signs, ways[half:], strict=False)), np.zeros(order))
+        return causal, anti, float(x[0])
+
+    def middle(x: Array) -> Array:
+        causal, anti, direct = kernels(x)
+        found = np.zeros((2 + 2 * order, 2 + 2 * order))
+        found[0, 1] = direct
+        found[0, 2 : 2 + order] = -causal  # p (h * q)
+        found[1, 2 + order :] = -anti  # q (h~ * p)
+        return found + found.T
+
+    def positive(x: Array) -> list[Array]:
+        parts = split(x)
+        mass = sum(float(_coefficients(part, order).sum()) for part in parts)
+        return [np.array([[x[0] - mass]]), *(gram for part in parts for gram in part)]
+
+    count = 1 + (2 * len(signs) * per_kernel if order else 0)
+    kind = "Zames-Falb" if order else "slope, static multiplier"
+    return Term(name, kind, stacked(p, q, *stages), count, middle, positive, kernels)
+
+
+def _coefficients(grams: list[Array], order: int) -> Array:
+    r"""Coefficients c of :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!` from Gram matrices.
+
+    Its polynomial is :math:`s^T Q_1 s + a t \, s^T Q_2 s` with :math:`s_i = (a t)^i / i!`. Such sums are all
+    polynomials that are not negative for t >= 0.
+    """
+    found = np.zeros(order)
+    for shift, gram in enumerate(grams):
+        for i in range(len(gram)):
+            for j in range(len(gram)):
+                found[i + j + shift] += (
+                    gram[i, j] * math.factorial(i + j + shift) / math.factorial(i) / math.factorial(j)
+                )
+    return found
+
+
+def l1_norm(coefficients: Array) -> float:
+    r"""Integral of |h|, :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!`: between its zeros, in closed form."""
+    if not np.any(coefficients):
+        return 0.0
+    powers = [c / math.factorial(j) for j, c in enumerate(coefficients)]
+    roots = np.roots(powers[::-1]) if len(powers) > 1 else np.zeros(0)
+    ends = np.sort([r.real for r in np.atleast_1d(roots) if abs(r.imag) <= 1e-7 * max(abs(r), 1.0) and r.real > 0])
+    # The antiderivative of e^-t t^j / j! is -e^-t sum_{i <= j} t^i / i!, so that of h has the tail sums of c.
+    tails = np.cumsum(coefficients[::-1])[::-1]
+
+    def left(t: float) -> float:
+        """Integral of h from t on."""
+        return math.exp(-t) * sum(tail * t**i / math.factorial(i) for i, tail in enumerate(tails))
+
+    values = [left(t) for t in (0.0, *ends)] + [0.0]
+    return float(np.abs(np.diff(values)).sum())

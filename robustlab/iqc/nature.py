@@ -1,0 +1,228 @@
+"""What a block of an uncertain model is, where it is not constant: a parameter that varies, or a nonlinearity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from robustlab.errors import InputError, did_you_mean
+
+__all__ = ["WORDS", "Nature", "Nonlinearity", "Varying", "natures_in_words"]
+
+# Word of a command or recipe -> what its numbers are; those in brackets may be left out, all together.
+WORDS = {
+    "varying": "[rate]",
+    "saturation": "[limit:reach]",
+    "dead-zone": "[half width:reach]",
+    "friction": "level:stick speed",
+    "sector": "low:high",
+    "slope": "low:high",
+    "odd-slope": "low:high",
+}
+
+
+@dataclass(frozen=True)
+class Varying:
+    r"""A block that changes with time: at most at a rate, or arbitrarily fast.
+
+    .. math:: |\delta(t)| \le 1, \qquad |\dot\delta(t)| \le \rho
+
+    Attributes
+    ----------
+    rate
+        Bound of the rate of change, in the parameter's unit per second; of delta per second where the block stands for
+        no parameter. inf: no bound, the value may jump. Blocks that are no real parameter take inf only: an operator
+        of gain one that varies with time.
+
+    Raises
+    ------
+    InputError
+        A rate that is not positive.
+
+    Examples
+    --------
+    >>> Varying(0.5), Varying()
+    (Varying(rate=0.5), Varying(rate=inf))
+    """
+
+    rate: float = math.inf
+
+    def __post_init__(self) -> None:
+        if isinstance(self.rate, bool) or not isinstance(self.rate, (int, float)) or not self.rate > 0:
+            found, hint = f"a rate of {self.rate!r}", "leave a constant parameter out"
+            raise InputError("Varying", found, "a positive number, or inf", hint)
+
+
+@dataclass(frozen=True)
+class Nonlinearity:
+    r"""A memoryless nonlinearity :math:`w = \varphi(z)` of one signal, with :math:`\varphi(0) = 0`.
+
+    .. math:: a \le \frac{\varphi(z)}{z} \le b, \qquad m \le \frac{\varphi(z_1) - \varphi(z_2)}{z_1 - z_2} \le k
+
+    Attributes
+    ----------
+    sector
+        a and b, finite, a < b.
+    slope
+        m and k, finite; None where the slope has no bound. The slope at the origin lies in the sector, so m <= b and
+        k >= a.
+    odd
+        Whether :math:`\varphi(-z) = -\varphi(z)`: it admits more multipliers.
+    steady
+        Whether the law stays the same over time. Only the sector counts of one that does not.
+    holds
+        For which motions the sector holds, in words; empty: for all.
+
+    Raises
+    ------
+    InputError
+        Ends that are not finite or not in order; a slope that no law of that sector has.
+
+    Examples
+    --------
+    >>> Nonlinearity.saturation()
+    Nonlinearity(sector=(0.0, 1.0), slope=(0.0, 1.0), odd=True, steady=True, holds='')
+    """
+
+    sector: tuple[float, float]
+    slope: tuple[float, float] | None = None
+    odd: bool = False
+    steady: bool = True
+    holds: str = ""
+
+    def __post_init__(self) -> None:
+        for name, ends in (("sector", self.sector), ("slope", self.slope)):
+            if ends is None:
+                continue
+            if len(ends) != 2 or not all(map(math.isfinite, ends)) or not ends[0] < ends[1]:
+                hint = (
+                    "an infinite end has no strict inequality: friction takes a stick_speed"
+                    if name == "sector"
+                    else None
+                )
+                raise InputError(f"Nonlinearity: {name}", f"{ends}", "two finite numbers, the smaller one first", hint)
+        if self.slope is not None and not (self.slope[0] <= self.sector[1] and self.slope[1] >= self.sector[0]):
+            raise InputError("Nonlinearity: slope", f"{self.slope}", f"one that meets the sector {self.sector}")
+
+    @classmethod
+    def saturation(cls, limit: float = 1.0, reach: float = math.inf) -> Nonlinearity:
+        r"""Saturation :math:`\max(-L, \min(L, z))`: odd, slope in [0, 1], sector [0, 1].
+
+        Parameters
+        ----------
+        limit
+            L, in the unit of the signal.
+        reach
+            Bound of :math:`|z|`; the sector is then [L / reach, 1], and what is proved holds while it is kept.
+        """
+        _positive("limit", limit)
+        low = min(1.0, limit / reach) if math.isfinite(reach) else 0.0
+        return cls._local((low, 1.0), limit, reach)
+
+    @classmethod
+    def dead_zone(cls, half_width: float = 1.0, reach: float = math.inf) -> Nonlinearity:
+        r"""Dead zone :math:`z - \max(-d, \min(d, z))`: odd, slope in [0, 1], sector [0, 1].
+
+        Parameters
+        ----------
+        half_width
+            d, in the unit of the signal.
+        reach
+            Bound of :math:`|z|`; the sector is then [0, 1 - d / reach], and what is proved holds while it is kept.
+        """
+        _positive("half_width", half_width)
+        high = 1.0 - half_width / reach if math.isfinite(reach) else 1.0
+        return cls._local((0.0, high), half_width, reach)
+
+    @classmethod
+    def friction(cls, level: float, stick_speed: float | None = None) -> Nonlinearity:
+        r"""Dry friction :math:`F \max(-1, \min(1, v / v_s))`: odd, monotone, slope and sector [0, F / v_s].
+
+        Coulomb's own law, :math:`F \operatorname{sgn} v`, is monotone with the sector :math:`[0, \infty)`. Its graph is
+        vertical at rest, where the inequality cannot be strict; it is refused.
+
+        Parameters
+        ----------
+        level
+            F, in the unit of the force.
+        stick_speed
+            v_s: below this speed the force grows in proportion to it.
+        """
+        _positive("level", level)
+        if stick_speed is None:
+            raise InputError(
+                "Nonlinearity.friction", "no stick_speed", "the speed up to which the force grows in proportion",
+                "Coulomb's law has the sector [0, inf): its slope at rest has no bound, and no strict inequality holds",
+            )  # fmt: skip
+        _positive("stick_speed", stick_speed)
+        gain = level / stick_speed
+        return cls((0.0, gain), (0.0, gain), odd=True, holds=f"sticking as creep below {stick_speed:g}")
+
+    @classmethod
+    def _local(cls, sector: tuple[float, float], size: float, reach: float) -> Nonlinearity:
+        if not reach > size:
+            raise InputError("Nonlinearity", f"a reach of {reach:g}", f"more than {size:g}: below it the law is linear")
+        holds = f"while the signal stays within {reach:g}" if math.isfinite(reach) else ""
+        return cls(sector, (0.0, 1.0), odd=True, holds=holds)
+
+    def normalised(self) -> Nonlinearity:
+        """The law about the middle of its sector, over half its width: sector [-1, 1]."""
+        middle, half = 0.5 * (self.sector[0] + self.sector[1]), 0.5 * (self.sector[1] - self.sector[0])
+        slope = None if self.slope is None else ((self.slope[0] - middle) / half, (self.slope[1] - middle) / half)
+        return replace(self, sector=(-1.0, 1.0), slope=slope)
+
+
+Nature = Varying | Nonlinearity
+
+
+def natures_in_words(given: Mapping[str, str], where: str, blocks: Sequence[str] = ()) -> dict[Any, Nature]:
+    """``{"k": "varying:0.5", "y:u": "saturation"}`` as `robustlab.iqc.iqc_gain` takes it.
+
+    A name that is none of the ``blocks`` and has a colon is (output, input). The words are those of `WORDS`; a law of
+    slope [low, high] has that sector, too.
+
+    Raises
+    ------
+    InputError
+        An unknown word, other numbers than it takes.
+
+    Examples
+    --------
+    >>> natures_in_words({"y:u": "sector:0:2"}, "iqc")
+    {('y', 'u'): Nonlinearity(sector=(0.0, 2.0), slope=None, odd=False, steady=True, holds='')}
+    """
+    found: dict[Any, Nature] = {}
+    for name, text in given.items():
+        output, colon, into = name.rpartition(":")
+        found[(output, into) if colon and name not in blocks else name] = _nature(f"{where}: {name}", text)
+    return found
+
+
+def _nature(where: str, text: str) -> Nature:
+    word, *texts = text.split(":")
+    if word not in WORDS:
+        raise InputError(where, f"{word!r}", f"one of {', '.join(WORDS)}", did_you_mean(word, tuple(WORDS)))
+    try:
+        numbers = [float(part) for part in texts]
+    except ValueError:
+        numbers = [math.nan]
+    count = WORDS[word].count(":") + 1
+    if len(numbers) not in ((0, count) if WORDS[word].startswith("[") else (count,)) or any(map(math.isnan, numbers)):
+        raise InputError(where, f"{text!r}", f"{word} with {WORDS[word]}, numbers with colons between them")
+    if word == "varying":
+        return Varying(*numbers)
+    if word == "saturation":
+        return Nonlinearity.saturation(*numbers)
+    if word == "dead-zone":
+        return Nonlinearity.dead_zone(*numbers)
+    if word == "friction":
+        return Nonlinearity.friction(*numbers)
+    ends = numbers[0], numbers[1]
+    return Nonlinearity(ends, None if word == "sector" else ends, odd=word == "odd-slope")
+
+
+def _positive(name: str, value: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+        raise InputError(f"Nonlinearity: {name}", f"{value!r}", "a positive finite number")

@@ -1,0 +1,466 @@
+"""Integral quadratic constraints: each class against closed forms, mu, simulations; proofs that can fail."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.iqc import inequality as inequality_module
+from robustlab.iqc.analysis import _problem
+from robustlab.iqc.filtered_model import FilteredModel
+from robustlab.iqc.inequality import Point, is_positive
+from robustlab.iqc.multipliers import Basis, l1_norm, nonlinear_terms, rate_terms, repeated_terms
+from robustlab.result import Status
+
+
+def lure(num, den):
+    """G(s) with negative feedback of a law from y to u; d at the same place."""
+    n = len(den) - 1
+    A = np.vstack([np.hstack([np.zeros((n - 1, 1)), np.eye(n - 1)]), -np.array(den[:0:-1], float) / den[0]])
+    b = np.zeros((n, 1))
+    b[-1] = 1.0
+    c = np.zeros((1, n))
+    c[0, : len(num)] = num[::-1]
+    return rl.StateSpaceModel(A, np.hstack([-b, b]), c, np.zeros((1, 2)), 0.0, ["u", "d"], ["y"])
+
+
+def proved(model, law, order=2, pole=None):
+    """Whether stability is proved for the law as given, without the search for a margin."""
+    problem, budget = _problem("iqc_stability", model, {("y", "u"): law}, order, pole, None, 1.0)
+    return problem.proved_stable(1.0, budget) is not None
+
+
+CUBE = lure([1.0], [1.0, 3.0, 3.0, 1.0])  # 1 / (s + 1)^3
+O_SHEA = lure([1.0, -0.2, -0.1], [1.0, 2.0, 1.0, 1.0])
+MIRRORED = lure([-1.0, 0.2, 0.1], [1.0, 2.0, 1.0, 1.0])
+
+
+def largest_linear_gain(model):
+    """The smallest k > 0 at which A - b k c has a pole on the axis, by bisection."""
+    low, high = 0.0, 100.0
+    for _ in range(60):
+        k = 0.5 * (low + high)
+        stable = np.linalg.eigvals(model.A + k * model.B[:, :1] @ model.C).real.max() < 0
+        low, high = (k, high) if stable else (low, k)
+    return low
+
+
+# --- closed forms -----------------------------------------------------------------------------------------------------
+
+
+def test_the_circle_criterion_is_met_to_its_end():
+    # min Re 1 / (1 + jw)^3 = -1/4 at w = 1: sector [0, k] of a law that varies needs k < 4.
+    assert proved(CUBE, rl.Nonlinearity((0.0, 3.999), steady=False))
+    assert not proved(CUBE, rl.Nonlinearity((0.0, 4.001), steady=False))
+
+
+def test_popovs_criterion_is_met_to_its_end():
+    # Re (1 + jw) / (1 + jw)^3 >= -1/8, and k = 8 is Hurwitz' limit.
+    assert proved(CUBE, rl.Nonlinearity((0.0, 7.99)))
+    with pytest.raises(NoTrustworthyNumber, match="unstable with all blocks at their middles"):
+        proved(CUBE, rl.Nonlinearity((0.0, 16.1)))
+    assert not proved(CUBE, rl.Nonlinearity((0.0, 8.01)))
+
+
+@pytest.mark.parametrize(("model", "published"), [(O_SHEA, 4.5894), (MIRRORED, 1.0894)])
+def test_zames_falb_reaches_kalmans_limit_of_third_order(model, published):
+    # Kalman's conjecture holds for three states (Barabanov 1988): the largest slope is the largest linear gain.
+    limit = largest_linear_gain(model)
+    assert limit == pytest.approx(published, abs=1e-4)
+    law = rl.Nonlinearity((0.0, 0.999 * limit), (0.0, 0.999 * limit), odd=True)
+    assert proved(model, law)
+    assert not proved(model, rl.Nonlinearity((0.0, 1.001 * limit), (0.0, 1.001 * limit), odd=True))
+
+
+def test_zames_falb_proves_more_than_the_circle_and_odd_laws_more_than_others():
+    model = lure([-1.0, 0.0, 0.0], [1.0, 0.2, 6.0, 0.1, 1.0])
+    found = {}
+    for name, odd, order in (("static", True, 0), ("any", False, 4), ("odd", True, 4)):
+        low, high = 0.0, 4.0
+        for _ in range(9):
+            k = 0.5 * (low + high)
+            good = proved(model, rl.Nonlinearity((0.0, k), (0.0, k), odd=odd), order=order, pole=2.0)
+            low, high = (k, high) if good else (low, k)
+        found[name] = low
+    assert found["static"] < 0.7 * found["any"]
+    assert found["any"] <= found["odd"] < largest_linear_gain(model)
+
+
+def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
+    # x'' + c x' + (k + r delta(t)) x = 0 is quadratically stable iff r |1 / (s^2 + c s + k)|_inf < 1.
+    k, c, r = 2.0, 0.3, 0.1
+    spring = rl.parametric([[0, 1], ["-k", -c]], [[0], [1]], [[1, 0]], [[0]], {"k": (k, k - r, k + r)})
+    radius = c * math.sqrt(k - c**2 / 4)
+    found = rl.iqc_stability(spring, {"k": rl.Varying()})
+    assert found.margin == pytest.approx(radius / r, rel=1e-3)
+    assert found.margin <= radius / r
+    assert found.status is Status.CERTIFIED
+
+
+# --- against mu -------------------------------------------------------------------------------------------------------
+
+
+def random_set(seed, blocks, n=5):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    A -= (np.linalg.eigvals(A).real.max() + 0.4) * np.eye(n)
+    rows, cols = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    B, C = rng.normal(size=(n, rows + 1)), rng.normal(size=(cols + 1, n))
+    return rl.UncertainModel(rl.StateSpaceModel(A, 0.3 * B, 0.3 * C, np.zeros((cols + 1, rows + 1))), blocks)
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_dynamic_blocks_agree_with_mu(seed):
+    uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)])
+    mu = rl.robust_stability(uncertain)
+    found = rl.iqc_stability(uncertain, order=3)
+    assert found.margin <= mu.upper * (1 + 1e-6)
+    assert found.margin >= 0.97 * mu.lower
+
+
+@pytest.mark.parametrize("seed", [3])
+def test_real_blocks_agree_with_mu_and_rates_lie_between(seed):
+    uncertain = random_set(seed, [rl.RealScalar("a", 2), rl.RealScalar("b")])
+    mu = rl.robust_stability(uncertain)
+    margins = [
+        rl.iqc_stability(uncertain, nature, order=2).margin
+        for nature in ({"a": rl.Varying(), "b": rl.Varying()}, *({"a": rl.Varying(r)} for r in (1.0, 0.01)), {})
+    ]
+    assert margins[-1] <= mu.upper * (1 + 1e-6)
+    assert margins[-1] >= 0.9 * mu.lower
+    assert all(a <= b * (1 + 2e-3) for a, b in pairwise(margins))
+    assert margins[0] < margins[-1]
+
+
+def test_the_gain_of_constant_blocks_is_that_of_mu():
+    uncertain = rl.parametric(
+        [[0, 1], ["-k", "-c"]], [[0], [1]], [[1, 0]], [[0]], {"k": (2.0, 1.4, 3.0), "c": (0.3, 0.25, 0.4)}
+    )
+    mu, found = rl.worst_case_gain(uncertain), rl.iqc_gain(uncertain)
+    assert mu.lower <= found.upper * (1 + 1e-9)
+    assert found.upper == pytest.approx(mu.upper, rel=2e-3)
+    slow, fast = (rl.iqc_gain(uncertain, {"k": rl.Varying(rate)}).upper for rate in (0.01, 0.1))
+    assert found.upper < slow < fast < math.inf
+
+
+# --- every constraint holds for what it is said to hold for -----------------------------------------------------------
+
+
+def integrate(model, terms, inputs, dt):
+    """Integrals of v' M v of each term with random multipliers of its class, for given inputs (n, m), held."""
+    from scipy.linalg import expm
+
+    n, m = model.n, model.m
+    step = expm(np.block([[model.A, model.B], [np.zeros((m, n + m))]]) * dt)
+    rows = [t.rows.padded(n, m) for t in terms]
+    x, found = np.zeros(n), []
+    signals = [np.empty((len(inputs), len(r))) for r in rows]
+    for i, u in enumerate(inputs):
+        middle = 0.5 * (x + step[:n, :n] @ x + step[:n, n:] @ u)
+        for s, r in zip(signals, rows, strict=True):
+            s[i] = r.c @ middle + r.d @ u
+        x = step[:n, :n] @ x + step[:n, n:] @ u
+    rng = np.random.default_rng(0)
+    for s, term in zip(signals, terms, strict=True):
+        unknowns = interior(term, rng)
+        M = term.middle(unknowns)
+        found.append(
+            (dt * np.einsum("ti,ij,tj->", s, M, s), dt * np.einsum("ti,ij,tj->", np.abs(s), np.abs(M), np.abs(s)))
+        )
+    return found
+
+
+def interior(term, rng):
+    """Random unknowns that meet the constraints of the class."""
+    x = rng.normal(size=term.count)
+    if term.kernels is None:
+        parts = term.positive(x)
+        if parts:  # X = R R'
+            size = len(parts[0])
+            R = rng.normal(size=(size, size))
+            x[: size * (size + 1) // 2] = (R @ R.T)[np.triu_indices(size)]
+        return x
+    for size_free in range(200):
+        x = rng.normal(size=term.count) + 3e-2 * size_free * interior_direction(term)
+        x[0] = 0.0
+        grams = term.positive(x)[1:]
+        if all(np.linalg.eigvalsh(g)[0] > 0 for g in grams):
+            break
+    x[0] = -term.positive(x)[0][0, 0] * 1.001  # as small as the L1 norm lets it be
+    return x
+
+
+def interior_direction(term):
+    direction = np.zeros(term.count)
+    for k in range(term.count):
+        unit = np.zeros(term.count)
+        unit[k] = 1.0
+        direction[k] = 100 * any(np.trace(g) for g in term.positive(unit)[1:])
+    return direction
+
+
+def burst(t, rng):
+    """A smooth signal that begins and ends at zero."""
+    waves = sum(rng.normal() * np.sin(rng.uniform(0.2, 6.0) * t + rng.uniform(0, 6)) for _ in range(6))
+    return waves * np.sin(np.pi * np.clip(t / 12.0, 0, 1)) ** 2
+
+
+LAWS = {
+    "saturation": (lambda z: np.clip(z, -0.7, 0.7), rl.Nonlinearity((0.0, 1.0), (0.0, 1.0), odd=True)),
+    "dead zone": (lambda z: z - np.clip(z, -0.7, 0.7), rl.Nonlinearity((0.0, 1.0), (0.0, 1.0), odd=True)),
+    "one-sided": (lambda z: np.maximum(z, 0.0), rl.Nonlinearity((0.0, 1.0), (0.0, 1.0))),
+    "friction": (lambda z: 3 * np.clip(z / 0.1, -1, 1), rl.Nonlinearity.friction(3.0, 0.1)),
+    "wavy": (lambda z: z + 0.5 * np.sin(z), rl.Nonlinearity((0.8, 1.5), (0.5, 1.5), odd=True)),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_constraints_of_laws_hold_in_simulation(name, seed):
+    function, law = LAWS[name]
+    rng = np.random.default_rng(seed)
+    dt = 2e-3
+    t = np.arange(0.0, 30.0, dt)
+    z = burst(t, rng) * 2.0
+    low, high = law.sector
+    w = (function(z) - 0.5 * (low + high) * z) / (0.5 * (high - low))
+    # z is the state of a lag, so that it has a derivative; w is the other input
+    lag = FilteredModel(np.array([[-1.0]]), np.array([[0.0, 1.0]]), np.eye(1), np.zeros((1, 2)))
+    terms = nonlinear_terms(
+        lag, name, lag.outputs(slice(0, 1)), lag.inputs(slice(0, 1)), Basis(1.5, 3), law.normalised(), False
+    )
+    drive = np.gradient(z, dt) + z
+    for value, size in integrate(lag, terms, np.column_stack([w, drive]), dt):
+        assert value >= -2e-3 * size
+    assert {term.kind for term in terms} == {"sector", "Popov", "Zames-Falb"}
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_constraints_of_varying_parameters_hold_in_simulation(seed):
+    rng = np.random.default_rng(seed)
+    dt, rate = 1e-3, 0.7
+    t = np.arange(0.0, 25.0, dt)
+    z = np.column_stack([burst(t, rng), burst(t, rng)])
+    delta = np.sin(rate * t + rng.uniform(0, 6))  # at most 1, its rate at most 0.7
+    slope = rate * np.cos(rate * t + 0.0) * 0 + np.gradient(delta, dt)
+    through = FilteredModel(np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((2, 0)), np.eye(4)[2:])
+    seen, acts = through.outputs(slice(0, 2)), through.inputs(slice(0, 2))
+    terms = rate_terms(through, "k", seen, acts, Basis(1.3, 2), rate)
+    # the added inputs: delta' x / rate, x the states of the filters of z
+    x = np.zeros(4)
+    states = np.empty((len(t), 4))
+    for i, value in enumerate(z):
+        states[i] = x
+        for _ in range(1):
+            x = x + dt * 1.3 * np.concatenate([value - x[:2], x[:2] - x[2:]])
+    extra = slope[:, None] * states / rate
+    for value, size in integrate(through, terms, np.hstack([delta[:, None] * z, z, extra]), dt):
+        assert value >= -3e-3 * size
+
+
+def test_constraints_of_dynamics_hold_in_simulation():
+    dt = 2e-3
+    t = np.arange(0.0, 40.0, dt)
+    z = burst(t, np.random.default_rng(5))
+    w, state = np.empty_like(z), 0.0
+    for i, value in enumerate(z):  # (1 - s) / (1 + s): gain one at every frequency
+        w[i] = 2 * state - value
+        state += dt * (value - state)
+    through = FilteredModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[0.0, 1.0]]))
+    seen, acts = through.outputs(slice(0, 1)), through.inputs(slice(0, 1))
+    terms = repeated_terms(through, "g", seen, acts, Basis(1.0, 2), scalar=True, real=False)
+    for value, size in integrate(through, terms, np.column_stack([w, z]), dt):
+        assert abs(value) < 5e-3 * size  # an all-pass meets them with equality
+
+
+# --- attacks: no simulated loop has more than the proved gain ---------------------------------------------------------
+
+
+def simulated_gains(model, law, d, dt):
+    """|y|_2 / |d|_2 of a Lur'e loop for inputs d (n, k), held, by Runge and Kutta."""
+    b, e, c = model.B[:, :1], model.B[:, 1:], model.C
+
+    def rate(x, value):
+        return model.A @ x + b * law(c @ x) + e * value
+
+    x, y = np.zeros((model.n_states, d.shape[1])), np.empty(d.shape)
+    for i, value in enumerate(d):
+        y[i] = (c @ x)[0]
+        k1 = rate(x, value)
+        k2 = rate(x + 0.5 * dt * k1, value)
+        k3 = rate(x + 0.5 * dt * k2, value)
+        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + dt * k3, value))
+    return np.linalg.norm(y, axis=0) / np.linalg.norm(d, axis=0)
+
+
+@pytest.mark.parametrize("name", ["saturation", "dead zone", "one-sided"])
+def test_no_input_reaches_more_than_the_proved_gain(name):
+    function, law = LAWS[name]
+    stiff = 3.0
+    law = rl.Nonlinearity((0.0, stiff), (0.0, stiff), odd=law.odd)
+    found = rl.iqc_gain(CUBE, {("y", "u"): law}, order=3)
+    assert found.status is Status.CERTIFIED
+    rng, dt = np.random.default_rng(0), 0.03
+    t = np.arange(0.0, 60.0, dt)
+    waves = np.array([np.sin(w * t) for w in (0.02, 0.3, 0.7, 1.0, 1.2, 1.4, 1.6, 2.0)]).T
+    shapes = np.hstack([waves, np.sign(waves), waves + 0.5 * rng.normal(size=waves.shape)]) * (t < 50)[:, None]
+    inputs = np.hstack([size * shapes for size in (0.3, 1.0, 5.0, 30.0)])
+    worst = simulated_gains(CUBE, lambda z: stiff * function(z), inputs, dt).max()
+    assert 0.3 * found.upper <= worst <= found.upper  # the attack is worth its name
+    assert found.lower <= found.upper
+
+
+def test_no_varying_spring_reaches_more_than_the_proved_gain():
+    spring = rl.parametric([[0, 1], ["-k", -0.3]], [[0], [1]], [[1, 0]], [[0]], {"k": (2.0, 1.8, 2.2)})
+    rate = 0.2
+    found = rl.iqc_gain(spring, {"k": rl.Varying(rate)})
+    dt = 0.01
+    t = np.arange(0.0, 150.0, dt)
+    worst = 0.0
+    for w in (1.2, 1.35, 1.42, 1.5):
+        d = np.sin(w * t) * (t < 140)
+        for phase in np.linspace(0, np.pi, 4):
+            # a triangle of slope 0.2 and height 0.2 about 2: the fastest that the bound allows
+            k = 2.0 + 0.2 * (2 / np.pi) * np.arcsin(np.sin(np.pi / 2 * rate / 0.2 * t + phase))
+            x, y = np.zeros(2), np.empty(len(t))
+            for i in range(len(t)):
+                y[i] = x[0]
+                v = x[1] + dt * (d[i] - k[i] * x[0] - 0.3 * x[1])
+                x = np.array([x[0] + dt * v, v])
+            worst = max(worst, np.linalg.norm(y) / np.linalg.norm(d))
+    assert 0.6 * found.upper <= worst <= found.upper
+
+
+# --- the proof --------------------------------------------------------------------------------------------------------
+
+
+def solved():
+    law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
+    problem, budget = _problem("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
+    inequality, terms = problem._inequality(problem.bases[0], 1.0, 1.0)
+    least = inequality.solve(budget)
+    return inequality, terms, inequality.solve(budget, least.square * 1.01)
+
+
+def test_the_proof_fails_where_it_must():
+    inequality, terms, point = solved()
+    assert inequality.judged(point).proved
+    assert not inequality.judged(Point(point.P + 0.5 * np.eye(len(point.P)), point.unknowns, point.square, 0)).proved
+    assert not inequality.judged(Point(point.P, point.unknowns, 0.9 * point.square, 0)).proved
+    k = next(i for i, t in enumerate(terms) if t.kernels)
+    loud = [x.copy() for x in point.unknowns]
+    loud[k][0] *= 0.1  # x0 below the norm of h
+    assert not inequality.multipliers_hold(Point(point.P, tuple(loud), point.square, 0))
+
+
+def test_the_frequency_domain_inequality_holds_for_the_multiplier_by_hand():
+    """The multiplier from its coefficients alone, the loop from its transfer function: no filter, no state."""
+    _, terms, point = solved()
+    unknowns = dict(zip([t.kind for t in terms], point.unknowns, strict=True))
+    causal, anti, direct = next(t for t in terms if t.kernels).kernels(unknowns["Zames-Falb"])
+    problem, _ = _problem(
+        "iqc_gain", CUBE, {("y", "u"): rl.Nonlinearity((0, 3.0), (0, 3.0), odd=True)}, 3, 1.0, None, 1.0
+    )
+    from robustlab.iqc.analysis import _channels_balanced
+    from robustlab.norms.level_set import well_scaled
+
+    scaled, rate = well_scaled(problem.middle.M)
+    seen = scaled.C[0] != 0
+    d = (_channels_balanced(problem.middle.blocks, scaled)[1][0][seen] / scaled.C[0][seen])[0]  # z and w times d
+    for omega in np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)]):
+        G = rl.frequency_response(problem.middle.M, [omega])[0]
+        zw, zd, yw, yd = G[0, 0], G[0, 1] * d, G[1, 0] / d, G[1, 1]
+        low = 1 / (1j * omega + 1.0)
+        H = sum(c * low ** (j + 1) for j, c in enumerate(causal))
+        H = H + np.conj(sum(c * low ** (j + 1) for j, c in enumerate(anti)))
+        z, w = np.array([zw, zd]), np.array([1.0, 0.0])
+        p, q = z - w, w + z  # the slopes are -1 and 1 in these units
+        form = 2 * (direct - H) * np.outer(p.conj(), q)
+        form = 0.5 * (form + form.conj().T)
+        form = form + unknowns["sector"][0] * (np.outer(z.conj(), z) - np.outer(w.conj(), w))
+        popov = unknowns["Popov"][0] * np.outer(w.conj(), 1j * omega / rate * z)
+        form = form + popov + popov.conj().T
+        y = np.array([yw, yd])
+        form = form + np.outer(y.conj(), y) - point.square * np.diag([0.0, 1.0])
+        assert np.linalg.eigvalsh(form)[-1] < 0
+
+
+def test_a_solver_that_lies_proves_nothing(monkeypatch):
+    rng = np.random.default_rng(0)
+    monkeypatch.setattr(
+        inequality_module, "_clarabel", lambda rows, *more: np.abs(rng.normal(size=rows.shape[1])) + 0.1
+    )
+    found = rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity((0.0, 3.0))})
+    assert (found.status, found.upper, found.proof) == (Status.INCONCLUSIVE, math.inf, None)
+
+
+def test_positive_definite_is_proved_not_guessed():
+    assert is_positive(np.eye(3))
+    assert not is_positive(np.eye(3), 1.1)
+    assert not is_positive(np.diag([1.0, 1e-18]) + 1e-17 - 1e-17)
+    assert not is_positive(np.array([[np.nan]]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_norm_of_a_kernel_is_its_integral(seed):
+    c = np.random.default_rng(seed).normal(size=seed + 1)
+
+    def h(t):
+        return abs(math.exp(-t) * sum(x * t**j / math.factorial(j) for j, x in enumerate(c)))
+
+    value = sum(quad(h, a, a + 0.5, limit=200)[0] for a in np.arange(0.0, 40.0, 0.5))
+    assert l1_norm(c) == pytest.approx(value, rel=1e-6)
+
+
+# --- what is refused and said -----------------------------------------------------------------------------------------
+
+
+def test_an_unstable_member_is_shown():
+    found = rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity((0.0, 9.0))})
+    assert (found.status, found.lower, found.upper) == (Status.INFEASIBLE, math.inf, math.inf)
+    assert found.delta == {"y:u": 1.0}
+    assert "unstable" in found.summary()
+
+
+def test_an_algebraic_loop_counts_slopes_only():
+    direct = rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[-1.0]], [[-0.5, 0.0]], 0.0, ["u", "d"], ["y"])
+    found = rl.iqc_gain(direct, {("y", "u"): rl.Nonlinearity.saturation()})
+    assert found.status is Status.CERTIFIED
+    assert found.proof.constraints["y:u"] == "Zames-Falb"
+    with pytest.raises(InputError, match="algebraic loop"):
+        rl.iqc_gain(direct, {("y", "u"): rl.Nonlinearity((0.0, 1.0))})
+
+
+@pytest.mark.parametrize(
+    ("ask", "text"),
+    [
+        (lambda: rl.Nonlinearity((0.0, math.inf)), "two finite numbers"),
+        (lambda: rl.Nonlinearity.friction(2.0), "no stick_speed"),
+        (lambda: rl.Nonlinearity((0.0, 1.0), (2.0, 3.0)), "meets the sector"),
+        (lambda: rl.Nonlinearity.saturation(2.0, 1.0), "more than 2"),
+        (lambda: rl.Varying(0.0), "a positive number"),
+        (lambda: rl.iqc_gain(CUBE, {("y", "v"): rl.Nonlinearity.saturation()}), "no input 'v'"),
+        (lambda: rl.iqc_gain(CUBE, {("y", "u"): rl.Varying()}), "a Nonlinearity"),
+        (lambda: rl.iqc_gain(CUBE, {}), "no block at all"),
+        (lambda: rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
+        (lambda: rl.iqc_stability(random_set(1, [rl.FullBlock("f", 1, 1)]), {"f": rl.Varying(1.0)}), "a rate of 1"),
+        (lambda: rl.iqc_stability(random_set(1, [rl.RealScalar("f")]), {"g": rl.Varying(1.0)}), "no such block"),
+        (lambda: rl.iqc_stability(random_set(1, [rl.RealScalar("f")]), {"f": rl.Nonlinearity((0, 1))}), "own range"),
+        (lambda: rl.iqc_stability(_discrete(), {}), "a discrete model"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_in_one_line(ask, text):
+    with pytest.raises(InputError, match=text) as error:
+        ask()
+    assert "\n" not in error.value.line
+
+
+def _discrete():
+    M = rl.StateSpaceModel([[0.5]], [[1.0]], [[0.1]], [[0.0]], 0.1)
+    return rl.UncertainModel(M, [rl.RealScalar("a")])
