@@ -37,6 +37,9 @@ from robustlab.mu_analysis import robust_stability as robust_stability
 from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
 from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
+from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at as disk_margin_at
+from robustlab.mu_analysis.margins.at_frequencies import robust_stability_at as robust_stability_at
+from robustlab.mu_analysis.margins.at_frequencies import worst_case_gain_at as worst_case_gain_at
 from robustlab.mu_analysis.margins.classical import classical_margins as classical_margins
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
@@ -108,6 +111,9 @@ from robustlab.uncertainty.distances.gap_metric import gap as gap
 from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import by_cause as by_cause
 from robustlab.uncertainty.elementwise import elementwise as elementwise
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
+from robustlab.uncertainty.frequency_responses import frequency_data as frequency_data
+from robustlab.uncertainty.frequency_responses import response_radius as response_radius
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
 from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
@@ -151,6 +157,9 @@ __all__ = [
     "elementwise",
     "by_cause",
     "parametric",
+    "UncertainFrequencyData",
+    "frequency_data",
+    "response_radius",
     "centred",
     "reduction",
     "well_posedness",
@@ -174,6 +183,9 @@ __all__ = [
     "robust_performance",
     "worst_case_gain",
     "robust_gain",
+    "robust_stability_at",
+    "worst_case_gain_at",
+    "disk_margin_at",
     "small_gain",
     "classical_margins",
     "disk_margin",
