@@ -100,6 +100,8 @@ _PUBLIC = {
     "frequency_response": "frequency",
     # synthesis
     "hinf": "synthesis.hinf.hinf_synthesis",
+    "delay_hinf": "synthesis.hinf.delayed_design",
+    "verify_delayed_loop": "synthesis.hinf.delayed_design",
     "h2": "synthesis.h2.h2_synthesis",
     "h2_hinf": "synthesis.h2.mixed_h2_hinf",
     "loop_functions": "synthesis.specifications.loop_functions",

@@ -43,6 +43,8 @@ from robustlab.mu_analysis.margins.at_frequencies import worst_case_gain_at as w
 from robustlab.mu_analysis.margins.classical import classical_margins as classical_margins
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins as delay_classical_margins
+from robustlab.mu_analysis.margins.delay_loops import delay_disk_margins as delay_disk_margins
 from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin as delay_disk_margin
 from robustlab.mu_analysis.margins.delay_margins import delay_gain as delay_gain
 from robustlab.mu_analysis.margins.delay_stability import delay_stability as delay_stability
@@ -71,6 +73,8 @@ from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.h2.state_feedback import lqg as lqg
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
 from robustlab.synthesis.h2.state_feedback import place as place
+from robustlab.synthesis.hinf.delayed_design import delay_hinf as delay_hinf
+from robustlab.synthesis.hinf.delayed_design import verify_delayed_loop as verify_delayed_loop
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
@@ -193,6 +197,8 @@ __all__ = [
     "delay_stability",
     "delay_gain",
     "delay_disk_margin",
+    "delay_disk_margins",
+    "delay_classical_margins",
     "gap",
     "nu_gap",
     "coprime_margin",
@@ -210,6 +216,8 @@ __all__ = [
     "observability",
     "frequency_response",
     "hinf",
+    "delay_hinf",
+    "verify_delayed_loop",
     "h2",
     "h2_hinf",
     "loop_functions",

@@ -39,7 +39,8 @@ def discretise(
 ) -> None:
     """A discrete model of a continuous one, by formula.
 
-    A model with exact delays at inputs and outputs takes zoh, which is exact. What a loop loses by it is what "synth discretise" computes.
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
+    What a loop loses by it is what "synth discretise" computes.
 
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """

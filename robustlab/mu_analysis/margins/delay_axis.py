@@ -6,9 +6,9 @@ With the states x and what leaves the delays w as unknowns the response is
    \end{bmatrix}, \qquad F(s) = \begin{bmatrix} sI - A & -B_1 \\ -C_1 & \mathrm{diag}(e^{s \tau_i}) - D_{11}
    \end{bmatrix}
 
-and :math:`|F(j\omega) - F(jc)| \le h N` entry by entry for :math:`|\omega - c| \le h`, with :math:`N = \mathrm{diag}(I,
-\tau_i)`: only the diagonal moves. With :math:`m = \|T F(jc)^{-1} N T^{-1}\|` for any diagonal T, :math:`l = \|C F(jc)^{-1}
-N T^{-1}\|`, :math:`r = \|T F(jc)^{-1} B\|`, and :math:`h m < 1`, Neumann's series gives
+and :math:`|F(j\omega) - F(jc)| \le h N` entry by entry for :math:`|\omega - c| \le h`, with :math:`N =
+\mathrm{diag}(I, \tau_i)`: only the diagonal moves. With :math:`m = \|T F(jc)^{-1} N T^{-1}\|` for any diagonal T,
+:math:`l = \|C F(jc)^{-1} N T^{-1}\|`, :math:`r = \|T F(jc)^{-1} B\|`, and :math:`h m < 1`, Neumann's series gives
 
 .. math:: \|G(j\omega) - G(jc)\| \le \frac{h l r}{1 - h m}, \qquad \|G''\| \le \frac{l r}{(1 - hm)^2} \left( \frac{2
    m}{1 - hm} + \tau_{\max} \right) .
@@ -25,7 +25,7 @@ Time-Delay Systems* (2014), chapter 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,10 +34,13 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["DelayAxis", "Seen"]
+__all__ = ["DelayAxis", "Measured", "Seen", "proved_peak"]
 
 SWEEPS = 6  # of the balancing by T
 FASTEST = 60  # doublings of the frequency in which the far end is sought
+# Intervals that are looked at, at most, and their smallest width relative to the frequency.
+MOST, NARROW = 40_000, 1e-10
+LOOKS = 60  # at the response, before anything is proved
 CHUNK = 2_000_000  # complex numbers solved for at once
 
 
@@ -149,6 +152,11 @@ class DelayAxis:
             omega *= 2.0
         return None
 
+    def speed(self) -> float:
+        """A frequency of its dynamics or delays, in rad/s."""
+        size = float(np.linalg.norm(self.inner[: self.n, : self.n], 2)) if self.n else 0.0
+        return size or 1.0 / float(self.delays.max(initial=1.0))
+
     def _matrix(self, omega: Array) -> ComplexArray:
         F = np.broadcast_to(-self.inner, (len(omega), *self.inner.shape)).astype(np.complex128)
         place = np.arange(len(self.weight))
@@ -157,6 +165,64 @@ class DelayAxis:
         )
         F[:, place, place] += diagonal
         return F
+
+
+class Measured(NamedTuple):
+    """At matrices (k,): what is measured is at most ``level + stretch e`` for all matrices within e of each."""
+
+    level: Array
+    stretch: Array
+
+
+def proved_peak(
+    axis: DelayAxis,
+    about: Array,
+    tolerance: float,
+    attained: Callable[[ComplexArray, Array], float],
+    measure: Callable[[ComplexArray], Measured],
+) -> float:
+    """Bound over the whole axis of a measure of the response, inf where there is none.
+
+    Parameters
+    ----------
+    about
+        What the response is compared with at high frequencies, its limit where it has one.
+    tolerance
+        Intervals are cut while their bound is larger by this share than the largest value that was attained.
+    attained
+        Takes responses with their frequencies, and says the largest value attained so far.
+    measure
+        Of a stack of responses.
+    """
+    whole = about[None].astype(np.complex128)
+    limit, left = measure(whole), axis.far(np.inf, about)
+    at_end = float(limit.level[0] + limit.stretch[0] * left)
+    there = int(not left)  # with echoes the response has no limit that it attains
+    attained(whole[:there], np.full(there, np.inf))
+    looks = axis.speed() * np.geomspace(1e-3, 1e3, LOOKS)
+    best = attained(axis.response(looks), looks)
+    # how far above its limit the end of the axis may be, by the share that is allowed or needed
+    room = max(best * (1.0 + tolerance) - at_end, 0.5 * tolerance * max(at_end, best)) / float(limit.stretch[0])
+    end = axis.end(about, left + room) if np.isfinite(left) else None
+    if end is None:
+        return np.inf
+    level, looked = at_end + float(limit.stretch[0]) * room, 0
+    first = np.concatenate([[0.0], np.geomspace(1e-6 * end, end, 81)])
+    begin, stop = first[:-1], first[1:]
+    while len(begin):
+        looked += len(begin)
+        half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
+        seen = axis.seen(middle)
+        found = measure(seen.value)
+        top = np.argsort(-found.level)[:3]
+        best = attained(seen.value[top], middle[top])
+        carried = found.level + found.stretch * seen.spread(half)
+        cut = carried > max(best * (1.0 + tolerance), level)
+        level = max(level, float(carried[~cut].max(initial=0.0)))
+        if looked > MOST or (half[cut] <= NARROW * (middle[cut] + 1e-6 * end)).any():
+            return max(level, float(carried.max()))
+        begin, stop = np.concatenate([begin[cut], middle[cut]]), np.concatenate([middle[cut], stop[cut]])
+    return level
 
 
 def _balancing(size: Array) -> Array:

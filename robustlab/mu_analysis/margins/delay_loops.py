@@ -31,7 +31,7 @@ from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
-from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Seen
+from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Measured, Seen, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import delay_stability
 from robustlab.mu_analysis.margins.disk_margin import (
     PLACES,
@@ -58,6 +58,7 @@ MOST, NARROW = 400_000, 1e-10
 LEAST, LARGEST = 1e-6, 1e3
 ROUNDING = 1e-12
 SINGULAR = 1e-7
+STEEPEST = 300.0  # of the D scalings: what they gain at a matrix they lose about it
 
 
 class _Loop(NamedTuple):
@@ -353,7 +354,7 @@ def _disk(
     axis, shift = DelayAxis(S, places, places), 0.5 * (skew - 1.0) * np.eye(len(places))
     blocks = [ComplexScalar(name) for name in names]
     peak = _Peak(axis, shift, blocks, seed)
-    upper = peak.prove(tolerance)
+    upper = peak.prove(0.5 * tolerance)
     lower = 1.0 / upper if upper else np.inf
     status = Status.CERTIFIED if upper <= peak.value * (1.0 + tolerance) * (1 + 1e-9) else Status.INACCURATE
     delta = delta_values(blocks, peak.delta) if peak.delta is not None else {}
@@ -391,51 +392,24 @@ class _Peak:
     def __init__(self, axis: DelayAxis, shift: Array, blocks: Sequence[ComplexScalar], seed: int) -> None:
         self.axis, self.shift, self.blocks, self.seed = axis, shift, blocks, seed
         self.value, self.frequency, self.delta = 0.0, np.inf, None
-        one = np.eye(len(blocks))
-        self.about = one if np.allclose(axis.D, one) else axis.D
-        self._attain(self.about[None] + shift, np.array([np.inf]))
-
-    def _attain(self, M: ComplexArray, omega: Array) -> None:
-        """Take the largest of some matrices, with its Delta."""
-        found = mu(M, self.blocks, self.seed)
-        k = int(np.argmax(found.lower))
-        if found.lower[k] > self.value:
-            self.value, self.frequency, self.delta = float(found.lower[k]), float(omega[k]), found.delta[k]
 
     def prove(self, tolerance: float) -> float:
         """Bound of mu for all frequencies; the largest value is looked for on the way."""
-        far = float(np.linalg.norm(self.about + self.shift, 2)) * (1.0 + 0.5 * tolerance)
-        room = max(far - float(np.linalg.norm(self.about + self.shift, 2)), 1e-3 * tolerance)
-        end = self.axis.end(self.about, room)
-        if end is None:
-            return np.inf
-        level = float(np.linalg.norm(self.about + self.shift, 2)) + room
-        first = np.concatenate([[0.0], np.geomspace(1e-6 * end, end, 81)])
-        begin, stop, looked = first[:-1], first[1:], 0
-        while len(begin):
-            looked += len(begin)
-            half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
-            seen = self.axis.seen(middle)
-            M = seen.value + self.shift
-            bounds = upper_bounds(M, self.blocks, 1e-4)
-            top = np.argsort([-b.beta for b in bounds])[:3]
-            self._attain(M[top], middle[top])
-            carried = np.array(
-                [_over(m, b.Dw, b.beta, e) for m, b, e in zip(M, bounds, seen.spread(half), strict=True)]
-            )
-            target = max(self.value * (1.0 + tolerance), level)
-            cut = carried > target
-            level = max(level, float(carried[~cut].max(initial=0.0)))
-            if looked > MOST // 20 or (half[cut] <= NARROW * (middle[cut] + 1e-6 * end)).any():
-                return max(level, float(carried.max()))
-            begin, stop = np.concatenate([begin[cut], middle[cut]]), np.concatenate([middle[cut], stop[cut]])
-        return level
+        return proved_peak(self.axis, self.axis.D, tolerance, self._attained, self._measured)
 
+    def _attained(self, S: ComplexArray, omega: Array) -> float:
+        """Take the largest of some matrices, with its Delta."""
+        if len(S):
+            found = mu(S + self.shift, self.blocks, self.seed)
+            k = int(np.argmax(found.lower))
+            if found.lower[k] > self.value:
+                self.value, self.frequency, self.delta = float(found.lower[k]), float(omega[k]), found.delta[k]
+        return self.value
 
-def _over(M: ComplexArray, D: ComplexArray, beta: float, e: float) -> float:
-    """mu of all matrices within ``e`` of M, by the scaling D (diagonal) of M."""
-    if not np.isfinite(e):
-        return np.inf
-    d = np.sqrt(np.real(np.diag(D)))
-    through = float(np.linalg.norm(d[:, None] * M / d, 2))
-    return max(through, beta) + float(d.max() / d.min()) * e
+    def _measured(self, S: ComplexArray) -> Measured:
+        """Mu by the scaling D (diagonal) of each matrix, which bounds it about them, too."""
+        M = S + self.shift
+        d = np.array([np.sqrt(np.real(np.diag(b.Dw))) for b in upper_bounds(M, self.blocks, 1e-4)])
+        d = np.maximum(d, d.max(axis=1, keepdims=True) / STEEPEST)
+        level = np.linalg.norm(d[:, :, None] * M / d[:, None, :], 2, axis=(1, 2))
+        return Measured(level * (1.0 + ROUNDING), d.max(axis=1) / d.min(axis=1))

@@ -72,8 +72,8 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     ------
     InputError
         A discrete model (its dt is named), a sample time that is not positive, an unknown method, a prewarp frequency
-        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``; a delay in a
-        loop or between dynamic parts.
+        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``; a delay in
+        a loop or between dynamic parts.
     NoTrustworthyNumber
         A pole that the bilinear map sends to infinity; poles and zeros that do not give the response back.
 

@@ -62,7 +62,9 @@ class _Held:
         count = 1 + max((int(np.ceil(a / self.dt - WHOLE)) for a, _, c in [*terms, *direct] if c.any()), default=0)
         # columns: x, then u_k, u_(k-1), ..., u_(k-count)
         into_x = self._state_after(self.dt, terms, count)
-        rows = {i: self._seen(i, n_late, theta, terms, direct, count) for i, (n_late, theta) in self._late(late).items()}
+        rows = {
+            i: self._seen(i, n_late, theta, terms, direct, count) for i, (n_late, theta) in self._late(late).items()
+        }
         straight = self._row(H.C[n:], H.D[n:], 0.0, direct, count)
         outs = straight
         # each delayed output: its value within the sample time, kept for as many samples as it is late
@@ -73,7 +75,12 @@ class _Held:
         return self._assembled(into_x, rows, lengths, outs, (N, m, count, size))
 
     def _assembled(
-        self, into_x: Array, rows: dict[int, Array], lengths: dict[int, int], outs: Array, sizes: tuple[int, int, int, int]
+        self,
+        into_x: Array,
+        rows: dict[int, Array],
+        lengths: dict[int, int],
+        outs: Array,
+        sizes: tuple[int, int, int, int],
     ) -> StateSpaceModel:
         N, m, count, size = sizes
         H, n = self.model.H, len(self.model.delays)
@@ -132,7 +139,9 @@ class _Held:
         if inside:
             found = f"a delay of {self.model.delays[inside[0]]:g} s inside a loop or between dynamic parts"
             hint = "discretise plant and controller each on its own and close the loop then, or take .pade(order)"
-            raise InputError("discretise", found, "delays at inputs and outputs: others have no exact finite model", hint)
+            raise InputError(
+                "discretise", found, "delays at inputs and outputs: others have no exact finite model", hint
+            )
         return early, late
 
     def _late(self, late: list[int]) -> dict[int, tuple[int, float]]:
@@ -174,7 +183,7 @@ class _Held:
         return found
 
     def _state_after(self, theta: float, terms: list[tuple[float, int, Array]], count: int) -> Array:
-        """x at ``theta`` after the sample k, on x_k and u_k, u_(k-1), ..."""
+        """X at ``theta`` after the sample k, on x_k and u_k, u_(k-1), ..."""
         from scipy.linalg import expm
 
         N, m = self.model.H.n_states, self.model.H.n_inputs - len(self.model.delays)
