@@ -330,6 +330,7 @@ def readers(folder: Path) -> list[Reader]:
         "state-space": model,
         "uncertain": motor.uncertain(outputs=["omega"]),
         "delayed": rl.with_delays(model, inputs={"F": 0.5}),
+        "frequency-data": rl.frequency_data([0.5, 0.4 - 0.2j], [0.0, 1.0], radius=0.1),
         "controller": controller,
         "record": record,
         "result": Result("T", rl.Status.CERTIFIED, {"a": 1.5, "b": [1.0, 2.0], "c": {"x": None, "y": [[1], "t"]}}),

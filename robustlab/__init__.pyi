@@ -42,9 +42,14 @@ from robustlab.mu_analysis import robust_stability as robust_stability
 from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
 from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
+from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at as disk_margin_at
+from robustlab.mu_analysis.margins.at_frequencies import robust_stability_at as robust_stability_at
+from robustlab.mu_analysis.margins.at_frequencies import worst_case_gain_at as worst_case_gain_at
 from robustlab.mu_analysis.margins.classical import classical_margins as classical_margins
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins as delay_classical_margins
+from robustlab.mu_analysis.margins.delay_loops import delay_disk_margins as delay_disk_margins
 from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin as delay_disk_margin
 from robustlab.mu_analysis.margins.delay_margins import delay_gain as delay_gain
 from robustlab.mu_analysis.margins.delay_stability import delay_stability as delay_stability
@@ -73,6 +78,8 @@ from robustlab.synthesis.h2.kalman_filter import kalman as kalman
 from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
 from robustlab.synthesis.h2.state_feedback import place as place
+from robustlab.synthesis.hinf.delayed_design import delay_hinf as delay_hinf
+from robustlab.synthesis.hinf.delayed_design import verify_delayed_loop as verify_delayed_loop
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
@@ -114,6 +121,9 @@ from robustlab.uncertainty.distances.gap_metric import gap as gap
 from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import by_cause as by_cause
 from robustlab.uncertainty.elementwise import elementwise as elementwise
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
+from robustlab.uncertainty.frequency_responses import frequency_data as frequency_data
+from robustlab.uncertainty.frequency_responses import response_radius as response_radius
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
 from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
@@ -157,6 +167,9 @@ __all__ = [
     "elementwise",
     "by_cause",
     "parametric",
+    "UncertainFrequencyData",
+    "frequency_data",
+    "response_radius",
     "centred",
     "reduction",
     "well_posedness",
@@ -180,6 +193,9 @@ __all__ = [
     "robust_performance",
     "worst_case_gain",
     "robust_gain",
+    "robust_stability_at",
+    "worst_case_gain_at",
+    "disk_margin_at",
     "small_gain",
     "classical_margins",
     "disk_margin",
@@ -187,6 +203,8 @@ __all__ = [
     "delay_stability",
     "delay_gain",
     "delay_disk_margin",
+    "delay_disk_margins",
+    "delay_classical_margins",
     "gap",
     "nu_gap",
     "coprime_margin",
@@ -209,6 +227,8 @@ __all__ = [
     "Varying",
     "Nonlinearity",
     "hinf",
+    "delay_hinf",
+    "verify_delayed_loop",
     "h2",
     "h2_hinf",
     "loop_functions",

@@ -115,6 +115,11 @@ def measured_response() -> rl.FrequencyData:
     return rl.FrequencyData(OMEGA, response, "u", ["y"])
 
 
+def measured_loop() -> rl.UncertainFrequencyData:
+    response = rl.frequency_response(lag(), OMEGA[::6])[:, 0, 0]
+    return rl.frequency_data(response, OMEGA[::6], radius=0.05 * abs(response)).feedback(0.5)
+
+
 @cache
 def discovery() -> Any:
     from unit.test_discovery_report import unknown
@@ -169,6 +174,7 @@ OBJECTS: dict[str, Any] = {
     "StateSpaceModel": lambda: spring().nominal,
     "UncertainModel": spring,
     "DelayedModel": lambda: rl.with_delays(lag(), inputs={"u": 0.5}),
+    "UncertainFrequencyData": measured_loop,
     "Controller": lambda: mixsyn().controller,
     "GeneralizedPlant": lambda: rl.generalized_plant(problem(), ["y"], ["u"]),
     "Record": record,
@@ -190,6 +196,9 @@ OBJECTS: dict[str, Any] = {
     "MuBounds": lambda: rl.mu(np.array([[[0.5, 1.0], [1.0, 0.0]], [[1.0, 0.2], [0.1, 1.0j]]]), [[1, 0], [1, 0]]),
     "Margin": lambda: rl.robust_stability(loop(), omega=np.geomspace(0.05, 20.0, 200)),
     "WorstCaseGain": lambda: rl.worst_case_gain(loop(), omega=np.geomspace(0.05, 20.0, 200)),
+    "MarginAt": lambda: rl.robust_stability_at(measured_loop()),
+    "GainAt": lambda: rl.worst_case_gain_at(measured_loop()),
+    "DiskMarginsAt": lambda: rl.disk_margin_at(2.0 * rl.delay(0.5) @ lag(), frequency=[0.5, 1.0]),
     "SmallGain": lambda: rl.small_gain(rl.unstructured(lag(), 0.2).feedback(2.0)),
     "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
     "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
@@ -216,6 +225,7 @@ OBJECTS: dict[str, Any] = {
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,
+    "DelayedDesign": lambda: rl.delay_hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
     "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
     "MixedSynthesis": lambda: rl.h2_hinf(
         problem(), 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]

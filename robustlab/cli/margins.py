@@ -12,7 +12,7 @@ import typer
 from robustlab.cli.console import emit, require_trust, table
 from robustlab.cli.members import delta_value, stands_for
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped
+from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped, numbers
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -45,6 +45,10 @@ class LoopOptions:
             help="Where gain and phase change: input, output or both.", autocompletion=one_of("input", "output", "both")
         ),
     ] = "output"
+    frequency: Annotated[
+        str | None,
+        typer.Option(help="Disk margins at these frequencies in rad/s only: 1,10.", show_default=False),
+    ] = None
     skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
     feedback: Annotated[
         str | None,
@@ -68,16 +72,17 @@ def margins(
 ) -> None:
     """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
 
-    Of a plant with exact delays and one channel: with its delays exact, proved for all frequencies.
+    Of a plant with exact delays: with its delays exact, proved for all frequencies.
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
     from robustlab.delays import DelayedModel
+    from robustlab.delays.model import as_delayed
     from robustlab.mu_analysis.margins.classical import classical_margins
+    from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins, delay_disk_margins
     from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin
     from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
     from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
-    from robustlab.statespace import as_model
     from robustlab.storage import load
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -86,15 +91,29 @@ def margins(
     thing = load(plant, transpose=transpose)
     k = None if loop.controller is None else load(loop.controller, transpose=transpose)
     sign = _sign(loop.feedback, k)
+    late = isinstance(thing, DelayedModel) or isinstance(k, DelayedModel)
+    if late:
+        thing, k = (None if o is None else as_delayed(getattr(o, "K", o), plant) for o in (thing, k))
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
-    if loop.classical:
-        if isinstance(thing, (UncertainModel, DelayedModel)):
-            kind = "an uncertain plant" if isinstance(thing, UncertainModel) else "a plant with exact delays"
-            raise UsageError("--classical", kind, "one model without", "leave --classical out for its disk margin")
-        result: Any = classical_margins(thing, k, at=options["at"], sign=sign)
+    if loop.frequency is not None:
+        from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
+
+        if loop.classical:
+            raise UsageError("--frequency", "with --classical", "the disk margin")
+        points = numbers("--frequency", loop.frequency)
+        result: Any = disk_margin_at(thing, getattr(k, "K", k), points, **options)
+        text = result.summary()
+    elif loop.classical:
+        if isinstance(thing, UncertainModel):
+            expected, hint = "one model", "leave --classical out for its disk margin"
+            raise UsageError("--classical", "an uncertain plant", expected, hint)
+        of_loop = delay_classical_margins if late else classical_margins
+        result = of_loop(thing, k, at=options["at"], sign=sign)
         text = _classical_text(result)
-    elif isinstance(thing, DelayedModel):
-        k = as_model(k, "--controller") if k is not None else None
+    elif late and (options["at"] != "output" or thing.n_outputs > 1):
+        result = delay_disk_margins(thing, k, **options)
+        text = _text(result)
+    elif late:
         result = delay_disk_margin(thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort)
         text = result.summary()
     elif isinstance(thing, UncertainModel):

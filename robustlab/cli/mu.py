@@ -9,7 +9,7 @@ import typer
 
 from robustlab.cli.console import emit, note, require_trust, save_drawing, table
 from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
-from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
+from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped, numbers
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import InputError, UsageError
 
@@ -47,8 +47,28 @@ class QuestionOptions:
         float | None,
         typer.Option(help="How much of the set keeps the gain below this level, instead.", show_default=False),
     ] = None
+    frequency: Annotated[
+        str | None,
+        typer.Option(
+            help="Margin, or --gain, at these frequencies in rad/s only: 1,10. Frequency data need none.",
+            show_default=False,
+        ),
+    ] = None
     inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None
+
+    def check_at(self, voices: VoiceOptions, shown: ShownOptions) -> None:
+        """Refuse what belongs to the whole axis, where frequencies are given."""
+        asked = {
+            "--performance": self.performance,
+            "--level": self.level is not None,
+            "--certify": voices.certify,
+            "--cross-check": voices.cross_check,
+            "--intervals": shown.intervals,
+        }
+        found = [name for name, is_given in asked.items() if is_given]
+        if found:
+            raise UsageError("mu", f"{found[0]} at given frequencies", "the margin, or --gain")
 
     def check(self, voices: VoiceOptions) -> None:
         """Refuse what does not belong together."""
@@ -105,14 +125,22 @@ def mu(
 ) -> None:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
 
+    With --frequency, and for a file with frequency data: at these frequencies, and nothing is claimed between them.
+
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+
     question.check(voices)
     if not 0 < proof.accuracy < 1 or not proof.tolerance > 0:
         found = f"accuracy {proof.accuracy}, tolerance {proof.tolerance}"
         raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
     options: dict[str, Any] = {**vars(proof), "seed": seed}
     uncertain = _uncertain(file, question.inputs, question.outputs)
+    if question.frequency is not None or isinstance(uncertain, UncertainFrequencyData):
+        question.check_at(voices, shown)
+        _at_frequencies(uncertain, question, shown, seed, output)
+        return
     with progress.shown("mu"):
         if question.gain:
             del options["accuracy"]
@@ -143,11 +171,33 @@ def mu(
         raise typer.Exit(4)
 
 
-def _uncertain(file: str, inputs: str | None, outputs: str | None) -> UncertainModel:
+def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int, output: Any) -> None:
+    """Margin or gain at frequencies, and where it holds."""
+    from robustlab.mu_analysis.margins.at_frequencies import robust_stability_at, worst_case_gain_at
+
+    points = None if question.frequency is None else numbers("--frequency", question.frequency)
+    found = (worst_case_gain_at if question.gain else robust_stability_at)(uncertain, points, seed=seed)
+    if shown.figure is not None:
+        from robustlab.report.mu_figures import bounds_at
+
+        save_drawing(bounds_at(found), shown.figure)
+    bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
+    rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
+    output.keep(found)
+    text = f"{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
+    emit("mu", found.to_json(), text, output.as_json)
+    require_trust(found.status)
+
+
+def _uncertain(file: str, inputs: str | None, outputs: str | None) -> Any:
     from robustlab.storage import load
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel
 
     uncertain = load(file)
+    if isinstance(uncertain, UncertainFrequencyData):
+        sides = (uncertain.outputs, outputs), (uncertain.inputs, inputs)
+        return uncertain[tuple(given.split(",") if given else [s.name for s in side] for side, given in sides)]
     if not isinstance(uncertain, UncertainModel):
         raise InputError(
             file, f"a {type(uncertain).__name__}", "an uncertain model", "robustlab uncertain build --help"

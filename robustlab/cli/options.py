@@ -158,6 +158,14 @@ def names(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
+def numbers(option: str, text: str) -> list[float]:
+    """Numbers with commas between them."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(option, repr(text), "numbers, for example 1,2.5") from None
+
+
 def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
     """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
     values: dict[str, float] = {}

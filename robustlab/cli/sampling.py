@@ -39,19 +39,23 @@ def discretise(
 ) -> None:
     """A discrete model of a continuous one, by formula.
 
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
     What a loop loses by it is what "synth discretise" computes.
 
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """
+    from robustlab.delays import DelayedModel
     from robustlab.statespace import as_model
     from robustlab.storage import load
     from robustlab.synthesis.sampled.discretisation import discretise as discretised
     from robustlab.synthesis.sampled.discretisation import merged_modes
 
-    model = as_model(load(file), file)
+    loaded = load(file)
+    late = isinstance(loaded, DelayedModel)
+    model: Any = loaded if late else as_model(loaded, file)
     method_given: Any = method
     found = discretised(model, dt, method_given, prewarp=prewarp)
-    merged = merged_modes(model, dt)
+    merged = merged_modes(model.H if late else model, dt)
     for pair in merged:
         note(f"warning: {file}: {pair}")
     rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]

@@ -195,6 +195,7 @@ class _Run:
         C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
         maps = _Maps(H.A, H.B, self.steps, self.nodes, float(np.abs(self.mesh).max()))
         held = np.zeros((self.cells + 1, len(self.nodes), n))  # z at the nodes; the last row: before the first sample
+        held[:-1] = self.force @ D12.T  # a delay of inputs alone may look back into the cell that is at work
         states, late = np.zeros((self.cells + 1, H.n_states)), np.zeros((self.cells + 1, n))
         states[0] = x0
         came = np.zeros((self.cells, len(self.nodes), n))  # w at the nodes

@@ -34,6 +34,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "StateSpaceModel": _MODEL,
     "UncertainModel": _MODEL,
     "DelayedModel": {kind: name for kind, name in _MODEL.items() if kind != "pzmap"},
+    "UncertainFrequencyData": {"bode": "result_figures.measured_response_figure"},
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
@@ -45,6 +46,9 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # robustness
     "Margin": {"mu": "mu_figures.mu_figure", "shares": "mu_figures.margin_shares"},
     "WorstCaseGain": {"gain": "mu_figures.gain_figure"},
+    "MarginAt": {"margin": "mu_figures.bounds_at"},
+    "GainAt": {"gain": "mu_figures.bounds_at"},
+    "DiskMarginsAt": {"margin": "mu_figures.bounds_at"},
     "MuBounds": {"mu": "result_figures.mu_bars"},
     "SmallGain": {"gain": "result_figures.small_gain_figure"},
     "DiskMargins": _DISK,

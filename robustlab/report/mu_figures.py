@@ -21,13 +21,15 @@ from robustlab.report.figures import (
     new_figure,
     plain_label,
 )
+from robustlab.tables import Tabular
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
     from robustlab.mu_analysis.axis.critical_delta import Replay
+    from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
     from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
 
-__all__ = ["sampled_figure", "margin_shares", "gain_figure", "mu_figure", "replay_figure", "shares_figure"]
+__all__ = ["bounds_at", "sampled_figure", "margin_shares", "gain_figure", "mu_figure", "replay_figure", "shares_figure"]
 
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
@@ -60,6 +62,30 @@ def mu_figure(margin: Margin) -> Figure:
         tall = [1.0, peak, level, float(np.nanmax(upper[shown], initial=0.0))]
         axes.set_ylim(0, 1.12 * max(v for v in tall if np.isfinite(v)))
         axes.set_ylabel("structured singular value μ")
+        legend_below(figure, (axes,), 2)
+    return figure
+
+
+def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
+    """Both bounds at given frequencies, of all loops at once: points, for nothing is known between them."""
+    whole = found if isinstance(found, Tabular) else found.simultaneous
+    return _bounds_at(whole, "stability margin" if whole is found else "disk margin, all loops at once")
+
+
+def _bounds_at(found: MarginAt | GainAt, label: str) -> Figure:
+    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
+    kind = "margin" if hasattr(found, "between") else "gain"
+    words = ("proved", "attained by an explicit Δ") if kind == "margin" else ("attained by an explicit Δ", "proved")
+    with house_style():
+        shown = found.omega > 0
+        for bound, word, mark, colour in zip(
+            (found.lower, found.upper), words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True
+        ):
+            finite = shown & np.isfinite(bound)
+            axes.plot(found.omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
+        frequency_axis(axes, (found.omega[shown][0], found.omega[-1]) if shown.sum() > 1 else None)
+        axes.set_ylabel(label if kind == "margin" else "worst-case gain")
+        axes.set_ylim(bottom=0)
         legend_below(figure, (axes,), 2)
     return figure
 

@@ -39,6 +39,7 @@ from robustlab.synthesis.h2.state_feedback import StateFeedback
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.sampled.sampled_norm import SampledDataNorm
 from robustlab.synthesis.specifications.weight_design import DesignWeights
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses
 
@@ -346,8 +347,11 @@ def weights_figure(found: DesignWeights) -> Figure:
     return figure
 
 
-def measured_response_figure(found: FrequencyData) -> Figure:
-    """Magnitude and phase of a measured frequency response."""
+def measured_response_figure(found: FrequencyData | UncertainFrequencyData) -> Figure:
+    """Magnitude and phase of a measured frequency response; of data with several inputs the first one's."""
+    if isinstance(found, UncertainFrequencyData):
+        known = [s.name for s in found.outputs]
+        found = FrequencyData(found.omega, found.nominal[:, :, 0], found.inputs[0].name, known, "nominal response")
     seen = found.omega > 0
     omega = found.omega[seen]
     figure, (above, below) = new_figure(2, 1, 7.2, 2.2, sharex=True, gridspec_kw={"height_ratios": [3, 2]})

@@ -84,12 +84,17 @@ def encode_model(tree: Tree, model: StateSpaceModel) -> None:
     for name in NAMES:
         tree.put(name, getattr(model, name))
     tree.attrs["dt"] = model.dt
-    for side, signals in zip(SIDES, (model.states, model.inputs, model.outputs), strict=True):
+    encode_signals(tree, (model.states, model.inputs, model.outputs))
+    if model.operating_point is not None:
+        encode_point(tree, model.operating_point)
+
+
+def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
+    """Put names and units of states, inputs and outputs into ``tree``."""
+    for side, signals in zip(SIDES, given, strict=True):
         group = tree.group("signals").group(side)
         for kind in ("name", "unit"):
             group.put(kind, np.array([getattr(s, kind) for s in signals], dtype=np.str_))
-    if model.operating_point is not None:
-        encode_point(tree, model.operating_point)
 
 
 def encode_point(tree: Tree, point: OperatingPoint) -> None:
@@ -124,7 +129,7 @@ def decode_model(
     matrices = _fitting(matrices, node, problems, like)
     e = _descriptor_matrix(node, problems, transpose, matrices["A"].shape)
     own_dt = sample_time(node, problems)
-    signals = _signals(node, problems)
+    signals = decode_signals(node, problems)
     point = decode_point(node, problems)
     if len(problems.lines) > found:
         return None
@@ -303,7 +308,7 @@ def sample_time(node: Tree, problems: Problems) -> float | None:
     return None
 
 
-def _signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None, ...]:
+def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None, ...]:
     """States, inputs, outputs from ``signals/``, or from the variables that a MATLAB export has."""
     result: list[list[Signal] | None] = []
     for side in SIDES:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,14 @@ from robustlab.synthesis.problem.design import Controller
 from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]
+__all__ = [
+    "decode_blocks",
+    "decode_controller",
+    "decode_uncertain",
+    "encode_blocks",
+    "encode_controller",
+    "encode_uncertain",
+]
 
 FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
 
@@ -40,19 +48,24 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     InputError
         A kind of block that files do not know.
     """
-    for b in model.blocks:
-        if KINDS.get(b.stored_as) is not type(b):
-            found = f"a {type(b).__name__}, a kind of block without a place in the file format"
-            raise InputError(f"save: block {b.name!r}", found, f"blocks of the kinds {', '.join(KINDS)}")
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
         encode_point(tree, model.operating_point)
-    parameters = [b.parameter for b in model.blocks]
+    encode_blocks(tree, model.blocks)
+
+
+def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
+    """Group ``blocks``; see `encode_uncertain`."""
+    for b in blocks:
+        if KINDS.get(b.stored_as) is not type(b):
+            found = f"a {type(b).__name__}, a kind of block without a place in the file format"
+            raise InputError(f"save: block {b.name!r}", found, f"blocks of the kinds {', '.join(KINDS)}")
+    parameters = [b.parameter for b in blocks]
     columns: dict[str, Any] = {
-        "name": np.array([b.name for b in model.blocks], dtype=np.str_),
-        "kind": np.array([b.stored_as for b in model.blocks], dtype=np.str_),
-        "rows": np.array([b.rows for b in model.blocks], dtype=np.int64),
-        "cols": np.array([b.cols for b in model.blocks], dtype=np.int64),
+        "name": np.array([b.name for b in blocks], dtype=np.str_),
+        "kind": np.array([b.stored_as for b in blocks], dtype=np.str_),
+        "rows": np.array([b.rows for b in blocks], dtype=np.int64),
+        "cols": np.array([b.cols for b in blocks], dtype=np.int64),
         "nominal": np.array([p.nominal if p else np.nan for p in parameters], dtype=np.float64),
         "radius": np.array([p.radius if p else np.nan for p in parameters], dtype=np.float64),
         "unit": np.array([p.unit if p else "" for p in parameters], dtype=np.str_),
@@ -63,8 +76,8 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     signs = [p.sign if p else "any" for p in parameters]
     if any(sign != "any" for sign in signs):
         columns["sign"] = np.array(signs, dtype=np.str_)
-    if any(b.origin for b in model.blocks):
-        columns["origin"] = np.array([b.origin for b in model.blocks], dtype=np.str_)
+    if any(b.origin for b in blocks):
+        columns["origin"] = np.array([b.origin for b in blocks], dtype=np.str_)
     for name, values in columns.items():
         tree.group("blocks").put(name, values)
 
@@ -79,7 +92,7 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
     """
     find_children(tree, ("M", "blocks"), problems, kind="group")
     model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
-    blocks = _blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
+    blocks = decode_blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
     point = decode_point(tree, problems)
     problems.raise_any()
     assert model is not None
@@ -89,7 +102,8 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
         raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
 
 
-def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
+def decode_blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
+    """Inverse of `encode_blocks`; what does not fit is noted in ``problems``."""
     find_children(group, FIELDS[:4], problems, kind="dataset")
     columns: dict[str, list[Any]] = {}
     for name in FIELDS:

@@ -16,8 +16,8 @@ def every(tmp_path_factory):
 
 
 NAMES = [
-    *(f"HDF5 {kind}" for kind in ("state-space", "uncertain", "delayed", "controller", "record", "result")),
-    *(f"HDF5 {kind}" for kind in ("plant", "own plant")),
+    *(f"HDF5 {kind}" for kind in ("state-space", "uncertain", "delayed", "frequency-data", "controller", "record")),
+    *(f"HDF5 {kind}" for kind in ("result", "plant", "own plant")),
     *("HDF5 plain, Octave", "MATLAB 7.3", "MATLAB 5", "CSV", "JSON controller", "result.json", "TOML recipe"),
     "TOML expressions",
 ]

@@ -187,3 +187,16 @@ def test_what_cannot_be_simulated_is_said():
         rl.simulate((LAG @ rl.delay(1e-6)).feedback(), t, np.ones(11))
     with pytest.raises(NoTrustworthyNumber, match="outgrows"):
         rl.simulate((-1e9 * LAG @ rl.delay(0.05)).feedback(), np.linspace(0, 10, 201), np.ones(201))
+
+
+@pytest.mark.parametrize("late", [0.025, 0.001, 0.0999])
+def test_a_delay_shorter_than_the_clock_is_exact(late):
+    """Against the sum of exponentials by hand: such a delay looks back into the cell that is at work."""
+    t = np.arange(6) * 0.1
+    u = np.array([1.0, -0.5, 0.0, 2.0, 0.0, 1.0])
+    late_lag = rl.with_delays(LAG, inputs={0: late})
+    steps = np.diff(u, prepend=0.0)
+    exact = sum(
+        d * np.where(t > s, 1 - np.exp(-np.maximum(t - s, 0.0)), 0.0) for d, s in zip(steps, t + late, strict=True)
+    )
+    assert np.abs(rl.simulate(late_lag, t, u)["y1"] - exact).max() < 1e-14

@@ -34,9 +34,9 @@ PLAIN = {
 # Nothing to draw: a few numbers.
 NUMBERS = {
     "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
-    "DelayStability", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "IqcGain",
-    "IqcStability", "LinearSolution", "NuGap", "Passivity", "PerformanceLimits", "PlantSamples", "Reduction",
-    "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim", "WellPosedness",
+    "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity",
+    "IqcGain", "IqcStability", "LinearSolution", "NuGap", "Passivity", "PerformanceLimits", "PlantSamples",
+    "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim", "WellPosedness",
     "Zeros",
 }  # fmt: skip
 

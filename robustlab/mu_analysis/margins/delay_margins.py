@@ -1,8 +1,8 @@
 r"""Gains and disk margins of loops with exact delays: attained at a frequency, and proved on the whole axis.
 
 The largest gain over frequency is bracketed: from below by the exact response at the frequency where it was found
-largest, from above by the worst-case gain of a set that holds the loop (`DelayedModel.uncertain`), of a higher order
-until both meet. A disk margin is the inverse of such a gain,
+largest, from above by the exact responses at points and how far the response can go between them
+(`robustlab.mu_analysis.margins.delay_axis`). A disk margin is the inverse of such a gain,
 
 .. math:: \alpha = 1 / \left\| S + \tfrac{\sigma - 1}{2} \right\|_\infty, \qquad S = (1 + L)^{-1} .
 
@@ -19,11 +19,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, worst_case_gain
+from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Measured, proved_peak
+from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, gain_and_phase
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
@@ -31,9 +32,9 @@ from robustlab.statespace import StateSpaceModel
 
 __all__ = ["DelayDiskMargin", "DelayGain", "delay_disk_margin", "delay_gain"]
 
-# Orders of the approximations and of the weights that are tried one after the other.
-ORDERS = ((2, 3), (4, 5), (6, 7), (8, 9), (12, 9), (16, 9))
 POINTS, PEAKS = 4000, 4
+ROUNDING = 1e-12
+SHARE = 0.1  # of the tolerance that the proof aims at: it is cheap
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +48,8 @@ class DelayGain(Shown):
         where none was.
     frequency
         In rad/s.
-    order, weight_order
-        Of the set that proves ``upper``.
-    proof
-        Its worst-case gain; None where its nominal model was never stable.
+    stability
+        That of the model, without which no gain is proved.
     status
         CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
         upper one.
@@ -59,9 +58,7 @@ class DelayGain(Shown):
     lower: float
     upper: float
     frequency: float
-    order: int
-    weight_order: int
-    proof: WorstCaseGain | None
+    stability: DelayStability
     status: Status
 
     def facts(self) -> Facts:
@@ -69,7 +66,7 @@ class DelayGain(Shown):
         return [
             ("gain", bracket(self.lower, self.upper, ("attained", "proved"))),
             ("at", number(self.frequency, "rad/s")),
-            ("proof", f"worst-case gain of the set with Padé of order {self.order}, weights of {self.weight_order}"),
+            ("stable", self.stability.facts()[0][1]),
         ]
 
     def to_json(self) -> dict[str, object]:
@@ -110,9 +107,9 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     tolerance
         Relative distance of the bounds at which the search ends.
     highest_order
-        Of Padé's approximations that are tried: 2, 4, 6, 8, 12, 16.
+        Of Padé's approximations with which the model is proved stable, as in `delay_stability`.
     effort
-        Work that each proof may take, as a multiple of the usual.
+        Of the proofs of stability, as in `delay_stability`.
 
     Returns
     -------
@@ -135,24 +132,27 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     g = as_delayed(model, "delay_gain")
     if not 0 < tolerance < 1:
         raise InputError("delay_gain: tolerance", f"{tolerance!r}", "a number between 0 and 1")
-    if isinstance(highest_order, bool) or not isinstance(highest_order, int) or highest_order < ORDERS[0][0]:
-        raise InputError("delay_gain: highest_order", f"{highest_order!r}", f"a number from {ORDERS[0][0]}")
     lower, frequency = _attained(g)
-    best = DelayGain(lower, np.inf, frequency, 0, 0, None, Status.INCONCLUSIVE)
-    for order, weight_order in ORDERS:
-        if order > highest_order:
-            break
-        cover = g.uncertain(order, weight_order=weight_order)
-        if not cover.nominal.is_stable():
-            continue
-        proof = worst_case_gain(cover, tolerance=np.inf, effort=effort)
-        if proof.status is Status.CERTIFIED and proof.upper < best.upper:
-            near = proof.upper <= (1.0 + tolerance) * lower
-            status = Status.CERTIFIED if near else Status.INACCURATE
-            best = DelayGain(lower, proof.upper, frequency, order, weight_order, proof, status)
-        if best.status is Status.CERTIFIED or not len(g.delays):
-            break
-    return best
+    known = delay_stability(g, highest_order, effort)
+    if not known.stable:
+        return DelayGain(lower, np.inf, frequency, known, Status.INCONCLUSIVE)
+    axis = DelayAxis(g, range(g.n_outputs), range(g.n_inputs))
+    best = [lower, frequency]
+
+    def attained(response: ComplexArray, omega: Array) -> float:
+        size = np.linalg.norm(response, 2, axis=(1, 2))
+        k = int(np.argmax(size)) if len(size) else 0
+        if len(size) and size[k] > best[0]:
+            best[:] = float(size[k]), float(omega[k])
+        return best[0]
+
+    def measured(response: ComplexArray) -> Measured:
+        return Measured(np.linalg.norm(response, 2, axis=(1, 2)) * (1.0 + ROUNDING), np.ones(len(response)))
+
+    upper = proved_peak(axis, axis.D, SHARE * tolerance, attained, measured)
+    near = upper <= (1.0 + tolerance) * best[0] * (1.0 + 10.0 * ROUNDING)
+    status = Status.CERTIFIED if near else Status.INACCURATE if np.isfinite(upper) else Status.INCONCLUSIVE
+    return DelayGain(best[0], upper, best[1], known, status)
 
 
 @told_as("delay_disk_margin")

@@ -198,7 +198,8 @@ def _kantorovich(g: DelayedModel, s: complex, v: ComplexArray, jacobian: Complex
     eta = step + inverse * ROUNDING * (len(v) + 1) * entries * float(np.linalg.norm(v))
     near = 4.0 * eta  # the neighbourhood in which the Jacobian's slope is bounded
     size = float(np.linalg.norm(v)) + near
-    growth = np.exp((s.real + near) * g.delays)
+    with np.errstate(over="ignore"):  # a neighbourhood that wide proves nothing: h below is then no small number
+        growth = np.exp((s.real + near) * g.delays)
     first, second = max(1.0, (g.delays * growth).max(initial=0.0)), (g.delays**2 * growth).max(initial=0.0)
     slope = 2.0 * first + second * size
     h = inverse * slope * eta

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 import robustlab as rl
@@ -14,6 +15,7 @@ from robustlab.recipe.steps.vocabulary import (
     Band,
     Effort,
     TimeLimit,
+    ToController,
     ToModel,
     ToUncertain,
     as_pair,
@@ -134,6 +136,33 @@ class RobustStabilityStep(Step):
 
 
 @step
+class RobustnessAtStep(Step):
+    """Margin, or worst-case gain, at given frequencies; nothing is claimed between them."""
+
+    do: Literal["robustness-at"]
+    of: ToUncertain = Field(description="An uncertain model, or a file with frequency-response data.")
+    controller: ToController | None = Field(None, description="Closes the loop, u = sign K y.")
+    sign: Literal[-1, 1] = Field(-1, description="-1 for negative feedback, 1 for positive.")
+    frequency: list[Annotated[float, Field(ge=0)]] | None = Field(None, description="rad/s; data have their own.")
+    what: Literal["margin", "gain"] = Field("margin", description="Stability margin, or largest gain.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """Bounds at each frequency, with the Delta of the worst."""
+        system = work.values[self.of]
+        if self.controller is not None:
+            k = work.values[self.controller]
+            system = system.feedback(getattr(k, "K", k), self.sign)
+        analyse = rl.robust_stability_at if self.what == "margin" else rl.worst_case_gain_at
+        found = analyse(system, self.frequency, seed=work.seed)
+        work.keep(found)
+        k = int(np.argmin(found.lower) if self.what == "margin" else np.argmax(found.upper))
+        numbers = {"lower": float(found.lower[k]), "upper": float(found.upper[k]), "frequency": float(found.omega[k])}
+        facts = tuple(Fact(label, text) for label, text in found.facts() if text)
+        text = f"{self.what} of {self.of} at {len(found.omega)} frequencies; nothing is claimed between them."
+        return Outcome(None, text[0].upper() + text[1:], numbers, facts, found.status, (found.assumed,))
+
+
+@step
 class RobustGainStep(Step):
     """How much of the set keeps every member's gain below a level."""
 
@@ -169,7 +198,9 @@ class ClassicalMarginsStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Least margins of the loops, each with the others closed."""
-        found = rl.classical_margins(work.values[self.of], sign=self.sign)
+        loop = work.values[self.of]
+        of_loop = rl.delay_classical_margins if isinstance(loop, rl.DelayedModel) else rl.classical_margins
+        found = of_loop(loop, sign=self.sign)
         work.keep(found)
         margins = [m for m in found.channels.values() if m.gain_margin is not None]
         stable = len(margins) == len(found.channels)

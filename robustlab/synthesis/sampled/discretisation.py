@@ -22,11 +22,13 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
 from robustlab.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
+from robustlab.synthesis.sampled.held_delays import held_delays
 
 __all__ = ["METHODS", "MergedModes", "Method", "discretise", "merged_modes"]
 
@@ -51,7 +53,9 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     Parameters
     ----------
     model
-        Continuous StateSpaceModel with n states, controller, design (its controller is taken) or python-control object.
+        Continuous StateSpaceModel with n states, controller, design (its controller is taken) or python-control object;
+        with ``"zoh"`` also a DelayedModel whose delays are at its inputs and outputs, of any length: what is kept from
+        sample to sample are further states, see `robustlab.synthesis.sampled.held_delays`.
     dt
         Sample time in s.
     method
@@ -68,7 +72,8 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     ------
     InputError
         A discrete model (its dt is named), a sample time that is not positive, an unknown method, a prewarp frequency
-        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``.
+        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``; a delay in
+        a loop or between dynamic parts.
     NoTrustworthyNumber
         A pole that the bilinear map sends to infinity; poles and zeros that do not give the response back.
 
@@ -78,11 +83,12 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     >>> discretise(lag, 0.1, "zoh").A.round(6)
     array([[0.904837]])
     """
+    if isinstance(model, DelayedModel):
+        return _with_delays(model, dt, method)
     m = as_model(getattr(model, "K", model), "discretise")
     if m.is_discrete:
         raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
-    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
-        raise InputError("discretise", f"dt is {dt!r}", "a positive sample time in s")
+    _require_sample_time(dt)
     if method not in METHODS:
         hint = did_you_mean(str(method), METHODS)
         raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
@@ -101,6 +107,20 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
         m.states if found.n_states == m.n_states else None,
         m.operating_point if method in ("zoh", "impulse") else None, where=f"discretise ({method})",
     )  # fmt: skip
+
+
+def _require_sample_time(dt: object) -> None:
+    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
+        raise InputError("discretise", f"dt is {dt!r}", "a positive sample time in s")
+
+
+def _with_delays(model: DelayedModel, dt: float, method: str) -> StateSpaceModel:
+    """A model with delays at inputs and outputs, exact at the samples."""
+    _require_sample_time(dt)
+    if method != "zoh":
+        hint = "method 'zoh' is exact for delays at inputs and outputs; .pade(order) gives a model for the others"
+        raise InputError("discretise", f"method {method!r} of a model with exact delays", "'zoh'", hint)
+    return held_delays(model, float(dt))
 
 
 def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:

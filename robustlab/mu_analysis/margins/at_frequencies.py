@@ -1,0 +1,423 @@
+r"""Robustness at given frequencies, and nothing between them: stability margin, worst-case gain and disk margins.
+
+.. math:: k(\omega) = 1 / \mu(M_{11}(j\omega)), \qquad \sup_\Delta \bar\sigma(F_u(M(j\omega), \Delta)), \qquad
+   \alpha(\omega) = 1 / \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right)
+
+This is all that frequency-response data can say. It takes a stable nominal system for granted, for no data at points
+show that. Where the response is known to vary by at most V per rad/s, the D, G scalings of both ends of a gap are
+carried into it: with :math:`D = T^* T`, :math:`\|E\| \le e` and :math:`t = \|T_z\| \|T^{-1}\|` the level of
+:math:`M + E` is at most
+
+.. math:: \beta'^2 = \beta^2 + 2 \|T_z M T^{-1}\| t e + t^2 e^2 + 2 \|T^{-*} G\| \|T^{-1}\| e .
+
+References
+----------
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), chapter 11; Seiler, Packard, Gahinet, "An introduction to
+disk margins", IEEE Control Systems Magazine 40 (2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array, ComplexArray
+from robustlab.budget import one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
+from robustlab.mu_analysis.margins.disk_margin import PLACES, Place
+from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
+from robustlab.mu_analysis.matrix.box import lowest, root_box
+from robustlab.mu_analysis.matrix.gain import largest_gain
+from robustlab.mu_analysis.matrix.skew import skew_upper
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, bracket, member, number
+from robustlab.tables import Table, Tabular
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
+
+__all__ = ["DiskMarginsAt", "GainAt", "MarginAt", "disk_margin_at", "robust_stability_at", "worst_case_gain_at"]
+
+ASSUMED = "the nominal system is stable: taken for granted, responses at points do not show it"
+
+
+@dataclass(frozen=True, eq=False)
+class MarginAt(Tabular, Shown):
+    """Robust stability margin at given frequencies.
+
+    Attributes
+    ----------
+    omega
+        Frequencies in rad/s, (N,).
+    lower, upper
+        Bounds of the margin at each of them, (N,): no Delta smaller than ``lower`` makes the loop singular there,
+        ``delta``, of size ``upper``, does. Both inf where none can.
+    delta
+        At each frequency the Delta found, one value per block name; empty where none was found.
+    between
+        Where a variation was given: a bound of the margin that is proved for all of each gap between two frequencies,
+        (N - 1,); else None, and nothing is claimed there.
+    status
+        CERTIFIED: ``lower`` proved at each frequency, ``upper`` attained. CONVERGED: proved, not attained everywhere.
+    assumed
+        What the answer takes for granted.
+    """
+
+    omega: Array
+    lower: Array
+    upper: Array
+    delta: tuple[Mapping[str, Any], ...]
+    between: Array | None
+    status: Status
+    assumed: str = ASSUMED
+
+    def facts(self) -> Facts:
+        """The smallest margin with its Delta, and where it holds."""
+        k = int(np.argmin(self.lower))
+        return [
+            ("smallest margin", bracket(float(self.lower[k]), float(self.upper[k]), ("proved", "attained"))),
+            ("at", number(float(self.omega[k]), "rad/s")),
+            ("Delta", member(self.delta[k], {})),
+            ("holds", _scope(self.omega, self.between)),
+            ("assumed", self.assumed),
+        ]
+
+    def table(self) -> Table:
+        """Both bounds over frequency."""
+        return Table(("omega", self.omega), {"lower": self.lower, "upper": self.upper}, {"omega": "rad/s"})
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return {"type": "MarginAt", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+@dataclass(frozen=True, eq=False)
+class GainAt(Tabular, Shown):
+    """Worst-case gain at given frequencies.
+
+    Attributes
+    ----------
+    omega
+        Frequencies in rad/s, (N,).
+    nominal, lower, upper
+        At each of them the gain of the nominal member, the largest one found, and what is proved, (N,); ``upper`` is
+        inf where a Delta of the set may make the loop singular.
+    delta
+        At each frequency the Delta of the largest gain found, by block name.
+    status
+        CERTIFIED: ``upper`` is proved and finite at each frequency, else INCONCLUSIVE.
+    assumed
+        What the answer takes for granted.
+    """
+
+    omega: Array
+    nominal: Array
+    lower: Array
+    upper: Array
+    delta: tuple[Mapping[str, Any], ...]
+    status: Status
+    assumed: str = ASSUMED
+
+    def facts(self) -> Facts:
+        """The largest gain with its Delta, and where it holds."""
+        k = int(np.argmax(self.upper))
+        return [
+            ("largest gain", bracket(float(self.lower[k]), float(self.upper[k]), ("attained", "proved"))),
+            ("nominal there", number(float(self.nominal[k]))),
+            ("at", number(float(self.omega[k]), "rad/s")),
+            ("Delta", member(self.delta[k], {})),
+            ("holds", _scope(self.omega, None)),
+            ("assumed", self.assumed),
+        ]
+
+    def table(self) -> Table:
+        """Nominal gain and both bounds over frequency."""
+        columns = {"nominal": self.nominal, "lower": self.lower, "upper": self.upper}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return {"type": "GainAt", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+@dataclass(frozen=True, eq=False)
+class DiskMarginsAt(Shown):
+    """Disk margins at given frequencies: one channel at a time, and all at once.
+
+    Attributes
+    ----------
+    channels
+        `MarginAt` of each channel, the others unchanged, by the name of the plant's signal.
+    simultaneous
+        `MarginAt` with all channels changed independently.
+    at, skew
+        Where the factors are, and sigma.
+    """
+
+    channels: Mapping[str, MarginAt]
+    simultaneous: MarginAt
+    at: Place
+    skew: float
+
+    @property
+    def status(self) -> Status:
+        """That of all at once."""
+        return self.simultaneous.status
+
+    def facts(self) -> Facts:
+        """The smallest margin of each channel and of all at once."""
+        every = {"all at once": self.simultaneous, **self.channels}
+        told = [(name, "; at ".join(text for _, text in m.facts()[:2])) for name, m in every.items()]
+        return [("at", f"the plant's {self.at}"), *told, *self.simultaneous.facts()[3:]]
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        parts = {name: m.to_json() for name, m in self.channels.items()}
+        return {
+            "type": "DiskMarginsAt",
+            "at": self.at,
+            "skew": self.skew,
+            "channels": parts,
+            "simultaneous": self.simultaneous.to_json(),
+            "status": self.status,
+        }
+
+
+@told_as("robust_stability_at")
+@one_thread()
+def robust_stability_at(
+    system: Any, frequency: ArrayLike | None = None, *, variation: float | None = None, seed: int = 0
+) -> MarginAt:
+    r"""Robust stability margin :math:`1 / \mu(M_{11}(j\omega))` at given frequencies.
+
+    Parameters
+    ----------
+    system
+        UncertainFrequencyData, or an UncertainModel.
+    frequency
+        Frequencies in rad/s for a model; those of data are their own.
+    variation
+        V, in 1/(rad/s): :math:`\|M_{11}(j\omega) - M_{11}(j\omega')\| \le V |\omega - \omega'|` between neighbouring
+        frequencies (spectral norm). It is yours to know: points do not tell. With it the gaps are proved, too.
+    seed
+        Of the search for Delta.
+
+    Returns
+    -------
+    MarginAt
+        Bounds at each frequency with the Delta; between them only with a variation.
+
+    Raises
+    ------
+    InputError
+        No uncertainty, no frequency for a model, one for data, ranges that are not symmetric, a variation below zero.
+    NoTrustworthyNumber
+        A pole of the nominal model lies at a frequency.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> loop = frequency_data([0.5, 0.4 - 0.2j], [0.0, 1.0], radius=0.25).feedback(lag)
+    >>> robust_stability_at(loop).lower.round(6)
+    array([6.      , 6.449806])
+    """
+    data = _data(system, frequency, "robust_stability_at")
+    if not data.blocks:
+        found = "no uncertainty"
+        raise InputError("robust_stability_at", found, "blocks", "frequency_data(..., radius=...) makes one")
+    if variation is not None and not 0 <= variation < np.inf:
+        raise InputError("robust_stability_at: variation", f"{variation!r}", "a number of 0 or more, in 1/(rad/s)")
+    return _margin_at(data.omega, data.delta_channels, data.blocks, variation, seed)
+
+
+@told_as("worst_case_gain_at")
+@one_thread()
+def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> GainAt:
+    r"""Largest gain :math:`\bar\sigma(F_u(M(j\omega), \Delta))` over all Delta of the set, at given frequencies.
+
+    Parameters
+    ----------
+    system
+        UncertainFrequencyData, or an UncertainModel.
+    frequency
+        Frequencies in rad/s for a model; those of data are their own.
+    seed
+        Of the search for Delta.
+
+    Returns
+    -------
+    GainAt
+        Bounds at each frequency with the Delta; nothing is claimed between them.
+
+    Raises
+    ------
+    InputError
+        No inputs or outputs, no frequency for a model, one for data, ranges that are not symmetric.
+    NoTrustworthyNumber
+        A pole of the nominal model lies at a frequency.
+    """
+    data = _data(system, frequency, "worst_case_gain_at")
+    n_u, n_y = len(data.inputs), len(data.outputs)
+    if not n_u or not n_y:
+        raise InputError("worst_case_gain_at", f"{n_u} inputs and {n_y} outputs", "at least one of each")
+    blocks = (*data.blocks, FullBlock(PERFORMANCE, n_u, n_y))
+    varying = np.arange(data.M.shape[2]) >= data.delta_shape[0]
+    rng, box = np.random.default_rng(seed), root_box(blocks)
+    found = [largest_gain(M, blocks, box, rng) for M in data.M]
+    upper = np.array([skew_upper(M, blocks, varying)[0] for M in data.M])
+    lower = np.array([0.0 if g is None else g.value for g in found])
+    if (lower > upper * (1 + 1e-8)).any():
+        k = int(np.argmax(lower - upper))
+        text = f"a gain of {lower[k]:.9g} above the proved {upper[k]:.9g} at {data.omega[k]:g} rad/s: digits were lost"
+        raise NoTrustworthyNumber("worst_case_gain_at", text)
+    delta = tuple({} if g is None else delta_values(data.blocks, g.delta) for g in found)
+    nominal = np.linalg.norm(data.nominal, 2, axis=(1, 2))
+    status = Status.CERTIFIED if np.isfinite(upper).all() else Status.INCONCLUSIVE
+    return GainAt(data.omega, nominal, np.minimum(lower, upper), upper, delta, status)
+
+
+@told_as("disk_margin_at")
+@one_thread()
+def disk_margin_at(
+    plant: Any,
+    K: Any = None,
+    frequency: ArrayLike | None = None,
+    *,
+    at: Place = "output",
+    skew: float = 0.0,
+    sign: Literal[-1, 1] = -1,
+    seed: int = 0,
+) -> DiskMarginsAt:
+    r"""Disk margins at given frequencies of the loop ``y = P u``, ``u = sign K y``.
+
+    Parameters
+    ----------
+    plant, K
+        As in `disk_margin`; each may also be a DelayedModel, or frequency-response data without blocks.
+    frequency
+        Frequencies in rad/s; those of data, where one is data.
+    at, skew, sign
+        As in `disk_margin`.
+    seed
+        Of the search for the critical values.
+
+    Returns
+    -------
+    DiskMarginsAt
+        Of each channel exact, ``1 / |S + (sigma - 1)/2|``; of all at once bounds with the Delta.
+
+    Raises
+    ------
+    InputError
+        Sizes that do not fit, an uncertain operand, a place, sign or skew that there is not.
+    NoTrustworthyNumber
+        A pole of an operand or of the loop lies at a frequency.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> L = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> disk_margin_at(L, frequency=[1.0]).simultaneous.lower.round(6)
+    array([2.])
+    """
+    where = "disk_margin_at"
+    if at not in PLACES or not np.isfinite(skew) or sign not in (1, -1):
+        raise InputError(where, f"at {at!r}, skew {skew!r}, sign {sign!r}", "a place, a finite skew, 1 or -1")
+    held = next((o.omega for o in (plant, K) if isinstance(o, UncertainFrequencyData)), None)
+    if held is not None and frequency is not None:
+        raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
+    p = _data(plant, frequency if held is None or isinstance(plant, UncertainFrequencyData) else held, where)
+    if K is None and len(p.inputs) != len(p.outputs):
+        raise InputError(where, f"an open loop of {len(p.outputs)} x {len(p.inputs)}", "a square one, or a K")
+    unit = np.broadcast_to(np.eye(len(p.inputs)), (len(p.omega), len(p.inputs), len(p.inputs)))
+    k = p.matched(K, where) if K is not None else UncertainFrequencyData(p.omega, unit)
+    for label, data in (("plant", p), ("K", k)):
+        if data.blocks:
+            raise InputError(f"{where}: {label}", "an uncertain one", "one without blocks", "robust_stability_at")
+    P, C = p.nominal, k.nominal
+    if C.shape[1:] != P.shape[:0:-1]:
+        raise InputError(f"{where}: K", f"{C.shape[1]} x {C.shape[2]}", f"{P.shape[2]} x {P.shape[1]}")
+    m, n = P.shape[2], P.shape[1]
+    around = np.zeros((len(P), m + n, m + n), dtype=complex)
+    around[:, :m, m:], around[:, m:, :m] = sign * C, P
+    one = UncertainFrequencyData(p.omega, np.broadcast_to(np.eye(m + n), around.shape))
+    seen = one.feedback(UncertainFrequencyData(p.omega, around), 1).nominal + 0.5 * (skew - 1.0) * np.eye(m + n)
+    places = {"input": range(m), "output": range(m, m + n), "both": range(m + n)}[at]
+    every = [*(f"{s.name}" for s in p.inputs), *(s.name for s in p.outputs)]
+    names = [every[i] if every.count(every[i]) == 1 else f"{'input' if i < m else 'output'} {every[i]}" for i in places]
+    M = seen[:, list(places)][:, :, list(places)]
+    channels = {
+        name: _margin_at(p.omega, M[:, [i]][:, :, [i]], [ComplexScalar(name)], None, seed)
+        for i, name in enumerate(names)
+    }
+    together = channels[names[0]] if len(names) == 1 else None
+    together = together or _margin_at(p.omega, M, [ComplexScalar(name) for name in names], None, seed)
+    return DiskMarginsAt(channels, together, at, skew)
+
+
+def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:
+    """The system at the frequencies that are asked for, with ranges that a matrix test takes."""
+    if isinstance(system, UncertainFrequencyData):
+        if frequency is not None:
+            raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
+        data = system
+    elif frequency is None:
+        raise InputError(
+            f"{where}: frequency", "none", "frequencies in rad/s", "the whole axis has functions of its own"
+        )
+    else:
+        data = frequency_data(system, np.unique(np.asarray(frequency, dtype=float)))
+    if data.blocks and not (lowest(data.blocks) == -1).all():
+        name = next(b.name for b in data.blocks if not b.is_symmetric)
+        found, hint = (
+            f"the range of {name!r} is wider on one side",
+            "rl.centred(model) has the same set about its middle",
+        )
+        raise InputError(where, found, "symmetric ranges", hint)
+    return data
+
+
+def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], variation: float | None, seed: int) -> MarginAt:
+    found = mu(M, blocks, seed)
+    with np.errstate(divide="ignore"):
+        lower, upper = 1.0 / np.asarray(found.upper), 1.0 / np.asarray(found.lower)
+    delta = tuple(delta_values(blocks, d) if v else {} for d, v in zip(found.delta, found.lower, strict=True))
+    between = None if variation is None else _between(omega, M, found, variation)
+    return MarginAt(omega, lower, upper, delta, between, found.status)
+
+
+def _between(omega: Array, M: ComplexArray, found: MuBounds, variation: float) -> Array:
+    """Margin that is proved in each gap: both ends are carried to its middle."""
+    reach = 0.5 * variation * np.diff(omega)
+    carried = [[_carried(M[k + i], found, k + i, float(e)) for i in (0, 1)] for k, e in enumerate(reach)]
+    return np.array([1.0 / max(pair) if max(pair) > 0 else np.inf for pair in carried])
+
+
+def _carried(M: ComplexArray, found: MuBounds, k: int, e: float) -> float:
+    """Level that the scalings of matrix k prove for all matrices within ``e`` of it; inf where none."""
+    try:
+        T, T_z = (np.linalg.cholesky(D[k]).conj().T for D in (found.D, found.D_z))
+        inverse = np.linalg.inv(T)
+    except np.linalg.LinAlgError:
+        return np.inf
+    size = float(np.linalg.norm(inverse, 2))
+    t = float(np.linalg.norm(T_z, 2)) * size * e
+    through = float(np.linalg.norm(T_z @ M @ inverse, 2))
+    turned = float(np.linalg.norm(inverse.conj().T @ found.G[k], 2)) * size * e
+    level = float(found.upper[k]) ** 2 + 2.0 * through * t + t * t + 2.0 * turned
+    return float(np.sqrt(level)) * (1.0 + 1e-9)
+
+
+def _scope(omega: Array, between: Array | None) -> str:
+    if between is None:
+        if len(omega) == 1:
+            return "at this frequency only"
+        return f"at the {len(omega)} given frequencies only; nothing is claimed between them"
+    low = number(float(between.min(initial=np.inf)))
+    ends = f"from {number(float(omega[0]))} to {number(float(omega[-1]), 'rad/s')}"
+    return f"{ends}, margin at least {low} between the points"

@@ -1,0 +1,239 @@
+r"""How far the response of a model with exact delays can be from what it is at a point of the axis.
+
+With the states x and what leaves the delays w as unknowns the response is
+
+.. math:: G(s) = D_{22} + \begin{bmatrix} C_2 & D_{21} \end{bmatrix} F(s)^{-1} \begin{bmatrix} B_2 \\ D_{12}
+   \end{bmatrix}, \qquad F(s) = \begin{bmatrix} sI - A & -B_1 \\ -C_1 & \mathrm{diag}(e^{s \tau_i}) - D_{11}
+   \end{bmatrix}
+
+and :math:`|F(j\omega) - F(jc)| \le h N` entry by entry for :math:`|\omega - c| \le h`, with :math:`N =
+\mathrm{diag}(I, \tau_i)`: only the diagonal moves. With :math:`m = \|T F(jc)^{-1} N T^{-1}\|` for any diagonal T,
+:math:`l = \|C F(jc)^{-1} N T^{-1}\|`, :math:`r = \|T F(jc)^{-1} B\|`, and :math:`h m < 1`, Neumann's series gives
+
+.. math:: \|G(j\omega) - G(jc)\| \le \frac{h l r}{1 - h m}, \qquad \|G''\| \le \frac{l r}{(1 - hm)^2} \left( \frac{2
+   m}{1 - hm} + \tau_{\max} \right) .
+
+Beyond the bandwidth :math:`\|(j\omega I - A)^{-1}\| \le 1 / (\omega - \|A\|)` bounds every entry of what is left, and
+a nonnegative matrix of spectral radius below one the echoes. All of this is
+evaluated in floating point; it is not interval arithmetic.
+
+References
+----------
+Horn, Johnson, *Matrix Analysis* (2013), section 5.8; Michiels, Niculescu, *Stability, Control, and Computation for
+Time-Delay Systems* (2014), chapter 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array, ComplexArray
+from robustlab.delays.model import DelayedModel
+from robustlab.errors import NoTrustworthyNumber
+
+__all__ = ["DelayAxis", "Measured", "Seen", "proved_peak"]
+
+SWEEPS = 6  # of the balancing by T
+FASTEST = 60  # doublings of the frequency in which the far end is sought
+# Intervals that are looked at, at most, and their smallest width relative to the frequency.
+MOST, NARROW = 40_000, 1e-10
+LOOKS = 60  # at the response, before anything is proved
+CHUNK = 2_000_000  # complex numbers solved for at once
+
+
+class Seen(NamedTuple):
+    """At the middles of intervals, (k,): the response (k, n_y, n_u), its derivative, and m, l, r; see the module."""
+
+    value: ComplexArray
+    slope: ComplexArray
+    m: Array
+    left: Array
+    right: Array
+
+    def spread(self, half: Array) -> Array:
+        """How far the response is at most from ``value`` within ``half`` of the middle; inf where nothing is known."""
+        near = half * self.m
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(near < 1.0, half * self.left * self.right / (1.0 - near), np.inf)
+
+
+class DelayAxis:
+    """The response of a model with exact delays on the axis, of some of its outputs and inputs."""
+
+    def __init__(self, model: DelayedModel, outputs: Sequence[int], inputs: Sequence[int]) -> None:
+        from scipy.linalg import matrix_balance
+
+        H, n, k = model.H, model.H.n_states, len(model.delays)
+        self.delays, self.n = model.delays, n
+        inner = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]])
+        scale = np.ones(n + k)
+        if n + k:
+            found = matrix_balance(inner, permute=False, separate=True)
+            scale = np.asarray(found[1][0], dtype=float)
+        self.inner = inner / scale[:, None] * scale
+        some_out, some_in = [k + i for i in outputs], [k + j for j in inputs]
+        self.B = np.vstack([H.B, H.D[:k]])[:, some_in] / scale[:, None]
+        self.C = np.hstack([H.C, H.D[:, :k]])[some_out] * scale
+        self.D = H.D[np.ix_(some_out, some_in)]
+        self.weight = np.concatenate([np.ones(n), self.delays])
+
+    def response(self, omega: Array) -> ComplexArray:
+        """The response alone, (k, n_y, n_u)."""
+        held = np.broadcast_to(self.B, (len(omega), *self.B.shape))
+        return self.D + self.C @ np.linalg.solve(self._matrix(omega), held)
+
+    def seen(self, middle: Array) -> Seen:
+        """What the bounds about these frequencies need.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            A root lies on the axis.
+        """
+        size = max(1, CHUNK // max(len(self.weight) ** 2, 1))
+        parts = [self._seen(middle[k : k + size]) for k in range(0, len(middle), size)]
+        return Seen(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def _seen(self, omega: Array) -> Seen:
+        try:
+            inverse = np.linalg.inv(self._matrix(omega))
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber("delayed loop", "a root of its characteristic equation on the axis") from None
+        weighted = inverse * self.weight
+        T = _balancing(np.abs(weighted))
+        right, left = inverse @ self.B, self.C @ weighted
+        turn = np.ones((len(omega), len(self.weight)), dtype=complex)
+        turn[:, self.n :] = np.exp(1j * omega[:, None] * self.delays)
+        value = self.D + self.C @ right
+        slope = -1j * (left * turn[:, None, :]) @ right
+
+        def norm(stack: ComplexArray) -> Array:
+            return np.linalg.norm(stack, axis=(1, 2)) if 0 in stack.shape[1:] else np.linalg.norm(stack, 2, axis=(1, 2))
+
+        m = norm(weighted * T[:, :, None] / T[:, None, :])
+        return Seen(value, slope, m, norm(left / T[:, None, :]), norm(right * T[:, :, None]))
+
+    def curvature(self, seen: Seen, half: Array) -> Array:
+        """Bound of the second derivative within ``half`` of the middles; inf where nothing is known."""
+        near = half * seen.m
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bound = seen.left * seen.right / (1.0 - near) ** 2
+            bound = bound * (2.0 * seen.m / (1.0 - near) + self.delays.max(initial=0.0))
+        return np.where(near < 1.0, bound, np.inf)
+
+    def far(self, omega: float, about: Array) -> float:
+        """Bound of ``||G - about||`` at all frequencies from ``omega`` on; inf where nothing is known."""
+        n = self.n
+        size = float(np.linalg.norm(self.inner[:n, :n], 2)) if n else 0.0
+        if n and omega <= size:
+            return np.inf
+        small = 1.0 / (omega - size) if n else 0.0
+
+        def size_of(direct: Array, out: Array, into: Array) -> Array:
+            """Entry by entry, for the dynamics between ``into`` and ``out`` have at most the gain ``small``."""
+            return np.abs(direct) + small * np.outer(np.linalg.norm(out, axis=1), np.linalg.norm(into, axis=0))
+
+        c1, b1, c2, b2 = self.inner[n:, :n], self.inner[:n, n:], self.C[:, :n], self.B[:n]
+        around = size_of(self.inner[n:, n:], c1, b1)
+        if len(around) and np.abs(np.linalg.eigvals(around)).max() >= 1.0:
+            return np.inf
+        echo = np.linalg.solve(np.eye(len(around)) - around, size_of(self.B[n:], c1, b2))
+        return float(np.linalg.norm(size_of(self.D - about, c2, b2) + size_of(self.C[:, n:], c2, b1) @ echo, 2))
+
+    def end(self, about: Array, level: float) -> float | None:
+        """A frequency from which on ``||G - about|| <= level``; None where none is found."""
+        omega = max(2.0 * float(np.linalg.norm(self.inner[: self.n, : self.n], 2)) if self.n else 0.0, 1e-6)
+        for _ in range(FASTEST):
+            if self.far(omega, about) <= level:
+                return omega
+            omega *= 2.0
+        return None
+
+    def speed(self) -> float:
+        """A frequency of its dynamics or delays, in rad/s."""
+        size = float(np.linalg.norm(self.inner[: self.n, : self.n], 2)) if self.n else 0.0
+        return size or 1.0 / float(self.delays.max(initial=1.0))
+
+    def _matrix(self, omega: Array) -> ComplexArray:
+        F = np.broadcast_to(-self.inner, (len(omega), *self.inner.shape)).astype(np.complex128)
+        place = np.arange(len(self.weight))
+        diagonal = np.concatenate(
+            [np.repeat(1j * omega[:, None], self.n, axis=1), np.exp(1j * omega[:, None] * self.delays)], axis=1
+        )
+        F[:, place, place] += diagonal
+        return F
+
+
+class Measured(NamedTuple):
+    """At matrices (k,): what is measured is at most ``level + stretch e`` for all matrices within e of each."""
+
+    level: Array
+    stretch: Array
+
+
+def proved_peak(
+    axis: DelayAxis,
+    about: Array,
+    tolerance: float,
+    attained: Callable[[ComplexArray, Array], float],
+    measure: Callable[[ComplexArray], Measured],
+) -> float:
+    """Bound over the whole axis of a measure of the response, inf where there is none.
+
+    Parameters
+    ----------
+    about
+        What the response is compared with at high frequencies, its limit where it has one.
+    tolerance
+        Intervals are cut while their bound is larger by this share than the largest value that was attained.
+    attained
+        Takes responses with their frequencies, and says the largest value attained so far.
+    measure
+        Of a stack of responses.
+    """
+    whole = about[None].astype(np.complex128)
+    limit, left = measure(whole), axis.far(np.inf, about)
+    at_end = float(limit.level[0] + limit.stretch[0] * left)
+    there = int(not left)  # with echoes the response has no limit that it attains
+    attained(whole[:there], np.full(there, np.inf))
+    looks = axis.speed() * np.geomspace(1e-3, 1e3, LOOKS)
+    best = attained(axis.response(looks), looks)
+    # how far above its limit the end of the axis may be, by the share that is allowed or needed
+    room = max(best * (1.0 + tolerance) - at_end, 0.5 * tolerance * max(at_end, best)) / float(limit.stretch[0])
+    end = axis.end(about, left + room) if np.isfinite(left) else None
+    if end is None:
+        return np.inf
+    level, looked = at_end + float(limit.stretch[0]) * room, 0
+    first = np.concatenate([[0.0], np.geomspace(1e-6 * end, end, 81)])
+    begin, stop = first[:-1], first[1:]
+    while len(begin):
+        looked += len(begin)
+        half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
+        seen = axis.seen(middle)
+        found = measure(seen.value)
+        top = np.argsort(-found.level)[:3]
+        best = attained(seen.value[top], middle[top])
+        carried = found.level + found.stretch * seen.spread(half)
+        cut = carried > max(best * (1.0 + tolerance), level)
+        level = max(level, float(carried[~cut].max(initial=0.0)))
+        if looked > MOST or (half[cut] <= NARROW * (middle[cut] + 1e-6 * end)).any():
+            return max(level, float(carried.max()))
+        begin, stop = np.concatenate([begin[cut], middle[cut]]), np.concatenate([middle[cut], stop[cut]])
+    return level
+
+
+def _balancing(size: Array) -> Array:
+    """Diagonal T, (k, n), that brings rows and columns of ``T X T^-1`` to one size (Osborne)."""
+    k, n = size.shape[:2]
+    T = np.ones((k, n))
+    off = size * (1.0 - np.eye(n))
+    for _ in range(SWEEPS):
+        for i in range(n):
+            row = np.einsum("kj,kj->k", off[:, i], 1.0 / T) * T[:, i]
+            column = np.einsum("kj,kj->k", off[:, :, i], T) / T[:, i]
+            known = (row > 0) & (column > 0)
+            T[:, i] *= np.sqrt(np.where(known, column / np.where(known, row, 1.0), 1.0))
+    return T

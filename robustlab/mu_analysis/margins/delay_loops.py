@@ -1,0 +1,415 @@
+r"""Margins of loops with exact delays, of one channel or several: classical ones with all crossings, and disk margins.
+
+With the sensitivity of the loop that is opened, the others closed, :math:`S = 1 / (1 + L)`,
+
+.. math:: |L| = 1 \iff \Re S = \tfrac12, \qquad L < 0 \iff \Im S = 0,\; S \notin [0, 1],
+
+and S has no pole on the axis. Frequencies are cut into intervals until each is decided by the bounds of `delay_axis`:
+the function has no zero there, or its derivative has one sign and its ends tell. Beyond the last one L is too small to
+count. So no crossing is overlooked between points.
+
+The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`. On each interval the D
+scaling of its middle bounds mu for all of it; intervals are cut where that lies above the largest value that was found.
+
+References
+----------
+Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4; Seiler, Packard, Gahinet, "An introduction to
+disk margins", IEEE Control Systems Magazine 40 (2020).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array, ComplexArray, Mask
+from robustlab.budget import one_thread
+from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
+from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Measured, Seen, proved_peak
+from robustlab.mu_analysis.margins.delay_stability import delay_stability
+from robustlab.mu_analysis.margins.disk_margin import (
+    PLACES,
+    DiskMargin,
+    DiskMargins,
+    Place,
+    factor_model,
+    gain_and_phase,
+)
+from robustlab.mu_analysis.matrix.bounds import mu
+from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.matrix.upper import upper_bounds
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.algebra import beside, stacked
+from robustlab.uncertainty.blocks import ComplexScalar, delta_matrix, delta_values
+from robustlab.uncertainty.realised_delta import realise_delta
+
+__all__ = ["delay_classical_margins", "delay_disk_margins"]
+
+# Intervals that are looked at, at most, and their smallest width relative to the frequency.
+MOST, NARROW = 400_000, 1e-10
+# Factors of gain beyond these are not looked for: S that near to 0 or 1 is no crossing.
+LEAST, LARGEST = 1e-6, 1e3
+ROUNDING = 1e-12
+SINGULAR = 1e-7
+STEEPEST = 300.0  # of the D scalings: what they gain at a matrix they lose about it
+
+
+class _Loop(NamedTuple):
+    """The sensitivity from what enters at each channel to what goes on there, and the channels' names."""
+
+    S: DelayedModel
+    names: tuple[str, ...]
+    stable: bool
+
+
+@told_as("delay_classical_margins")
+@one_thread()
+def delay_classical_margins(
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] = -1, highest_order: int = 16
+) -> ClassicalMargins:
+    r"""Gain, phase and delay margins of a loop with exact delays, one loop at a time, with all crossings.
+
+    Parameters
+    ----------
+    plant, K, at, sign
+        As in `classical_margins`; plant, controller or both with delays.
+    highest_order
+        Of the approximations with which the closed loop is proved stable, as in `delay_stability`.
+
+    Returns
+    -------
+    ClassicalMargins
+        CERTIFIED: no crossing is missing. A loop whose gain falls to zero has phase crossings without end; those are
+        listed up to the one that bounds the gain margin. Where none is found up to a factor of 1000 the upper end reads
+        1000, and factors below 1e-6 are not looked for. INACCURATE: at a frequency it is not decided whether a function
+        only touches zero; it counts as a crossing.
+
+    Raises
+    ------
+    InputError
+        Sizes that do not fit, an uncertain or a discrete model.
+    NoTrustworthyNumber
+        It could not be shown whether the closed loop is stable; its gain at high frequencies is not proved to be below
+        one; more intervals are needed than can be afforded.
+
+    Examples
+    --------
+    >>> from robustlab.delays import delay
+    >>> integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> margin = delay_classical_margins(integrator @ delay(0.5)).channels["y1"]  # e^(-s/2) / s
+    >>> [round(x, 6) for x in (margin.gain_margin[1], margin.phase_margin, margin.delay_margin)]
+    [3.141593, 1.070796, 1.070796]
+    """
+    loop = _closed(plant, K, at, sign, highest_order, "delay_classical_margins")
+    channels = {}
+    for i, name in enumerate(loop.names):
+        channels[name] = _classical(DelayAxis(loop.S, [i], [i]), loop.stable, name)
+    good = all(m.status is Status.CERTIFIED for m in channels.values())
+    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE)
+
+
+@told_as("delay_disk_margins")
+@one_thread()
+def delay_disk_margins(
+    plant: Any,
+    K: Any = None,
+    *,
+    at: Place = "output",
+    skew: float = 0.0,
+    sign: Literal[-1, 1] = -1,
+    tolerance: float = 0.01,
+    highest_order: int = 16,
+    seed: int = 0,
+) -> DiskMargins:
+    r"""Disk margins of a loop with exact delays, one channel at a time and all at once.
+
+    Parameters
+    ----------
+    plant, K, at, skew, sign
+        As in `disk_margin`; plant, controller or both with delays.
+    tolerance
+        Relative distance of both bounds of the peak of mu at which the proof ends.
+    highest_order
+        As in `delay_stability`.
+    seed
+        Of the search for the critical factors.
+
+    Returns
+    -------
+    DiskMargins
+        ``lower`` proved on the whole axis, ``upper`` attained at ``frequency`` by the exact response; there is no
+        ``pole``. CERTIFIED: the bounds are within the tolerance. INACCURATE: they are not.
+
+    Raises
+    ------
+    InputError
+        Sizes that do not fit, an uncertain or a discrete model, a skew or a tolerance out of range.
+    NoTrustworthyNumber
+        The closed loop is unstable, or could not be shown to be stable.
+
+    Examples
+    --------
+    >>> from robustlab.delays import delay
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> margins = delay_disk_margins(2.0 * lag @ delay(0.5))
+    >>> str(margins.status), round(margins.simultaneous.upper, 3)
+    ('certified', 0.573)
+    """
+    if not np.isfinite(skew) or not 0 < tolerance < 1:
+        found = f"skew {skew!r}, tolerance {tolerance!r}"
+        raise InputError("delay_disk_margins", found, "a finite skew, 0 < tolerance < 1")
+    loop = _closed(plant, K, at, sign, highest_order, "delay_disk_margins")
+    if not loop.stable:
+        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
+    channels = {name: _disk(loop.S, [i], [name], skew, tolerance, seed) for i, name in enumerate(loop.names)}
+    if len(loop.names) == 1:
+        return DiskMargins(channels, channels[loop.names[0]], at)
+    every = _disk(loop.S, range(len(loop.names)), loop.names, skew, tolerance, seed)
+    return DiskMargins(channels, every, at)
+
+
+def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: int, where: str) -> _Loop:
+    """The loop as its channels see it, and whether it is stable."""
+    p = as_delayed(plant, f"{where}: plant")
+    if at not in PLACES or sign not in (1, -1):
+        raise InputError(where, f"at {at!r}, sign {sign!r}", "input, output or both; 1 or -1")
+    if K is None and p.n_inputs != p.n_outputs:
+        raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
+    k = _renamed(as_delayed(K, f"{where}: K") if K is not None else as_delayed(_gain(p.n_inputs)), "k")
+    if (k.n_outputs, k.n_inputs) != (p.n_inputs, p.n_outputs):
+        raise InputError(f"{where}: K", f"{k.n_outputs} x {k.n_inputs}", f"{p.n_inputs} x {p.n_outputs}")
+    q, m, n = _renamed(p, "p"), p.n_inputs, p.n_outputs
+    if at == "both":  # [u; y] = [0, sign K; P, 0] [u; y]
+        around = stacked(beside(np.zeros((m, m)), sign * k), beside(q, np.zeros((n, n))))
+    else:
+        around = sign * (q @ k if at == "output" else k @ q)
+    S = _renamed(as_delayed(_gain(around.n_inputs)), "s").feedback(_renamed(around, "l"), 1)
+    known = delay_stability(S, highest_order)
+    if known.stable is None:
+        found = f"no set up to order {highest_order} shows whether the closed loop is stable"
+        raise NoTrustworthyNumber(where, found, None, "rl.delay_stability(loop, effort=...) may")
+    every = [*p.input_names, *p.output_names]
+    places = {"input": range(m), "output": range(m, m + n), "both": range(m + n)}[at]
+    names = [every[i] if every.count(every[i]) == 1 else f"{'input' if i < m else 'output'} {every[i]}" for i in places]
+    if at != "both":
+        names = [every[i] for i in places]
+    return _Loop(S, tuple(names), known.stable)
+
+
+def _gain(n: int) -> StateSpaceModel:
+    return StateSpaceModel([], [], [], np.eye(n))
+
+
+def _renamed(model: DelayedModel, prefix: str) -> DelayedModel:
+    """With plain names and no units: the parts of a loop may name their signals alike."""
+    H, k = model.H, len(model.delays)
+    ins = [f"{prefix}z{i}" for i in range(k)] + [f"{prefix}u{i}" for i in range(model.n_inputs)]
+    outs = [f"{prefix}w{i}" for i in range(k)] + [f"{prefix}y{i}" for i in range(model.n_outputs)]
+    return DelayedModel(StateSpaceModel(H.A, H.B, H.C, H.D, 0.0, ins, outs), model.delays)
+
+
+# --- classical margins ------------------------------------------------------------------------------------------------
+
+
+class _Zeros(NamedTuple):
+    """Zeros of a real function of frequency, rising, and whether each was decided."""
+
+    places: list[float]
+    decided: bool
+
+
+def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
+    """Both kinds of crossings of one loop, and what they leave."""
+    one = np.eye(1)
+    end = axis.end(one, 1.0 / 3.0)  # |L| <= 1/2 where |S - 1| <= 1/3
+    if end is None:
+        found = f"loop {name}: its gain at high frequencies is not proved to be below one half"
+        hint = "a loop with a direct path through a delay: take delay_disk_margin of it"
+        raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
+    gains = _zeros(axis, lambda s: s.real - 0.5, lambda d: d.real, _never, (0.0, end))
+    phases = _zeros(axis, np.imag, np.imag, _no_crossing, (0.0, end))
+    places, decided, last = list(phases.places), gains.decided and phases.decided, 2.0
+    crossings = _phase_crossings(axis, [0.0, *places])
+    while (high := min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)) > last and last < LARGEST:
+        last = min(2.0 * last, high, LARGEST)
+        further = axis.end(one, 1.0 / (1.0 + last)) or np.inf
+        if not np.isfinite(further):
+            found = f"loop {name}: its gain is not proved to fall below {1 / last:g}"
+            raise NoTrustworthyNumber("delay_classical_margins", found)
+        more = _zeros(axis, np.imag, np.imag, _no_crossing, (end, further)) if further > end else _Zeros([], True)
+        end, decided = max(end, further), decided and more.decided
+        places += more.places
+        crossings = _phase_crossings(axis, [0.0, *places])
+    met = tuple(_gain_crossing(axis, w) for w in gains.places)
+    status = Status.CERTIFIED if decided else Status.INACCURATE
+    kept = tuple(c for c in crossings if c.factor <= max(high, 1.0) * (1 + 1e-9))
+    if not stable:
+        return ClassicalMargin(False, None, None, None, met, kept, status)
+    low = max((c.factor for c in crossings if c.factor <= 1), default=0.0)
+    lag = min((min(c.lag, 2 * math.pi - c.lag) for c in met), default=math.inf)
+    return ClassicalMargin(True, (low, high), lag, min((c.delay for c in met), default=math.inf), met, kept, status)
+
+
+def _never(value: ComplexArray, spread: Array) -> Mask:
+    return np.zeros(len(spread), dtype=bool)
+
+
+def _no_crossing(value: ComplexArray, spread: Array) -> Mask:
+    """Where the loop is not negative and of a size that counts, whatever S is within its spread."""
+    inside = (value.real - spread > 0) & (value.real + spread < 1)
+    small = (np.abs(value - 1.0) + spread < 1.0 / (1.0 + LARGEST)) | (np.abs(value) + spread < LEAST)
+    return inside | small
+
+
+def _zeros(
+    axis: DelayAxis,
+    height: Callable[[ComplexArray], Array],
+    rate: Callable[[ComplexArray], Array],
+    ignored: Callable[[ComplexArray, Array], Mask],
+    ends: tuple[float, float],
+) -> _Zeros:
+    """All zeros in (low, high] of a function of S: each interval is decided, or cut."""
+    low, high = ends
+    first = np.concatenate([[0.0], np.geomspace(1e-6 * high, high, 41)]) if not low else np.linspace(low, high, 41)
+    begin, stop = first[:-1], first[1:]
+    found: list[float] = []
+    decided, looked = True, 0
+    while len(begin):
+        looked += len(begin)
+        if looked > MOST:
+            text = f"more than {MOST} intervals of frequency, the next from {begin[0]:.3g} rad/s"
+            raise NoTrustworthyNumber("delay_classical_margins", text, None, "delay_disk_margins")
+        half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
+        seen = axis.seen(middle)
+        value, slope = height(seen.value[:, 0, 0]), rate(seen.slope[:, 0, 0])
+        curve = axis.curvature(seen, half)
+        with np.errstate(invalid="ignore", over="ignore"):
+            reach = half * (np.abs(slope) + 0.5 * half * curve)
+            none = np.abs(value) > reach + ROUNDING * (1.0 + np.abs(seen.value[:, 0, 0]))
+            none |= ignored(seen.value[:, 0, 0], np.minimum(seen.spread(half), _taylor(seen, half, curve)))
+            single = ~none & (np.abs(slope) > half * curve)
+        for a, b in zip(begin[single].tolist(), stop[single].tolist(), strict=True):
+            found += _root(axis, height, a, b)
+        open_ = ~none & ~single
+        narrow = open_ & (half <= NARROW * (middle + 1e-6 * high))
+        found += middle[narrow].tolist()
+        decided = decided and not narrow.any()
+        cut = open_ & ~narrow
+        begin, stop = np.concatenate([begin[cut], middle[cut]]), np.concatenate([middle[cut], stop[cut]])
+    found.sort()
+    apart = [w for k, w in enumerate(found) if not k or w - found[k - 1] > 10 * NARROW * (w + 1e-6 * high)]
+    return _Zeros(apart, decided)
+
+
+def _taylor(seen: Seen, half: Array, curve: Array) -> Array:
+    return half * (np.abs(seen.slope[:, 0, 0]) + 0.5 * half * curve)
+
+
+def _root(axis: DelayAxis, height: Callable[[ComplexArray], Array], low: float, high: float) -> list[float]:
+    """The one zero of a function that rises or falls over the interval, where its ends have different signs."""
+    from scipy.optimize import brentq
+
+    def at(w: float) -> float:
+        return float(height(axis.response(np.array([w]))[:, 0, 0])[0])
+
+    a, b = at(low), at(high)
+    if low == 0.0 and abs(a) <= ROUNDING:  # at zero every response is real
+        return []
+    if b == 0.0 or a * b < 0:
+        solve: Any = brentq
+        return [high if b == 0.0 else float(solve(at, low, high, xtol=1e-14 * high, rtol=1e-14))]
+    return []
+
+
+def _gain_crossing(axis: DelayAxis, omega: float) -> GainCrossing:
+    s = complex(axis.response(np.array([omega]))[0, 0, 0])
+    lag = (float(np.angle((1.0 - s) / s)) + math.pi) % (2 * math.pi)
+    return GainCrossing(omega, lag, lag / omega)
+
+
+def _phase_crossings(axis: DelayAxis, places: list[float]) -> tuple[PhaseCrossing, ...]:
+    """Those where L is negative."""
+    made = []
+    for omega in sorted(places):
+        s = complex(axis.response(np.array([omega]))[0, 0, 0]).real
+        if s < -LEAST or s > 1.0 + 1.0 / LARGEST / 2.0:
+            made.append(PhaseCrossing(omega, s / (s - 1.0)))
+    return tuple(made)
+
+
+# --- disk margins -----------------------------------------------------------------------------------------------------
+
+
+def _disk(
+    S: DelayedModel, places: Sequence[int], names: Sequence[str], skew: float, tolerance: float, seed: int
+) -> DiskMargin:
+    """The margin of some channels at once: the peak of mu, found and proved."""
+    axis, shift = DelayAxis(S, places, places), 0.5 * (skew - 1.0) * np.eye(len(places))
+    blocks = [ComplexScalar(name) for name in names]
+    peak = _Peak(axis, shift, blocks, seed)
+    upper = peak.prove(0.5 * tolerance)
+    lower = 1.0 / upper if upper else np.inf
+    status = Status.CERTIFIED if upper <= peak.value * (1.0 + tolerance) * (1 + 1e-9) else Status.INACCURATE
+    delta = delta_values(blocks, peak.delta) if peak.delta is not None else {}
+    if delta and np.isfinite(peak.frequency):
+        exact = frequency_response(S, [peak.frequency])[0][np.ix_(list(places), list(places))] + shift
+        if singularity(exact, delta_matrix(blocks, delta).astype(complex)) > SINGULAR:
+            status = Status.INACCURATE
+    low, high, phase = gain_and_phase(lower, skew)
+    half = 0.5 * (1.0 + skew)
+    factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
+    perturbation, notes = _perturbation(blocks, delta, peak.frequency, skew)
+    return DiskMargin(
+        lower, 1.0 / peak.value if peak.value else np.inf, (low, high), phase, skew, peak.frequency, delta, factor,
+        perturbation, None, status, notes,
+    )  # fmt: skip
+
+
+def _perturbation(
+    blocks: Sequence[ComplexScalar], delta: Any, frequency: float, skew: float
+) -> tuple[dict[str, StateSpaceModel], tuple[str, ...]]:
+    """Models of the critical factors, where real systems take these values."""
+    if not delta or not np.isfinite(frequency):
+        return {}, ("the margin is that at infinite frequency, where the loop has no gain",)
+    try:
+        made = realise_delta(blocks, delta, frequency, 0.0)
+    except InputError:
+        return {}, ("the critical deltas are complex at an end of the axis: no real system takes them there",)
+    models = {name: factor_model(as_model(made[name]), skew) for name in delta}
+    return {name: model for name, model in models.items() if model is not None}, ()
+
+
+class _Peak:
+    """The largest mu on the axis: found from below, proved from above."""
+
+    def __init__(self, axis: DelayAxis, shift: Array, blocks: Sequence[ComplexScalar], seed: int) -> None:
+        self.axis, self.shift, self.blocks, self.seed = axis, shift, blocks, seed
+        self.value, self.frequency, self.delta = 0.0, np.inf, None
+
+    def prove(self, tolerance: float) -> float:
+        """Bound of mu for all frequencies; the largest value is looked for on the way."""
+        return proved_peak(self.axis, self.axis.D, tolerance, self._attained, self._measured)
+
+    def _attained(self, S: ComplexArray, omega: Array) -> float:
+        """Take the largest of some matrices, with its Delta."""
+        if len(S):
+            found = mu(S + self.shift, self.blocks, self.seed)
+            k = int(np.argmax(found.lower))
+            if found.lower[k] > self.value:
+                self.value, self.frequency, self.delta = float(found.lower[k]), float(omega[k]), found.delta[k]
+        return self.value
+
+    def _measured(self, S: ComplexArray) -> Measured:
+        """Mu by the scaling D (diagonal) of each matrix, which bounds it about them, too."""
+        M = S + self.shift
+        d = np.array([np.sqrt(np.real(np.diag(b.Dw))) for b in upper_bounds(M, self.blocks, 1e-4)])
+        d = np.maximum(d, d.max(axis=1, keepdims=True) / STEEPEST)
+        level = np.linalg.norm(d[:, :, None] * M / d[:, None, :], 2, axis=(1, 2))
+        return Measured(level * (1.0 + ROUNDING), d.max(axis=1) / d.min(axis=1))

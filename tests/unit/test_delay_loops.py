@@ -1,0 +1,160 @@
+"""Margins of loops with exact delays: closed forms, models without delays, dense grids, attacks on the bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.mu_analysis.margins.delay_axis import DelayAxis
+
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+INTEGRATOR = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+K2 = rl.StateSpaceModel(-0.5 * np.eye(2), np.eye(2), np.eye(2), [[1.0, 0.2], [-0.1, 0.8]])
+
+
+def two_by_two(late=(0.3, 0.1)):
+    A = [[-1.0, 0.4, 0.0], [-0.3, -2.0, 1.0], [0.0, -1.0, -0.5]]
+    G = rl.StateSpaceModel(
+        A, [[1.0, 0.0], [0.3, 1.0], [0.0, 0.5]], [[1.0, 0.0, 0.5], [0.0, 1.0, -0.3]], np.zeros((2, 2))
+    )
+    return rl.with_delays(G, inputs={0: late[0]}, outputs={1: late[1]})
+
+
+def test_an_integrator_with_a_delay_has_its_closed_forms():
+    for tau in (0.1, 0.5, 1.2):
+        margin = rl.delay_classical_margins(INTEGRATOR @ rl.delay(tau)).channels["y1"]
+        assert margin.gain_margin == (0.0, pytest.approx(np.pi / 2 / tau, rel=1e-9))
+        assert margin.phase_margin == pytest.approx(np.pi / 2 - tau, rel=1e-9)
+        assert margin.delay_margin == pytest.approx(np.pi / 2 - tau, rel=1e-9)
+        assert margin.status is rl.Status.CERTIFIED
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_without_delays_they_are_the_classical_ones(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((4, 4)) - 3.0 * np.eye(4)
+    P = rl.StateSpaceModel(A, rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2)))
+    K = rl.StateSpaceModel([], [], [], rng.standard_normal((2, 2)))
+    for at in ("input", "output"):
+        exact, found = rl.classical_margins(P, K, at=at), rl.delay_classical_margins(P, K, at=at)
+        for name, margin in exact.channels.items():
+            other = found.channels[name]
+            assert other.stable == margin.stable
+            crossings = [c.frequency for c in other.gain_crossings]
+            assert crossings == pytest.approx([c.frequency for c in margin.gain_crossings], rel=1e-7)
+            if margin.stable:
+                assert other.phase_margin == pytest.approx(margin.phase_margin)
+                assert other.gain_margin[0] == pytest.approx(margin.gain_margin[0])
+                assert other.gain_margin[1] == pytest.approx(min(margin.gain_margin[1], 1000.0))
+
+
+def test_many_crossings_and_none_missing():
+    # a lightly damped mode behind a long delay: L crosses the unit circle and the real axis again and again
+    mode = rl.StateSpaceModel([[0, 1], [-100.0, -0.1]], [[0], [1]], [[30.0, 0]], [[0]])
+    L = (mode + 0.5 * LAG) @ rl.delay(2.0)
+    S = rl.delay_classical_margins(L).channels["y1"]
+    omega = np.linspace(1e-3, 60.0, 2_000_001)
+    G = rl.frequency_response(L, omega)[:, 0, 0]
+    gains = omega[:-1][np.diff(np.sign(abs(G) - 1)) != 0]
+    assert [c.frequency for c in S.gain_crossings] == pytest.approx(gains.tolist(), abs=1e-4)
+    turns = (np.diff(np.sign(G.imag)) != 0) & (G.real[:-1] < 0) & (omega[:-1] < 40.0)
+    factors = sorted(-1 / G.real[:-1][turns])
+    least = min((f for f in factors if f >= 1), default=np.inf)
+    wanted = [f for f in factors if f <= least * (1 + 1e-3)]
+    assert sorted(c.factor for c in S.phase_crossings) == pytest.approx(wanted, rel=2e-3)
+    assert S.status is rl.Status.CERTIFIED
+
+
+def test_the_closed_loops_at_the_ends_are_as_stable_as_they_say():
+    P = two_by_two()
+    loop = rl.delay_classical_margins(P, K2)
+    for i, (name, margin) in enumerate(loop.channels.items()):
+        assert margin.status is rl.Status.CERTIFIED
+        for factor, stable in ((0.97, True), (1.03, False)):
+            change = np.eye(2)
+            change[i, i] = margin.gain_margin[1] * factor
+            closed = (rl.StateSpaceModel([], [], [], change) @ P @ K2).feedback(np.eye(2))
+            assert rl.delay_stability(closed).stable is stable, name
+        late = [0.0, 0.0]
+        late[i] = 1.05 * margin.delay_margin
+        assert (
+            rl.delay_stability((rl.with_delays(P, outputs=dict(enumerate(late))) @ K2).feedback(np.eye(2))).stable
+            is False
+        )
+
+
+def test_disk_margins_of_several_loops():
+    P = two_by_two()
+    for at in ("output", "input", "both"):
+        found = rl.delay_disk_margins(P, K2, at=at)
+        grid = rl.disk_margin_at(P, K2, np.geomspace(1e-2, 30.0, 400), at=at)
+        assert found.status is rl.Status.CERTIFIED
+        assert found.simultaneous.lower <= found.simultaneous.upper <= 1.0101 * found.simultaneous.lower
+        assert found.simultaneous.lower <= grid.simultaneous.upper.min() * (1 + 1e-9)
+        assert found.simultaneous.upper == pytest.approx(grid.simultaneous.upper.min(), rel=5e-3)
+        for name, margin in found.channels.items():
+            assert margin.upper == pytest.approx(grid.channels[name].upper.min(), rel=5e-3)
+    # the critical factors, as stable systems, bring a root to the axis: a little beyond, the loop is unstable
+    found = rl.delay_disk_margins(P, K2).simultaneous
+    for size, stable in ((0.97, True), (1.03, False)):
+        parts = [_grown(found.perturbation[name], size) for name in found.delta]
+        none = np.zeros((1, 1))
+        loop = (rl.stacked(rl.beside(parts[0], none), rl.beside(none, parts[1])) @ P @ K2).feedback(np.eye(2))
+        assert rl.delay_stability(loop).stable is stable
+
+
+def _grown(factor, size):
+    """The factor f with delta = (f - 1) / (1 + (f - 1) / 2) taken ``size`` times as large (skew 0)."""
+    one = np.eye(1)
+    change = factor - one
+    delta = size * change @ (one + 0.5 * change).inverse()
+    return one + delta @ (one - 0.5 * delta).inverse()
+
+
+def test_one_channel_agrees_with_the_older_proof():
+    L = 2.0 * LAG @ rl.delay(0.5)
+    for skew in (0.0, 1.0, -1.0):
+        old, new = rl.delay_disk_margin(L, skew=skew), rl.delay_disk_margins(L, skew=skew).simultaneous
+        assert old.upper == pytest.approx(new.upper, rel=1e-4)
+        assert new.lower <= old.upper
+        assert old.lower <= new.upper
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_bounds_of_the_axis_hold_when_they_are_attacked(seed):
+    rng = np.random.default_rng(seed)
+    k, n = 2, 3
+    H = rl.StateSpaceModel(
+        rng.standard_normal((n, n)) * 3 - 3 * np.eye(n), rng.standard_normal((n, k + 2)),
+        rng.standard_normal((k + 2, n)), 0.3 * rng.standard_normal((k + 2, k + 2)),
+    )  # fmt: skip
+    G = rl.DelayedModel(H, [0.4, 1.3])
+    axis = DelayAxis(G, [0, 1], [0, 1])
+    middle, half = rng.uniform(0.0, 10.0, 200), 10.0 ** rng.uniform(-4, -0.5, 200)
+    seen = axis.seen(middle)
+    spread, curve = seen.spread(half), axis.curvature(seen, half)
+    tight = 0.0
+    for _ in range(20):
+        step = rng.uniform(-1.0, 1.0, 200) * half
+        there = rl.frequency_response(G, middle + step)
+        away = np.linalg.norm(there - seen.value, 2, axis=(1, 2))
+        assert (away <= spread + 1e-12).all()
+        rest = np.linalg.norm(there - seen.value - step[:, None, None] * seen.slope, 2, axis=(1, 2))
+        assert (rest <= 0.5 * step**2 * curve + 1e-11).all()
+        tight = max(tight, float((away / spread).max()))
+    assert tight > 0.05  # and they are no trifle
+    for omega in (20.0, 100.0, 1000.0):
+        bound = axis.far(omega, axis.D)
+        far = rl.frequency_response(G, omega * np.geomspace(1.0, 50.0, 300))
+        assert (np.linalg.norm(far - axis.D, 2, axis=(1, 2)) <= bound).all()
+
+
+def test_what_is_refused():
+    with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
+        rl.delay_disk_margins(5.0 * LAG @ rl.delay(1.0))
+    assert rl.delay_classical_margins(5.0 * LAG @ rl.delay(1.0)).channels["y1"].stable is False
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"gain at high frequencies|shows whether"):
+        rl.delay_classical_margins((LAG + 0.8 * np.eye(1)) @ rl.delay(1.0))
+    with pytest.raises(rl.InputError, match="a square one"):
+        rl.delay_disk_margins(rl.with_delays(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [0.0]])))

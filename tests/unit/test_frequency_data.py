@@ -1,0 +1,170 @@
+"""Uncertain frequency-response data: closed forms, members against models, coverage of a confidence circle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+
+OMEGA = np.geomspace(0.1, 10.0, 12)
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+MOTORS = rl.parametric([["-1/T"]], [["k/T"]], [[1]], [[0]], {"k": (2.0, 0.1), "T": (1.0, 0.2)})
+
+
+def two_by_two():
+    rng = np.random.default_rng(3)
+    return rng.standard_normal((len(OMEGA), 2, 2)) + 1j * rng.standard_normal((len(OMEGA), 2, 2))
+
+
+def test_a_loop_of_data_sets_and_delays_has_the_members_of_its_parts():
+    g = rl.frequency_response(LAG, OMEGA)[:, 0, 0]
+    data = rl.frequency_data(g, OMEGA, radius=0.1 * abs(g))
+    loop = (data @ MOTORS).feedback(rl.frequency_data(rl.delay(0.3), OMEGA))
+    delta = {"measured y1 from u1": 0.3 - 0.4j, "k": 0.5, "T": -0.7}
+    through = g * (1 + 0.1 * (0.3 - 0.4j) * abs(g) / g)
+    member = rl.frequency_response(MOTORS.evaluate({"k": 0.5, "T": -0.7}), OMEGA)[:, 0, 0]
+    expected = through * member / (1 + through * member * np.exp(-0.3j * OMEGA))
+    assert abs(loop.response(delta)[:, 0, 0] - expected).max() < 1e-13
+    assert loop.blocks != data.blocks
+    # a delayed operand is taken at the frequencies by itself, and the same name is the same uncertainty
+    again = (data @ MOTORS).feedback(rl.delay(0.3))
+    assert abs((again - loop).response(delta)).max() < 1e-13
+    assert abs((loop.inverse() @ loop).response(delta) - 1).max() < 1e-12
+    assert abs((2 * loop + loop).response(delta)[:, 0, 0] - 3 * expected).max() < 1e-12
+
+
+def test_algebra_of_several_channels_against_matrices():
+    G, H = two_by_two(), two_by_two()[::-1]
+    one, two = rl.frequency_data(G, OMEGA, radius=0.2), rl.frequency_data(H, OMEGA)
+    at = np.array([[0.1, 0.2j], [-0.3, 0.05]])
+    Gd = G + 0.2 * at
+    told = {"measured": at}
+    assert abs((one @ two).response(told) - Gd @ H).max() < 1e-12
+    assert abs((two - one).response(told) - (H - Gd)).max() < 1e-12
+    closed = np.linalg.solve(np.eye(2) + Gd @ H, Gd)
+    assert abs(one.feedback(two).response(told) - closed).max() < 1e-10
+    assert abs(rl.star(rl.stacked(one, two), np.zeros((0, 0))).nominal[:, 2:] - H).max() < 1e-13
+    assert abs((one**-1).response(told) - np.linalg.inv(Gd)).max() < 1e-9
+    assert one[0, 1].nominal.shape == (len(OMEGA), 1, 1)
+
+
+def test_margin_and_gain_have_their_closed_forms():
+    g = rl.frequency_response(LAG, OMEGA)[:, 0, 0]
+    k, r = 3.0, 0.2 * abs(g)
+    data = rl.frequency_data(g, OMEGA, radius=r)
+    margin = rl.robust_stability_at(data.feedback(k))
+    expected = abs(1 + k * g) / (k * r)
+    assert np.allclose(margin.lower, expected, rtol=1e-6)
+    assert np.allclose(margin.upper, expected, rtol=1e-6)
+    assert margin.status is rl.Status.CERTIFIED
+    for w, delta, size in zip(range(len(OMEGA)), margin.delta, margin.upper, strict=True):
+        d = delta["measured y1 from u1"]
+        assert abs(d) == pytest.approx(size)
+        assert abs(1 + k * (g[w] + r[w] * d)) < 1e-9  # the loop is singular there
+    # |g + d r| / |1 + k (g + d r)| over the disc: its image is a disc again
+    gain = rl.worst_case_gain_at(data.feedback(k))
+    angles = np.exp(2j * np.pi * np.arange(20000) / 20000)
+    p = g[:, None] + r[:, None] * angles
+    truth = abs(p / (1 + k * p)).max(axis=1)
+    assert np.allclose(gain.lower, truth, rtol=1e-4)
+    assert (gain.upper >= truth).all()
+    assert (gain.upper <= truth * 1.001).all()
+
+
+def test_only_points_are_claimed_and_a_variation_closes_the_gaps():
+    resonance = rl.StateSpaceModel([[0, 1], [-1, -0.02]], [[0], [1]], [[1, 0]], [[0]])
+    omega = np.array([0.5, 1.5])  # the peak at 1 rad/s lies between
+    set_ = rl.unstructured(resonance, 1.0, "inverse-additive")
+    found = rl.robust_stability_at(set_, omega)
+    truth = rl.robust_stability(set_)
+    assert found.lower.min() > 30 * truth.upper
+    assert found.between is None
+    assert "nothing is claimed between them" in found.summary()
+    assert "taken for granted" in found.summary()
+    fine = np.linspace(0.5, 1.5, 400)
+    slope = abs(np.gradient(rl.frequency_response(resonance, np.linspace(0.5, 1.5, 400001))[:, 0, 0], 2.5e-6)).max()
+    between = rl.robust_stability_at(set_, fine, variation=1.01 * slope).between
+    assert between.shape == (399,)
+    assert 0.2 * truth.lower < between.min() <= truth.upper
+    inside = 1 / abs(rl.frequency_response(resonance, 0.5 * (fine[1:] + fine[:-1]))[:, 0, 0])
+    assert (between <= inside).all()
+
+
+def test_the_gaps_hold_with_real_blocks_too():
+    loop = MOTORS.feedback(5.0)
+    omega = np.linspace(0.0, 2.0, 60)
+    dense = np.linspace(0.0, 2.0, 20001)
+    M = rl.frequency_response(loop.delta_channels, dense)
+    slope = np.linalg.norm(np.diff(M, axis=0), 2, axis=(1, 2)).max() / (dense[1] - dense[0])
+    found = rl.robust_stability_at(loop, omega, variation=1.02 * slope)
+    middle = rl.robust_stability_at(loop, 0.5 * (omega[1:] + omega[:-1]))
+    assert np.isfinite(found.between).all()
+    assert (found.between > 0).all()
+    assert (found.between <= middle.upper * (1 + 1e-9)).all()
+
+
+def test_the_circle_holds_the_true_response_as_often_as_it_says():
+    rng = np.random.default_rng(11)
+    trials, n, truth = 20000, 6, 1.5 - 0.7j
+    noise = (rng.standard_normal((2, trials, n)) + 1j * rng.standard_normal((2, trials, n))) / np.sqrt(2)
+    u, y = noise[0], truth * noise[0] + 0.8 * noise[1]
+    Suu, Syy, Syu = (abs(u) ** 2).sum(1), (abs(y) ** 2).sum(1), (y * u.conj()).sum(1)
+    G = Syu / Suu
+    r = rl.response_radius(G, abs(Syu) ** 2 / (Suu * Syy), n, 0.9)
+    share = (abs(G - truth) <= r).mean()
+    assert abs(share - 0.9) < 4 * np.sqrt(0.9 * 0.1 / trials)
+
+
+def test_disk_margins_at_a_frequency():
+    late = 2.0 * LAG @ rl.delay(0.5)
+    margin = rl.delay_disk_margin(late)
+    at = rl.disk_margin_at(late, frequency=[margin.gain.frequency]).simultaneous
+    assert at.lower[0] == pytest.approx(margin.upper, rel=1e-9)
+    A, B = -np.diag([1.0, 2.0]), np.array([[1.0, 0.3], [-0.4, 1.0]])
+    plant = rl.StateSpaceModel(A, B, np.eye(2), np.zeros((2, 2)))
+    K = rl.StateSpaceModel([], [], [], 3 * np.eye(2))
+    for place in ("input", "output", "both"):
+        axis = rl.disk_margin(plant, K, at=place)
+        points = rl.disk_margin_at(plant, 3 * np.eye(2), [axis.simultaneous.frequency, 2.0], at=place)
+        assert points.simultaneous.upper.min() == pytest.approx(axis.simultaneous.upper, rel=1e-3)
+        for name, channel in points.channels.items():
+            assert (channel.lower >= axis.channels[name].lower * (1 - 1e-6)).all()
+    data = rl.frequency_data(plant, OMEGA)
+    same = rl.disk_margin_at(data, 3 * np.eye(2)).simultaneous
+    assert np.allclose(same.lower, rl.disk_margin_at(plant, 3 * np.eye(2), OMEGA).simultaneous.lower)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rl.frequency_data([1.0], [0.0, 1.0]), r"UncertainFrequencyData|frequency_data: M"),
+        (lambda: rl.frequency_data([1.0, 2.0], [1.0, 0.5]), "do not increase"),
+        (lambda: rl.frequency_data(LAG, [1.0], radius=0.1), "a radius of a model"),
+        (lambda: rl.frequency_data([1.0, 2.0], [0.0, 1.0], radius=-1.0), "negative"),
+        (lambda: rl.robust_stability_at(MOTORS), "frequency: none"),
+        (lambda: rl.robust_stability_at(rl.frequency_data(LAG, [1.0])), "no uncertainty"),
+        (lambda: rl.frequency_data(LAG, [1.0]) @ rl.frequency_data(LAG, [2.0]), "the same frequencies"),
+        (lambda: rl.disk_margin_at(MOTORS, frequency=[1.0]), "without blocks"),
+        (lambda: rl.hinf_norm(rl.frequency_data(LAG, [1.0])), "no state-space model"),
+        (lambda: rl.response_radius([1.0], [1.2], 5), "coherence"),
+    ],
+)
+def test_what_is_refused(call, message):
+    with pytest.raises(rl.InputError, match=message):
+        call()
+
+
+def test_a_pole_at_a_frequency_is_refused():
+    with pytest.raises(rl.NoTrustworthyNumber, match="singular at 1 rad/s"):
+        rl.frequency_data([-1.0, 2.0], [1.0, 2.0]).feedback(1.0)
+
+
+def test_a_file_gives_the_data_back(tmp_path):
+    G = two_by_two()
+    data = rl.frequency_data(G, OMEGA, radius=abs(G), inputs=[("a", "V"), "b"], outputs=["c", ("d", "m")]).feedback(0.5)
+    rl.save(tmp_path / "x.h5", data)
+    back = rl.load(tmp_path / "x.h5")
+    assert isinstance(back, rl.UncertainFrequencyData)
+    assert (back.M == data.M).all()
+    assert (back.blocks, back.inputs, back.outputs) == (data.blocks, data.inputs, data.outputs)
