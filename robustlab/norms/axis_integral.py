@@ -124,7 +124,7 @@ def axis_integral(
         change = np.abs(value[:, 0] - coarse)
         moved = ~(change <= tuning.rtol * (done[0] + value[:, 0].sum()))
         over = points + 2 * moved.sum() * len(NODES) > tuning.points or halvings > tuning.halvings
-        if not moved.any() or over:
+        if not moved.any() or over or not np.isfinite(value).all():
             return AxisIntegral(done + value.sum(0), open_ + float(change.sum()), not moved.any(), points)
         done, open_ = done + value[~moved].sum(0), open_ + float(change[~moved].sum())
         low, high = low[moved], high[moved]
@@ -135,8 +135,8 @@ def axis_integral(
 def _ends(poles: AnyArray, nyquist: float, tuning: AxisTuning) -> AnyArray:
     """Ends of the first panels: from 0 to the Nyquist frequency, or to W and then one more step for the rest."""
     poles = np.unique(np.real(poles) + 1j * np.abs(np.imag(poles)))
-    at, width = np.imag(poles), np.maximum(np.abs(np.real(poles)), np.spacing(np.abs(poles)))
     last = nyquist or 4.0 * float(np.abs(poles).max())
+    at, width = np.imag(poles), np.maximum(np.abs(np.real(poles)), np.maximum(np.spacing(np.abs(poles)), 1e-25 * last))
     steps = np.ceil(np.log(max(last / width.min(initial=last), 1.0)) / np.log(tuning.growth)) + 1
     away = np.append(0.0, tuning.growth ** np.arange(steps)) * width[:, None]
     own = np.hypot(away, width[:, None])
