@@ -39,9 +39,8 @@ class ModalResponse:
         D, shape (p, m).
     sizes
         Norms of the rows of ``into``, of the columns of ``out``, of V's columns and of D.
-    defect, into_defect, out_defect
-        Bounds of the entries of F, shape (n, n), and of the norms of the rows of ``into`` and the columns of ``out``
-        that rounding added, shape (n,).
+    defect, into_error, out_error
+        Bounds of the entries of F, shape (n, n), and of what rounding added to those of ``into`` and ``out``.
     """
 
     poles: AnyArray
@@ -50,8 +49,8 @@ class ModalResponse:
     direct: AnyArray
     sizes: tuple[AnyArray, AnyArray, AnyArray, float]
     defect: AnyArray
-    into_defect: AnyArray
-    out_defect: AnyArray
+    into_error: AnyArray
+    out_error: AnyArray
 
     @classmethod
     def of(cls, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> ModalResponse | None:
@@ -59,6 +58,7 @@ class ModalResponse:
         with np.errstate(all="ignore"):  # what overflows here has an infinite bound
             try:
                 poles, V = np.linalg.eig(A)
+                poles = poles.astype(complex)
                 inverse = np.linalg.inv(V)
             except np.linalg.LinAlgError:
                 return None
@@ -71,8 +71,16 @@ class ModalResponse:
             missed = np.abs(B - V @ into) + u * (np.abs(B) + size @ np.abs(into))
             return cls(
                 poles, into, out, D, (_lengths(into, 1), _lengths(out, 0), _lengths(size, 0), float(np.linalg.norm(D))),
-                back @ left, _lengths(back @ missed, 1), _lengths(u * (np.abs(C) @ size), 0),
+                back @ left, back @ missed, u * (np.abs(C) @ size),
             )  # fmt: skip
+
+    def _values(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """``G(s)``, shape (k, p, m), and ``|(sI - Lambda)^-1|``, shape (k, n)."""
+        R = 1.0 / (s[:, None] - self.poles)
+        p, m = self.direct.shape
+        # The sum over the modes of out[:, k] into[k] R_k is a product of (points, n) with (n, p m).
+        terms = (self.out.T[:, :, None] * self.into[:, None, :]).reshape(len(self.poles), p * m)
+        return (R @ terms).reshape(len(s), p, m) + self.direct, np.abs(R)
 
     def response(self, s: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
         r"""``G(s)`` at finite points s, shape (k, p, m), bounds of its error, and of ``|(sI - A)^{-1} B|``.
@@ -84,17 +92,25 @@ class ModalResponse:
         """
         into_size, out_size, modes, direct_size = self.sizes
         with np.errstate(all="ignore"):  # a point on a pole has an infinite bound
-            R = 1.0 / (s[:, None] - self.poles)
-            p, m = self.direct.shape
-            # The sum over the modes of out[:, k] into[k] R_k is a product of (points, n) with (n, p m).
-            terms = (self.out.T[:, :, None] * self.into[:, None, :]).reshape(len(self.poles), p * m)
-            found = (R @ terms).reshape(len(s), p, m) + self.direct
-            near = np.abs(R)
+            found, near = self._values(s)
+            into_defect, out_defect = _lengths(self.into_error, 1), _lengths(self.out_error, 0)
             reach, see = near * into_size, near * out_size
-            error = ((see @ self.defect) * reach).sum(1) + see @ self.into_defect + reach @ self.out_defect
+            error = ((see @ self.defect) * reach).sum(1) + see @ into_defect + reach @ out_defect
             error += (len(self.poles) + 8) * EPS * (see @ into_size + direct_size)
             sound = ((near * self.defect.sum(0)).max(1) < KNOWN) & (error < np.inf)
         return found, np.where(sound, SECOND_ORDER * error, np.inf), reach @ modes
+
+    def entries(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """`response` with a bound of the error of every entry, shape (k, p, m); NaN where that is infinite."""
+        into, out = np.abs(self.into), np.abs(self.out)
+        with np.errstate(all="ignore"):
+            found, near = self._values(s)
+            see, reach = near[:, None, :] * out, near[:, :, None] * into
+            rounding = (len(self.poles) + 8) * EPS
+            error = (see @ self.defect + self.out_error + rounding * out) @ reach + see @ self.into_error
+            error += rounding * np.abs(self.direct)
+            sound = ((near * self.defect.sum(0)).max(1) < KNOWN)[:, None, None] & (error < np.inf)
+        return np.where(sound, found, np.nan), np.where(sound, SECOND_ORDER * error, np.inf)
 
     def gains(self, s: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
         """``sigma_max(G(s))``, shape (k,), with the bounds of `response`."""

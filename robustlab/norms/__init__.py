@@ -1,6 +1,6 @@
 """System norms with their evidence, the passivity index, and the bilinear map, which keeps the H-infinity norm."""
 
-from robustlab.norms.axis_integral import panel_ends
+from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.norms.axis_peak import checked_band, linf_norm
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.norms.hinfinity import QUIET, HinfNorm, gain_rounding, hinf_norm, norm_as_given
@@ -9,6 +9,7 @@ from robustlab.norms.positive_real import Passivity, passivity
 
 __all__ = [
     "QUIET",
+    "AxisTuning",
     "H2Norm",
     "HinfNorm",
     "Passivity",

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.exact_stability import exactly_stable
 from robustlab.magnitude import Moderated, balancing_factors, moderated
@@ -32,7 +33,7 @@ class H2Norm(Shown):
     Attributes
     ----------
     value
-        The norm, the larger of what the two Gramians give.
+        The norm; where the integral was not asked, or does not confirm it, the larger of what the two Gramians give.
     status
         CONVERGED where all voices that were asked agree to 1e-6 of the norm; CERTIFIED for a norm that is infinite or
         needs no equation; INACCURATE where they disagree, FAILED without a solution.
@@ -66,8 +67,9 @@ def h2_norm(model: Any) -> H2Norm:
         A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0
 
     and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``, the mean of
-    ``tr G G^*`` over the unit circle. The two Gramians share a Schur form; the integral, by adaptive quadrature, needs
-    frequency responses alone.
+    ``tr G G^*`` over the unit circle. The two Gramians share a Schur form; what they have lost is taken back by their
+    residuals in extended precision, to the product of their errors. The integral, by adaptive quadrature, needs
+    frequency responses alone; where it disagrees these are computed once more with refined solutions.
 
     Parameters
     ----------
@@ -98,67 +100,106 @@ def h2_norm(model: Any) -> H2Norm:
     >>> round(norm.value, 9), round(norm.integral, 9), norm.status.value
     (3.0, 3.0, 'converged')
     """
-    found = h2_by_gramians(model)
-    if found.status not in (Status.CONVERGED, Status.INACCURATE) or not np.isfinite(found.value):
+    found, solved = _by_gramians(moderated(as_model(model, "h2_norm"), "h2_norm"))
+    if solved is None:
         return found
-    ordinary = moderated(as_model(model, "h2_norm"), "h2_norm")
-    try:
-        square, settled = mean_square_gain(ordinary.model)
-    except NoTrustworthyNumber as error:
-        return replace(found, status=Status.INACCURATE, reason=f"no integral over the frequency axis: {error.found}")
-    integral = ordinary.value(float(np.sqrt(square)), "h2_norm", 0.0 if ordinary.model.is_discrete else 0.5)
-    found = replace(found, integral=integral)
-    if found.status is Status.INACCURATE:
-        return found
-    if not settled:
-        text = f"the integral over the frequency axis did not settle at {integral:.9g}"
-    elif abs(integral - found.value) > AGREE * max(integral, found.value):
-        text = f"the Gramians give {found.value:.9g}, the integral over the frequency axis {integral:.9g}"
-    else:
-        return found
-    return replace(found, status=Status.INACCURATE, reason=text)
+    stationary = solved.norm(solved.stationary_square())
+    for careful in (False, True):
+        try:
+            square, settled = mean_square_gain(solved.model, careful=careful)
+        except NoTrustworthyNumber as error:
+            text = f"no integral over the frequency axis: {error.found}"
+            return replace(found, status=Status.INACCURATE, reason=found.reason or text)
+        integral = solved.norm(square)
+        if settled and _agree(integral, stationary) and not solved.doubt:
+            return H2Norm(stationary, Status.CONVERGED, "", integral)
+        if not settled:
+            break
+    text = f"the Gramians give {found.value:.9g}, the integral over the frequency axis {integral:.9g}"
+    text = text if settled else f"the integral over the frequency axis did not settle at {integral:.9g}"
+    return H2Norm(found.value, Status.INACCURATE, found.reason or text, integral)
 
 
 @told_as("h2_norm")
 def h2_by_gramians(model: Any) -> H2Norm:
     """`h2_norm` without its third voice, for searches: INACCURATE where the two Gramians differ by more than 1e-6."""
-    ordinary = moderated(as_model(model, "h2_norm"), "h2_norm")
+    return _by_gramians(moderated(as_model(model, "h2_norm"), "h2_norm"))[0]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Both Gramians (n, n) of the ordinary model in other states and in the time unit 1/rate, where a norm comes from.
+
+    ``doubt`` says why the model may not be stable.
+    """
+
+    ordinary: Moderated
+    model: StateSpaceModel
+    rate: float
+    reach: AnyArray
+    see: AnyArray
+    doubt: str = ""
+
+    def norm(self, square: float) -> float:
+        """The norm of the model as given from the square of that of this one."""
+        # A discrete sum has no time unit; a continuous integral has that of the ordinary model.
+        power = 0.0 if self.model.is_discrete else 0.5
+        return self.ordinary.value(float(np.sqrt(self.rate * max(square, 0.0))), "h2_norm", power)
+
+    def of_gramians(self) -> H2Norm:
+        """The norm by both of them."""
+        s, direct = self.model, float((self.model.D**2).sum())
+        squares = [float(np.trace(s.C @ self.reach @ s.C.T)), float(np.trace(s.B.T @ self.see @ s.B))]
+        sizes = [np.abs(s.C) @ np.abs(self.reach) @ np.abs(s.C.T), np.abs(s.B.T) @ np.abs(self.see) @ np.abs(s.B)]
+        one, two = (self.norm(max(x, 0.0) + direct) for x in squares)
+        reason = "" if _agree(one, two) else f"the two Gramians give {one:.9g} and {two:.9g}"
+        if any(x < -s.n_states * EPS * np.trace(size) for x, size in zip(squares, sizes, strict=True)):
+            reason = "a Gramian came out indefinite"
+        reason = reason or self.doubt
+        return H2Norm(max(one, two), Status.INACCURATE if reason else Status.CONVERGED, reason)
+
+    def stationary_square(self) -> float:
+        r"""The square of the norm, off by the product of what the two Gramians are off, in extended precision.
+
+        .. math:: \|G\|_2^2 = \mathrm{tr}(C P C^T) + \mathrm{tr}(Q R) - \mathrm{tr}(\Delta Q\, R), \qquad
+            R = A P + P A^T + B B^T \quad (A P A^T - P + B B^T)
+        """
+        s = self.model
+        A, B, C, D, P, Q = (x.astype(np.longdouble) for x in (s.A, s.B, s.C, s.D, self.reach, self.see))
+        left = A @ P @ A.T - P if s.is_discrete else A @ P + P @ A.T
+        return float((C @ P * C).sum() + (Q * (left + B @ B.T)).sum() + (D**2).sum())
+
+
+def _agree(one: float, two: float) -> bool:
+    return abs(one - two) <= AGREE * max(one, two)
+
+
+def _by_gramians(ordinary: Moderated) -> tuple[H2Norm, _Solved | None]:
+    """The norm by both Gramians, and these; None where the norm needs none, or there are none."""
     m = ordinary.model
     outside = unstable_norm(m, ordinary.rate) if m.n_states else None
     if outside is not None and (outside.status is Status.CERTIFIED or not m.is_stable()):
-        return H2Norm(np.inf, outside.status, outside.reason)
+        return H2Norm(np.inf, outside.status, outside.reason), None
     if not m.is_discrete and m.D.any():
-        return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term")
+        return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term"), None
     if not m.n_states:
-        return H2Norm(ordinary.value(float(np.linalg.norm(m.D)), "h2_norm"), Status.CERTIFIED)
+        return H2Norm(ordinary.value(float(np.linalg.norm(m.D)), "h2_norm"), Status.CERTIFIED), None
+    doubt = outside.reason if outside is not None and exactly_stable(m.A, m.is_discrete) is None else ""
     # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
     s, rate = (m, 1.0) if m.is_discrete else well_scaled(m)
-    found = _by_gramians(ordinary, s, rate)
-    if found.status is not Status.CONVERGED:
+    found = _solved(ordinary, s, rate, doubt)
+    if found[0].status is not Status.CONVERGED:
         # States that weigh inputs and outputs alike may make A lopsided, whose Schur form then loses small entries.
         t = balancing_factors(s.A)
         again = StateSpaceModel(s.A / t[:, None] * t, s.B / t[:, None], s.C * t, s.D, s.dt)
-        other = _by_gramians(ordinary, again, rate) if (t != t[0]).any() else found
-        found = other if other.status is Status.CONVERGED else found
-    if outside is not None and exactly_stable(m.A, m.is_discrete) is None and found.status is Status.CONVERGED:
-        return H2Norm(found.value, Status.INACCURATE, outside.reason)
+        other = _solved(ordinary, again, rate, doubt) if (t != t[0]).any() else found
+        found = other if other[0].status is Status.CONVERGED or found[1] is None else found
     return found
 
 
-def _by_gramians(ordinary: Moderated, s: StateSpaceModel, rate: float) -> H2Norm:
-    """The H2 norm of the model as given from s, which is the ordinary one in other states and in the unit 1/rate."""
+def _solved(ordinary: Moderated, s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, _Solved | None]:
     try:
-        reach, see = gramians(s.A, s.B, s.C, s.is_discrete)
+        solved = _Solved(ordinary, s, rate, *gramians(s.A, s.B, s.C, s.is_discrete), doubt)
     except NoTrustworthyNumber as error:
-        return H2Norm(np.inf, Status.FAILED, error.line)
-    traces = [float(np.trace(s.C @ reach @ s.C.T)), float(np.trace(s.B.T @ see @ s.B))]
-    terms = [np.abs(s.C) @ np.abs(reach) @ np.abs(s.C.T), np.abs(s.B.T) @ np.abs(see) @ np.abs(s.B)]
-    lost = any(x < -len(s.A) * EPS * np.trace(t) for x, t in zip(traces, terms, strict=True))
-    squares = [max(x, 0.0) for x in traces]
-    # A discrete sum has no time unit; a continuous integral has that of the ordinary model.
-    power, direct = (0.0, float((s.D**2).sum())) if s.is_discrete else (0.5, 0.0)
-    one, two = (ordinary.value(float(np.sqrt(rate * x + direct)), "h2_norm", power) for x in squares)
-    agree = not lost and abs(one - two) <= AGREE * max(one, two)
-    reason = "a Gramian came out indefinite" if lost else f"the two Gramians give {one:.9g} and {two:.9g}"
-    reason = "" if agree else reason
-    return H2Norm(float(max(one, two)), Status.CONVERGED if agree else Status.INACCURATE, reason)
+        return H2Norm(np.inf, Status.FAILED, error.line), None
+    return solved.of_gramians(), solved

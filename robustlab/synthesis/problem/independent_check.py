@@ -15,12 +15,12 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import frequency_response
 from robustlab.magnitude import times_power
 from robustlab.norms import H2Norm, HinfNorm
+from robustlab.norms.axis_integral import AxisTuning, axis_integral
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius, poles_in_s
+from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
@@ -204,7 +204,7 @@ def h2_voice(
     claimed: float,
     tuning: ProblemTuning = TUNING,
 ) -> SecondVoice:
-    r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles.
+    r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles (`axis_integral`).
 
     .. math:: \|T\|_2^2 = \frac1\pi \int_0^\infty \|T(j\omega) - T(\infty)\|_F^2 d\omega, \qquad
        \frac{dt}\pi \int_0^{\pi/dt} \|T(e^{j\omega dt})\|_F^2 d\omega
@@ -225,13 +225,8 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
     tuning = separate.tuning
     grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
     rouche = float(np.max(grid.rouche, initial=0.0))
-    corners = separate.corners()
-    low, high = corners[0] / tuning.beyond, corners[-1] * tuning.beyond
-    if separate.dt:
-        high = np.pi / separate.dt
-        corners = corners[corners < high]
-        direct = np.zeros(grid.T.shape[1:])
-    else:
+    direct = np.zeros(grid.T.shape[1:])
+    if not separate.dt:
         direct = grid.T[-1]
         if frobenius(grid.T[-1:])[0] - frobenius(grid.T_error[-1:])[0] > CANCELLED * grid.size[-1]:
             return np.inf, np.inf, rouche, len(grid.omega)  # next to an ill-posed loop no K of floats cancels D11
@@ -242,64 +237,21 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
     # Of T as it is evaluated, a power of two near the claimed norm.
     unit = int(exponent + separate.gain - np.floor(power))
     if separate.loop.n_states > tuning.many_states:
-        blur = float(np.sqrt(scale * _difference(grid, direct, separate.loop, unit)))
+        blur = float(np.sqrt(scale * _difference(grid, direct, separate, unit)))
         return claimed, _in_units_given(blur, unit, separate.gain, power), rouche, len(grid.omega)
 
-    def squares(omega: AnyArray) -> tuple[AnyArray, AnyArray]:
+    def squares(omega: AnyArray) -> AnyArray:
         found = separate.values(omega, everywhere=True)
-        T, error = frobenius(found.T - direct), frobenius(found.T_error)
-        return times_power(T, -unit) ** 2, times_power(error, -unit) ** 2
+        sizes = np.stack([frobenius(found.T - direct), frobenius(found.T_error)], axis=1)
+        return times_power(sizes, -unit) ** 2
 
-    edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
-    value, error, open_, count = _integral_over_decades(squares, edges, tuning)
-    ends, ends_error = squares(np.array([low, high]))
-    value += low * ends[0] + (0.0 if separate.dt else high * ends[1])
-    error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
+    poles = separate.poles[0] if len(separate.poles[0]) else -np.ones(1)
+    found = axis_integral(squares, poles, separate.dt, AxisTuning(rtol=tuning.panel_change, points=tuning.most_nodes))
+    value, error = (float(x) for x in found.values)
     norm = float(np.sqrt(scale * value))
-    blur = float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
+    blur = float(np.sqrt(scale * error)) + (0.5 * found.open / value * norm if value > 0 else 0.0)
     norm, blur = (_in_units_given(x, unit, separate.gain, power) for x in (norm, blur))
-    return norm, blur, rouche, count
-
-
-def _integral_over_decades(
-    squares: Callable[[AnyArray], tuple[AnyArray, AnyArray]], edges: AnyArray, tuning: ProblemTuning
-) -> tuple[float, float, float, int]:
-    """Integrals over omega between the edges (logarithms) of both functions, what is open of the first, evaluations.
-
-    Gauss-Legendre on panels of ln omega, each bisected until its halves change next to nothing.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(tuning.nodes)
-
-    def panels(left: AnyArray, right: AnyArray) -> tuple[AnyArray, AnyArray]:
-        half = 0.5 * (right - left)[:, None]
-        omega = np.exp(left[:, None] + half * (1 + nodes))
-        value, error = squares(omega.ravel())
-        factor = half * weights * omega
-        return (factor * value.reshape(omega.shape)).sum(axis=1), (factor * error.reshape(omega.shape)).sum(axis=1)
-
-    left, right = edges[:-1], edges[1:]
-    coarse, _ = panels(left, right)
-    value, error, left_open, count = 0.0, 0.0, 0.0, tuning.nodes * len(left)
-    for _ in range(tuning.rounds):
-        middle = 0.5 * (left + right)
-        # Interleaved, so that frequencies go up.
-        starts, stops = np.stack([left, middle], axis=1).ravel(), np.stack([middle, right], axis=1).ravel()
-        fine, fine_error = panels(starts, stops)
-        count += tuning.nodes * len(starts)
-        both, both_error = fine.reshape(-1, 2).sum(axis=1), fine_error.reshape(-1, 2).sum(axis=1)
-        if not (np.isfinite(both).all() and np.isfinite(coarse).all()):
-            return float("nan"), float("inf"), float("inf"), count
-        change = np.abs(both - coarse)
-        done = change <= tuning.panel_change * (value + both.sum())
-        last = count > tuning.most_nodes
-        done |= last
-        value, error = value + float(both[done].sum()), error + float(both_error[done].sum())
-        left_open += float(change[done].sum())
-        again = np.repeat(~done, 2)
-        left, right, coarse = starts[again], stops[again], fine[again]
-        if not len(left):
-            break
-    return value + float(coarse.sum()), error, left_open + float(coarse.sum()), count
+    return norm, blur, rouche, len(grid.omega) + found.points
 
 
 def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:
@@ -308,19 +260,19 @@ def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:
     return float(times_power(size * 2.0 ** (power - whole), unit - gain + whole))
 
 
-def _difference(grid: SeparateValues, direct: AnyArray, loop: StateSpaceModel, unit: int) -> float:
+def _difference(grid: SeparateValues, direct: AnyArray, separate: SeparateLoop, unit: int) -> float:
     """Integral over omega of the squared difference between the true and the rebuilt loop's response, over 4^unit."""
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
-    omega = grid.omega[finite]
+    omega, loop = grid.omega[finite], separate.loop
     try:
-        rebuilt = frequency_response(loop, omega)
+        rebuilt, error = separate.rebuilt(omega)
     except NoTrustworthyNumber:
         return float("inf")
-    difference = frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D))
+    difference = frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D)) + error
     squares = times_power(difference + frobenius(grid.T_error[finite]), -unit) ** 2
     width = np.gradient(omega) if len(omega) > 1 else omega
     # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
-    poles = poles_in_s(loop.poles(), loop.dt)
+    poles = separate.poles[0]
     near = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else omega
     ends = omega[0] * squares[0] + (0.0 if loop.is_discrete else omega[-1] * squares[-1])
     return float((squares * np.minimum(width, 4 * near)).sum() + ends)

@@ -7,8 +7,9 @@ it may be the realisation of another loop. Nothing here uses its response. With 
    \begin{bmatrix} I & -P_{22} \\ -K & I \end{bmatrix} \begin{bmatrix} y \\ u \end{bmatrix} =
    \begin{bmatrix} P_{21} \\ 0 \end{bmatrix}, \qquad T = P_{11} + P_{12} u
 
-and every step has a bound of its error. Where ordinary precision leaves the bound too wide, all is done again with
-about 30 digits. The characteristic polynomial of the true loop, which has to be that of the rebuilt one, is
+and every step has a bound of its error. P and K come from their modes (`modal_response`), or from linear systems where
+that leaves the bound too wide; where ordinary precision does, all is done again with about 30 digits. The
+characteristic polynomial of the true loop, which has to be that of the rebuilt one, is
 
 .. math:: \chi(s) = \det(sI - A_P) \det(sI - A_K) \det(I - P_{22} K) / \det(I - D_{22} D_K)
 
@@ -21,12 +22,12 @@ Rump, "Verification methods: rigorous results using floating-point arithmetic", 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.frequency import frequency_response
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
@@ -81,7 +82,12 @@ class SeparateLoop:
         plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
-        self.poles = [poles_in_s(m.poles(), self.dt) for m in (self.loop, self.P, self.K)]
+        models = (self.loop, self.P, self.K)
+        self.modes = [ModalResponse.of(m.A, m.B, m.C, m.D) if m.n_states else None for m in models]
+        self.poles = [
+            poles_in_s(m.poles() if modes is None else modes.poles, self.dt)
+            for m, modes in zip(models, self.modes, strict=True)
+        ]
         self.log_direct = complex(np.log(complex(np.linalg.det(np.eye(plant.n_con) - K.D @ plant.D22))))
 
     # --- where -------------------------------------------------------------------------------------------------------
@@ -127,11 +133,14 @@ class SeparateLoop:
             return np.asarray(~((found.error <= quick * top) | (found.gain + found.error < (1 - quick) * top)))
 
         with np.errstate(all="ignore"):
-            found = self._evaluated(omega, _Doubles, polynomial)
-            apart = ~(found.rouche <= self.tuning.quick_rouche)
-            doubtful = wide(found) | apart
-            if not doubtful.any():
-                return found
+            found = self._evaluated(omega, _Modal, polynomial)
+            for kind in (_Doubles, DoubleDouble):
+                apart = ~(found.rouche <= self.tuning.quick_rouche)
+                doubtful = wide(found) | apart
+                if not doubtful.any():
+                    return found
+                if kind is _Doubles:
+                    found = found.at(~doubtful).joined(self._evaluated(found.omega[doubtful], kind, polynomial))
             once_more = polynomial and bool(apart.any())
             kept = self._affordable(found, np.flatnonzero(doubtful), once_more)
             again = self._evaluated(found.omega[kept], DoubleDouble, once_more)
@@ -173,7 +182,7 @@ class SeparateLoop:
 
     def _chunk(self, omega: AnyArray, kind: Any, polynomial: bool) -> SeparateValues:
         s = np.exp(1j * omega * self.dt) if self.dt else _on_axis(omega)
-        P, K = _response(self.P, s, kind), _response(self.K, s, kind)
+        P, K = (_response(m, s, kind, modes) for m, modes in zip((self.P, self.K), self.modes[1:], strict=True))
         T, T_error, size, log_det, log_det_error = _closed(P, K, kind)
         rouche = np.zeros(len(omega))
         if polynomial:
@@ -193,10 +202,16 @@ class SeparateLoop:
         error = np.where(np.isnan(error), np.inf, error)
         return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
 
-    @cached_property
-    def _modes(self) -> ModalResponse | None:
-        loop = self.loop
-        return ModalResponse.of(loop.A, loop.B, loop.C, loop.D) if loop.n_states else None
+    def rebuilt(self, omega: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """The rebuilt loop's response at finite frequencies, and bounds of its error where it comes from the modes."""
+        s, modes = np.exp(1j * omega * self.dt) if self.dt else 1j * omega, self.modes[0]
+        if modes is None:
+            return frequency_response(self.loop, omega), np.zeros(len(omega))
+        found, error, _ = modes.response(s)
+        doubtful = ~(error <= self.tuning.quick * frobenius(found))
+        if doubtful.any():
+            found[doubtful], error[doubtful] = frequency_response(self.loop, omega[doubtful]), 0.0
+        return found, error
 
     def _rebuilt_polynomial(self, s: AnyArray, kind: Any) -> _LogDet:
         """Log det(sI - A) of the rebuilt loop: from its modes where these are known well enough, else by elimination.
@@ -205,8 +220,8 @@ class SeparateLoop:
         """
         s = np.where(np.isfinite(s), s, 0.0)
         value, error = np.zeros(len(s), complex), np.full(len(s), np.inf)
-        if kind is _Doubles and self._modes is not None:
-            value, error = self._modes.log_determinant(s)
+        if kind is not DoubleDouble and self.modes[0] is not None:
+            value, error = self.modes[0].log_determinant(s)
         rest = ~(error <= self.tuning.modes)
         if rest.any():
             shifted = _shifted(self.loop, s[rest], kind)
@@ -256,6 +271,10 @@ class _Doubles:
         return np.asarray(matrices, dtype=complex)
 
 
+class _Modal(_Doubles):
+    """The same, responses from the modes."""
+
+
 def _inverted(matrix: Any, kind: Any) -> _Inverse:
     of = abs(matrix)
     found, back, logarithm = _solved(matrix, of, kind)
@@ -268,7 +287,7 @@ def _inverted(matrix: Any, kind: Any) -> _Inverse:
 def _solved(matrix: Any, of: AnyArray, kind: Any) -> tuple[Any, AnyArray, _LogDet]:
     """The inverses, their moduli and the logarithms of the determinants; ``of`` are the moduli of the matrices."""
     n = of.shape[-1]
-    if kind is _Doubles:
+    if kind is not DoubleDouble:
         sign, log = np.linalg.slogdet(matrix)
         found = np.full(matrix.shape, np.nan + 0j)
         sound = np.isfinite(log)
@@ -321,17 +340,25 @@ def _shifted(m: StateSpaceModel, s: AnyArray, kind: Any) -> Any:
     return kind.of(diagonal) - kind.of(np.broadcast_to(m.A, diagonal.shape))
 
 
-def _response(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Response:
+def _response(m: StateSpaceModel, s: AnyArray, kind: Any, modes: ModalResponse | None) -> _Response:
     k, infinite = len(s), ~np.isfinite(s)
     b, c, d = (kind.of(np.broadcast_to(x, (k, *x.shape))) for x in (m.B, m.C, m.D))
     if not m.n_states:
         return _Response(d, np.zeros((k, *m.D.shape)), np.zeros(k, complex), np.zeros(k))
-    a = _inverted(_shifted(m, s, kind), kind)
-    found = _through(c, a, b)
-    value, error = found.value + d, found.error + a.rounding * (abs(found.value) + abs(d))
+    if kind is not _Modal:
+        a = _inverted(_shifted(m, s, kind), kind)
+        found = _through(c, a, b)
+        value, error = found.value + d, found.error + a.rounding * (abs(found.value) + abs(d))
+        logarithm = _LogDet(a.log_det, a.log_det_error)
+    elif modes is None:
+        value, error = d, np.full((k, *m.D.shape), np.inf)
+        logarithm = _LogDet(np.zeros(k), np.full(k, np.inf))
+    else:
+        finite = np.where(infinite, 0.0, s)
+        (value, error), logarithm = modes.entries(finite), _LogDet(*modes.log_determinant(finite))
     if infinite.any():
         value, error = _chosen(infinite, d, value), np.where(infinite[:, None, None], 0.0, error)
-    return _Response(value, error, a.log_det, a.log_det_error)
+    return _Response(value, error, *logarithm)
 
 
 def _chosen(where: AnyArray, one: Any, other: Any) -> Any:

@@ -38,13 +38,9 @@ class ProblemTuning:
     chunk: int = 4_000_000
 
     # --- the H2 norm by quadrature
-    # How far it goes beyond the slowest and the fastest pole.
-    beyond: float = 1e4
     # From so many states of the loop on the rebuilt loop's response is compared in its place.
     many_states: int = 30
-    # Points of a panel, rounds of bisection, change of a panel (share of the whole) that ends it, most points.
-    nodes: int = 8
-    rounds: int = 30
+    # Difference of the two rules in a panel (share of the whole) that ends it, most points.
     panel_change: float = 1e-6
     most_nodes: int = 20_000
 

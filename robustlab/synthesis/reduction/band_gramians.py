@@ -18,14 +18,14 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.frequency import frequency_response
-from robustlab.norms import panel_ends
+from robustlab.norms import AxisTuning, panel_ends
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import triangular_root
 
 __all__ = ["band_gramian_factors"]
 
 # Points of Gauss and Legendre's rule in a panel; how much wider panels get away from a pole, and beyond all of them.
-NODES, GROWTH = 10, 4.0
+NODES, AXIS = 10, AxisTuning(growth=4.0)
 # Frequencies at a time.
 CHUNK = 1000
 
@@ -39,8 +39,11 @@ def band_gramian_factors(model: StateSpaceModel, low: float, high: float) -> tup
 def _rule(model: StateSpaceModel, low: float, high: float) -> tuple[AnyArray, AnyArray]:
     """Nodes and weights over the band, in rad/s; continuous and beyond all poles in 1 / omega."""
     x, w = np.polynomial.legendre.leggauss(NODES)
-    ends = panel_ends(model, GROWTH)
-    ends = ends / model.dt if model.is_discrete else ends[:-1]
+    poles: AnyArray = model.poles()
+    if model.is_discrete:
+        ends = panel_ends(np.log(poles[np.abs(poles) > 1e-12]) / model.dt, model.dt, AXIS)
+    else:
+        ends = panel_ends(poles, 0.0, AXIS)[:-1]
     last = ends[-1]
     inside = np.unique(np.concatenate([ends[(ends > low) & (ends < high)], [low, min(high, max(low, last))]]))
     half = 0.5 * np.diff(inside)
