@@ -162,9 +162,7 @@ def lpv_gain(
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
-        raise InputError(
-            "lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
-        )
+        raise InputError("lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
     budget = search_budget("lpv_gain", TUNING.work, effort, time_limit)
     with one_thread():
         return gain_from(model, lyapunov, budget, progress or (lambda _: None))
@@ -307,10 +305,7 @@ def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[floa
     gamma, margin, size = (m * count + k for k in range(3))
     robust = any(c.deviation.any() for c in posed.coefficients)
     # margin <= 1, margin >= 0, size >= 0
-    rows, right = (
-        [sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))],
-        [[1, 0, 0]],
-    )
+    rows, right = [sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))], [[1, 0, 0]]
     sizes: list[int] = []
 
     def add(parts: dict[int, Array], constant: Array) -> None:

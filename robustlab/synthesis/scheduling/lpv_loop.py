@@ -76,7 +76,8 @@ def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "cl
         found = "; ".join(p.words for p in law.parameters)
         raise InputError(where, f"a controller over {found}", "; ".join(p.words for p in plant.parameters))
     points = {
-        p.name: sorted({*p.points, *other.points}) for p, other in zip(plant.parameters, law.parameters, strict=True)
+        p.name: sorted({*p.points, *other.points})
+        for p, other in zip(plant.parameters, law.parameters, strict=True)
     }
     plant, law = plant.on_points(points), law.on_points(points)
     n_meas, n_con = len(law.inputs), len(law.outputs)
@@ -103,7 +104,9 @@ def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "cl
     deviation = np.zeros((*plant.deviation.shape[:-2], *P.shape[-2:]))
     for cell in plant.cells():
         (u, d_u), (k, d_k), (v, d_v) = (_largest(m, cell) for m in (U, law.matrices, V))
-        bend = sum(0.25 * (du @ dk @ v + du @ k @ dv + u @ dk @ dv) for du, dk, dv in zip(d_u, d_k, d_v, strict=True))
+        bend = sum(
+            0.25 * (du @ dk @ v + du @ k @ dv + u @ dk @ dv) for du, dk, dv in zip(d_u, d_k, d_v, strict=True)
+        )
         eu, ev = e_U[cell], e_V[cell]
         deviation[cell] = e_P[cell] + bend + eu @ k @ (v + ev) + u @ k @ ev
     known = plant.known

@@ -280,7 +280,7 @@ class LPVModel(Shown, Traced):
         """The same model with every cell cut into ``pieces`` along each parameter, or along those named: a finer grid
         for Lyapunov functions and controllers.
         """
-        cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
+        cuts = {name: pieces for name in self.names} if isinstance(pieces, int) else dict(pieces)
         points = {}
         for p in self.parameters:
             count = cuts.get(p.name, 1)
@@ -391,13 +391,7 @@ class LPVModel(Shown, Traced):
         """Parameters, signals and stacked matrices."""
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
         told = [vars(p).copy() for p in self.parameters]
-        return {
-            "parameters": told,
-            "matrices": self.matrices,
-            **sides,
-            "deviation": self.deviation,
-            "known": self.known,
-        }
+        return {"parameters": told, "matrices": self.matrices, **sides, "deviation": self.deviation, "known": self.known}
 
 
 def _flat(models: Any, depth: int) -> list[StateSpaceModel]:

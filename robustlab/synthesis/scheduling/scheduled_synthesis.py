@@ -197,9 +197,7 @@ def lpv_hinf(
         raise InputError("lpv_hinf", f"a {type(plant).__name__}", "an LPVModel", "rl.lpv_model makes one")
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
-        raise InputError(
-            "lpv_hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
-        )
+        raise InputError("lpv_hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
     matrices = plant_matrices(plant, n_meas, n_con, "lpv_hinf")
     if not plant.n_states:
         raise InputError("lpv_hinf", "a plant without states", "one with states")
@@ -278,7 +276,9 @@ class _Task:
         for backoff in self.tuning.synthesis_backoffs:
             for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
                 level = gamma * (1 + backoff) + 1e-9
-                _, outer, _ = projection(problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes)
+                _, outer, _ = projection(
+                    problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes
+                )
                 lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
                 K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
                 if K is None or lyapunov is None:
@@ -386,9 +386,7 @@ class _Task:
         controller = LPVController(K, gain.upper, gain.status, "lpv-hinf")
         frozen = self._frozen(K)
         if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
-            raise NoTrustworthyNumber(
-                "lpv_hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}"
-            )
+            raise NoTrustworthyNumber("lpv_hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
             controller=controller, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
             status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
