@@ -539,10 +539,11 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
         raise NoTrustworthyNumber("lyapunov_factor", "the factor is not finite")
     # X is real, so its real and imaginary factors side by side are a real factor of it.
     L = np.asarray(np.linalg.qr(np.hstack([np.real(factor), np.imag(factor)]).T, mode="r")).T
-    X = L @ L.T
-    size = 2 * np.linalg.norm(a @ X) + np.linalg.norm(b @ b.T)
-    residual = float(np.linalg.norm(a @ X + X @ a.T + b @ b.T) / size)
-    if residual > tolerance:
+    with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
+        X = L @ L.T
+        size = 2 * np.linalg.norm(a @ X) + np.linalg.norm(b @ b.T)
+        residual = float(np.linalg.norm(a @ X + X @ a.T + b @ b.T) / size) if size else 0.0
+    if not residual <= tolerance:
         raise NoTrustworthyNumber("lyapunov_factor", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return L
 

@@ -221,7 +221,7 @@ OBJECTS: dict[str, Any] = {
     "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),
     "Passivity": lambda: rl.passivity(lag()),
-    "InputPassivity": lambda: rl.passivity(lag()).input_index,
+    "PassivityIndex": lambda: rl.passivity(lag()).input_index,
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,

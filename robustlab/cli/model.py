@@ -312,6 +312,29 @@ def norm(
 
 @app.command()
 @grouped
+def zeros(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
+    """Finite invariant zeros of a model with their kinds: transmission zeros, and modes that are hidden.
+
+    Exit code 4: a zero was not found to working precision.
+
+    Example: robustlab model zeros motor.h5
+    """
+    from robustlab.invariant_zeros import zeros as invariant_zeros
+
+    found = [(name, invariant_zeros(model)) for name, model in _models(options.read(file))]
+    text = "\n".join(
+        f"{name}{value.summary()}" + "".join(
+            f"\n  zero {_complex(z)}  {kind}" for z, kind in zip(value.values, value.kinds, strict=True)
+        )
+        for name, value in found
+    )  # fmt: skip
+    emit("model zeros", {"file": file, **{name.rstrip(": ") or "model": value for name, value in found}}, text, as_json)
+    for _, value in found:
+        require_trust(value.status)
+
+
+@app.command()
+@grouped
 def connect(
     *,
     files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],

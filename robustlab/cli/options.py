@@ -38,6 +38,7 @@ __all__ = [
     "grouped",
     "names",
     "plant_settings",
+    "rows_of_blocks",
     "six_numbers",
     "shares",
 ]
@@ -237,6 +238,21 @@ def _listed_numbers(option: str, text: str, count: int, words: str, expected: st
     if len(numbers) != count:
         raise UsageError(f"{option} {text}", f"not {words}", expected)
     return numbers
+
+
+def rows_of_blocks(text: str) -> list[list[int]]:
+    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
+    rows: list[list[int]] = []
+    for part in text.split(";"):
+        try:
+            row = [int(number) for number in part.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 2:
+            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
+            raise UsageError("--blocks", repr(part.strip()), expected)
+        rows.append(row)
+    return rows
 
 
 def plant_settings(texts: list[str] | None) -> dict[str, Any]:

@@ -21,8 +21,10 @@ from robustlab.cli.options import (
     SeedOption,
     grouped,
     names,
+    rows_of_blocks,
 )
 from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.state_designs import kalman, lqi
 from robustlab.errors import (
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
@@ -370,7 +372,7 @@ def dk(
     """
     channels.check("synth dk")
     output.check()
-    rows = None if blocks is None else _rows_of_blocks(blocks)
+    rows = None if blocks is None else rows_of_blocks(blocks)
     from robustlab.synthesis.dk.dk_iteration import dk as design
 
     plant = channels.plant("synth dk", file)
@@ -589,6 +591,10 @@ def discretise(
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 
 
+app.command()(lqi)
+app.command()(kalman)
+
+
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
@@ -601,21 +607,6 @@ def _number_or_model(text: str) -> StateSpaceModel | float:
         return float(text)
     except ValueError:
         return as_model(load(text), text)
-
-
-def _rows_of_blocks(text: str) -> list[list[int]]:
-    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
-    rows: list[list[int]] = []
-    for part in text.split(";"):
-        try:
-            row = [int(number) for number in part.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != 2:
-            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
-            raise UsageError("--blocks", repr(part.strip()), expected)
-        rows.append(row)
-    return rows
 
 
 def _number(where: str, text: str) -> float:

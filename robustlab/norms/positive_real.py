@@ -1,4 +1,4 @@
-"""Passivity: the relative index as an H-infinity norm, the input index as a proved bracket over the axis."""
+"""Passivity: the relative index as an H-infinity norm, input and output index as proved brackets over the axis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
-from robustlab.magnitude import moderated, refuse_overflow
+from robustlab.magnitude import Moderated, moderated, refuse_overflow, scaled_down
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.hinfinity import (
     QUIET,
@@ -26,14 +26,19 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, is_rank_deficient
 
-__all__ = ["InputPassivity", "Passivity", "passivity"]
+__all__ = ["PassivityIndex", "Passivity", "passivity"]
 
+EPS = float(np.finfo(float).eps)
 LEVELS, GRID = 60, 400
+# A matrix is symmetric, and null spaces are one, to this share: beyond it no feedback makes a model passive.
+SYMMETRIC = 1e-10
 
 
 @dataclass(frozen=True)
-class InputPassivity(Shown):
-    r"""Input passivity index ``nu``, the smallest eigenvalue of ``(G + G^*) / 2`` over the axis.
+class PassivityIndex(Shown):
+    r"""Input passivity index ``nu`` of G, the smallest eigenvalue of ``(G + G^*) / 2`` over the axis.
+
+    The output index ``rho`` is that of the inverse of G.
 
     Attributes
     ----------
@@ -80,8 +85,10 @@ class Passivity(Shown):
         Frequency in rad/s at which ``lower`` is attained.
     input_index
         Input passivity index; None for a model that is not stable, which has none.
+    output_index
+        Output passivity index; None where the inverse does not exist or is not stable.
     status
-        That of the bracket of R; of the input index too where there is one.
+        That of the bracket of R; of both indices too where there are any.
     reason
         Why R is infinite or inaccurate; else empty.
     """
@@ -90,19 +97,21 @@ class Passivity(Shown):
     lower: float
     upper: float
     frequency: float
-    input_index: InputPassivity | None
+    input_index: PassivityIndex | None
     status: Status
     reason: str = ""
+    output_index: PassivityIndex | None = None
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         words = {True: "yes", False: "no", None: f"to within {number(self.upper - 1)} of the relative index"}
-        nu = [] if self.input_index is None else self.input_index.facts()
+        sides = (("input", self.input_index), ("output", self.output_index))
+        told = [(side, *fact) for side, index in sides if index is not None for fact in index.facts()]
         return [
             ("passive", words[self.passive]),
             ("relative index", bracket(self.lower, self.upper, ("attained", "proved"))),
             ("at", number(self.frequency, "rad/s")),
-            *((f"input {label}" if label == "index" else "there", text) for label, text in nu),
+            *((f"{side} {label}" if label == "index" else f"its {side}", text) for side, label, text in told),
             ("reason", self.reason),
         ]
 
@@ -113,26 +122,31 @@ class Passivity(Shown):
 
 @told_as("passivity")
 def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
-    r"""Relative passivity index R as a proved bracket, and the input passivity index.
+    r"""Relative passivity index R, input passivity index nu and output passivity index rho, as proved brackets.
 
-    .. math:: R = \|(I - G)(I + G)^{-1}\|_\infty, \qquad G \text{ passive} \Leftrightarrow R \le 1, \qquad
-        \nu = \inf_\omega \tfrac{1}{2} \lambda_{min}(G(j\omega) + G(j\omega)^*)
+    .. math:: R = \|(I - G)(I + G)^{-1}\|_\infty, \qquad G \text{ passive} \Leftrightarrow R \le 1
+
+    .. math:: \nu = \inf_\omega \tfrac{1}{2} \lambda_{min}(G + G^*), \qquad
+        \rho = \inf_\omega \tfrac{1}{2} \lambda_{min}(G^{-1} + G^{-*}): \quad G + G^* \succeq 2 \rho \, G^* G
 
     R < 1: the model stays passive in spite of a shortage elsewhere; R > 1: it lacks passivity by that factor. Poles on
     the imaginary axis are allowed, as of integrators. A stable model with nu > 0 is input strictly passive, with
-    nu < 0 a feedthrough of -nu would make it passive.
+    nu < 0 a feedthrough of -nu would make it passive. A model with a stable inverse is output strictly passive with
+    rho > 0, with rho < 0 a feedback of -rho around it would make it passive; it need not be stable itself.
 
     Parameters
     ----------
     model
         Square model, input k belonging to output k (force and speed, for example); continuous or discrete.
     rtol
-        Relative width of the bracket of R; that of nu is this share of the largest ``|G + G^*| / 2`` on a grid.
+        Relative width of the bracket of R; that of nu is this share of the largest ``|G + G^*| / 2`` on a grid, and
+        that of rho likewise for what the inverse is without its pole at infinity.
 
     Returns
     -------
     Passivity
-        R is infinite where ``(I + G)^-1`` is unstable or not proper, and where G has hidden modes that are not stable.
+        R is infinite where ``(I + G)^-1`` is unstable or not proper, and where G has hidden modes that are not stable;
+        rho is -inf where no feedback makes G passive: the gain falls too fast, or with the wrong sign or symmetry.
 
     Raises
     ------
@@ -152,6 +166,8 @@ def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
     >>> found = passivity(damper)
     >>> found.passive, round(found.lower, 6), round(found.input_index.lower, 4)
     (True, 0.333333, 1.0)
+    >>> round(found.output_index.lower, 4)  # (s + 1) / (s + 2) is 1/2 at 0
+    0.5
     """
     g = as_model(model, "passivity")
     if g.n_inputs != g.n_outputs or not g.n_inputs:
@@ -164,11 +180,11 @@ def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
         relative = HinfNorm(np.inf, np.inf, np.inf, np.inf, Status.CERTIFIED, text)
     else:
         relative = hinf_norm(_reflection(g, one), rtol)
-    nu = _input_index(g, rtol)
-    statuses = [relative.status] if nu is None else [relative.status, nu.status]
-    status = Status.CERTIFIED if set(statuses) == {Status.CERTIFIED} else Status.INACCURATE
+    nu, rho = _input_index(g, rtol), _output_index(g, rtol)
+    statuses = {part.status for part in (relative, nu, rho) if part is not None}
+    status = Status.CERTIFIED if statuses == {Status.CERTIFIED} else Status.INACCURATE
     return Passivity(
-        _verdict(relative), relative.lower, relative.upper, relative.frequency, nu, status, relative.reason
+        _verdict(relative), relative.lower, relative.upper, relative.frequency, nu, status, relative.reason, rho
     )
 
 
@@ -190,7 +206,7 @@ def _reflection(g: StateSpaceModel, one: AnyArray) -> StateSpaceModel:
     return StateSpaceModel(A, B, C, D, g.dt, where="passivity")
 
 
-def _input_index(g: StateSpaceModel, rtol: float) -> InputPassivity | None:
+def _input_index(g: StateSpaceModel, rtol: float) -> PassivityIndex | None:
     """The bracket of nu; None for a model that is not stable."""
     ordinary = moderated(g, "passivity")
     m = ordinary.model
@@ -198,7 +214,7 @@ def _input_index(g: StateSpaceModel, rtol: float) -> InputPassivity | None:
         return None
     if not m.n_states:
         value = ordinary.value(float(_lowest(m, np.zeros(1))[0]), "passivity")
-        return InputPassivity(value, value, 0.0, Status.CERTIFIED)
+        return PassivityIndex(value, value, 0.0, Status.CERTIFIED)
     scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
     omega = search_grid(scaled, GRID)
     part = np.linalg.eigvalsh(_symmetric(scaled, omega))
@@ -224,7 +240,83 @@ def _input_index(g: StateSpaceModel, rtol: float) -> InputPassivity | None:
     slack = error if error > QUIET * size else 0.0
     lower, upper = (ordinary.value(x, "passivity") for x in (min(level, attained) - slack, attained + slack))
     status = Status.CERTIFIED if trusted else Status.INACCURATE
-    return InputPassivity(lower, upper, ordinary.frequency(omega_at), status)
+    return PassivityIndex(lower, upper, ordinary.frequency(omega_at), status)
+
+
+def _output_index(g: StateSpaceModel, rtol: float) -> PassivityIndex | None:
+    """The bracket of rho: the input index of the inverse. None where there is no inverse, or none that is stable."""
+    ordinary = moderated(g, "passivity")
+    dt = ordinary.model.dt
+    try:
+        m = bilinear_to_continuous(ordinary.model) if dt else ordinary.model
+    except NoTrustworthyNumber:  # a pole at z = -1 is a zero of the inverse there
+        return None
+    if _is_singular_everywhere(m):
+        return None
+    inverse = _inverse_without_derivative(m)
+    if inverse is None:
+        return PassivityIndex(-np.inf, -np.inf, np.inf, Status.CERTIFIED)
+    found = _input_index(inverse, rtol)
+    if found is None:
+        return None
+    at = 2 / dt * float(np.arctan(found.frequency * dt / 2)) if dt else found.frequency
+    # A second voice, without any inverse: G + G* - 2 rho G* G has no negative eigenvalue on a grid away from poles.
+    grid = search_grid(m, GRID) * 1.0123 if m.n_states else np.ones(1)
+    response = frequency_response(m, grid[(grid > 0) & np.isfinite(grid)])
+    square = response.conj().transpose(0, 2, 1) @ response
+    size = np.linalg.norm(response, 2, axis=(1, 2)) + abs(found.lower) * np.linalg.norm(square, 2, axis=(1, 2))
+    left = np.linalg.eigvalsh(0.5 * (response + response.conj().transpose(0, 2, 1)) - found.lower * square)[:, 0]
+    agreed = bool((left >= -rtol * size).all())
+    lower, upper = (_times_gain(x, ordinary) for x in (found.lower, found.upper))
+    return PassivityIndex(lower, upper, ordinary.frequency(at), found.status if agreed else Status.INACCURATE)
+
+
+def _is_singular_everywhere(m: StateSpaceModel) -> bool:
+    """Whether G(s) has no inverse at any s: looked at on points that no model knows of."""
+    size = float(np.abs(m.A).max(initial=0.0)) or 1.0
+    points = size * np.array([1.2347 + 0.3719j, 0.4711 + 1.9173j])
+    one = np.eye(m.n_states)
+    return all(is_rank_deficient(m.C @ np.linalg.solve(s * one - m.A, m.B) + m.D) for s in points)
+
+
+def _times_gain(value: float, ordinary: Moderated) -> float:
+    """An inverse gain of the model as given."""
+    return scaled_down(value, -ordinary.gain, "passivity")
+
+
+def _inverse_without_derivative(m: StateSpaceModel) -> StateSpaceModel | None:
+    r"""``G^{-1} - s L``, proper, of a continuous model; None where that is not so with a symmetric ``L >= 0``.
+
+    What D does not pass (its null space, which must be that of D^T) is seen in the derivatives of those outputs:
+    ``y_2' = C_2 A x + C_2 B u``. States of the inverse lie where C_2 x follows from y_2.
+    """
+    _, size, vt = np.linalg.svd(m.D)
+    rank = int((size > len(size) * EPS * size.max(initial=0.0)).sum())
+    one, two = vt[:rank].T, vt[rank:].T
+    if np.abs(two.T @ m.D).max(initial=0.0) > SYMMETRIC * size.max(initial=0.0):
+        return None
+    b1, b2, c1, c2 = m.B @ one, m.B @ two, one.T @ m.C, two.T @ m.C
+    if len(c2) and is_rank_deficient(c2 @ b2):
+        return None
+    E, back = np.linalg.inv(c2 @ b2), np.linalg.inv(one.T @ m.D @ one)
+    if np.abs(E - E.T).max(initial=0.0) > SYMMETRIC * np.abs(E).max(initial=0.0):
+        return None
+    if len(E) and np.linalg.eigvalsh(E + E.T)[0] <= 0:
+        return None
+    kernel = np.linalg.svd(c2)[2][len(c2) :].T if len(c2) else np.eye(m.n_states)
+    # u_1 = f x + back y_1 and u_2 = h x + k y_1, but for E times the derivative of y_2; x = kernel w + B_2 E y_2.
+    f, across = -back @ c1, E @ c2 @ b1
+    h, k = -E @ c2 @ m.A - across @ f, -across @ back
+    a = m.A + b1 @ f + b2 @ h
+    seen = b2 @ E @ two.T
+    out, direct = one @ f + two @ h, one @ back @ one.T + two @ k @ one.T
+    return StateSpaceModel(
+        kernel.T @ a @ kernel,
+        kernel.T @ (a @ seen + (b1 @ back + b2 @ k) @ one.T),
+        out @ kernel,
+        direct + out @ seen,
+        where="passivity",
+    )
 
 
 def _symmetric(m: StateSpaceModel, omega: AnyArray) -> AnyArray:

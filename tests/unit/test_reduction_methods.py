@@ -232,6 +232,31 @@ def test_models_whose_gain_vanishes_ask_for_a_floor():
     assert rl.reduce_model(washout, 0, method="stochastic", floor=0.1).status is Status.CERTIFIED
 
 
+@pytest.mark.parametrize("method", ["hankel", "stochastic", "band"])
+def test_entries_of_any_size_and_no_stable_states(method):
+    def options(scale=1.0):
+        found = {"band": {"band": (0.5, 2.0)}, "stochastic": {"method": method, "floor": 0.1 * scale}}
+        return found.get(method, {"method": method})
+
+    G = stable_model(5, 4)
+    small = rl.StateSpaceModel(G.A, G.B * 1e-120, G.C * 1e-120, G.D * 1e-240)
+    one, other = rl.reduce_model(G, 3, **options()), rl.reduce_model(small, 3, **options(1e-240))
+    size = 1.0 if method == "stochastic" else 1e-240
+    assert other.status is Status.CERTIFIED
+    assert other.error.upper == pytest.approx(one.error.upper * size, rel=1e-5)
+    np.testing.assert_allclose(other.hankel, one.hankel * size, rtol=1e-6)
+    np.testing.assert_allclose(other.model.dc_gain(), one.model.dc_gain() * 1e-240, rtol=1e-6)
+    unstable = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.5]])
+    assert rl.reduce_model(unstable, 1, **options()).error.upper == 0.0
+    deaf = rl.StateSpaceModel([[-1.0]], np.zeros((1, 1)), [[1.0]], [[0.5]])
+    assert rl.reduce_model(deaf, 1, **options()).order == 0
+
+
+def test_a_floor_beside_which_the_model_is_nothing_is_refused():
+    with pytest.raises(rl.InputError, match="times what the gain is about"):
+        rl.reduce_model(lag(1.0, 1e-250), 0, method="stochastic", floor=1.0)
+
+
 def test_an_error_told_too_small_is_seen(monkeypatch):
     right = Spectrum.relative
 
@@ -308,6 +333,19 @@ def test_a_band_promises_no_stability_and_an_unstable_model_is_refused():
     G = stable_model(8, seed, m=1, p=1)
     tolerance = 1e-12 * rl.hinf_norm(G).upper
     assert rl.reduce_model(G, tolerance=tolerance, band=(0.5, 1.0)).model.is_stable()  # that order is passed over
+
+
+def test_an_error_in_a_band_told_too_small_is_seen(monkeypatch):
+    right = model_reduction.linf_norm
+
+    def too_small(model, **options):
+        found = right(model, **options)
+        return replace(found, lower=0.5 * found.lower, upper=0.5 * found.upper)
+
+    monkeypatch.setattr(model_reduction, "linf_norm", too_small)
+    found = rl.reduce_model(stable_model(8, 4), 4, band=(0.9, 1.0))
+    assert found.status is Status.INACCURATE
+    assert "more than the certified" in found.reason
 
 
 # --- requests --------------------------------------------------------------------------------------------------------

@@ -34,10 +34,10 @@ PLAIN = {
 # Nothing to draw: a few numbers.
 NUMBERS = {
     "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
-    "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity",
-    "IqcGain", "IqcStability", "LinearSolution", "NuGap", "Passivity", "PerformanceLimits", "PlantSamples",
-    "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim", "WellPosedness",
-    "Zeros",
+    "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
+    "IqcGain", "IqcStability", "LinearSolution", "NuGap", "Passivity", "PassivityIndex", "PerformanceLimits",
+    "PlantSamples", "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim",
+    "WellPosedness", "Zeros",
 }  # fmt: skip
 
 

@@ -303,6 +303,73 @@ class ReduceControllerStep(DesignStep):
         return designed(found, f"{self.controller} with fewer states.", work)
 
 
+Weights = dict[str, Annotated[float, Field(ge=0)]]
+
+
+@step
+class LqiStep(Step):
+    """State feedback with integral action: outputs follow constant references without error. All states are measured.
+
+    The controller takes references, followed outputs and states; it is made for export, not for `close-loop`.
+    """
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["lqi"]
+    of: ToModel
+    integral: Annotated[Weights, Field(min_length=1)] = Field(
+        description="Outputs that are to follow, with the weights on their integrated errors."
+    )
+    states: Weights = Field({}, description="Weights on states by name; 0 where left out.")
+    controls: dict[str, Positive] = Field({}, description="Weights on controls by name; 1 where left out.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """Gains, and the loop rebuilt from them with its steady-state error."""
+        from robustlab.statespace import as_model
+        from robustlab.synthesis.h2.named_weights import integral_weights
+
+        model = as_model(work.values[self.of], self.of)
+        Q, R = integral_weights(model, self.integral, self.states, self.controls)
+        found = rl.lqi(model, Q, R, outputs=list(self.integral))
+        numbers = {
+            "K": found.K, "K_i": found.K_i, "poles": found.poles, "steady_error": found.steady_error,
+            "spectral_abscissa": found.closed_loop.spectral_abscissa(),
+        }  # fmt: skip
+        return _in_states(
+            found, found.controller, f"{', '.join(self.integral)} of {self.of} held by states.", numbers, work
+        )
+
+
+@step
+class KalmanStep(Step):
+    """Steady-state Kalman filter, as a model from inputs and measured outputs to estimated states."""
+
+    gives: ClassVar[str] = "model"
+    do: Literal["kalman"]
+    of: ToModel
+    process: Weights = Field(description="Intensities of the noise on states, or on inputs, by name.")
+    measurement: Weights = Field(description="Intensities of the noise on each output by name; discrete: variances.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """The filter with the standard deviations of its errors."""
+        import numpy as np
+
+        from robustlab.statespace import as_model
+        from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
+
+        model = as_model(work.values[self.of], self.of)
+        W = process_noise(model, self.process, "process")
+        found = rl.kalman(model, W, diagonal_weight(self.measurement, model.output_names, "measurement"))
+        deviations = dict(zip(model.state_names, np.sqrt(np.maximum(np.diag(found.P), 0.0)), strict=True))
+        numbers = {"L": found.L, "poles": found.poles, "deviations": deviations}
+        return _in_states(found, found.estimator, f"States of {self.of} from its outputs.", numbers, work)
+
+
+def _in_states(found: Any, value: Any, summary: str, numbers: dict[str, Any], work: Workspace) -> Outcome:
+    work.keep(found)
+    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
+    return Outcome(value, summary, numbers, facts, found.status)
+
+
 def tracking_loop(system: Any, controller: Any) -> Any:
     """The loop ``u = K (r - y)`` around a model or an uncertain model, as an uncertain model.
 

@@ -201,6 +201,31 @@ class StructuralStep(Step):
 
 
 @step
+class ZerosStep(Step):
+    """Finite invariant zeros of a model with their kinds."""
+
+    do: Literal["zeros"]
+    of: ToModel
+
+    def run(self, work: Workspace) -> Outcome:
+        """Transmission zeros and hidden modes, each looked at in the pencil of the model as given."""
+        from robustlab.statespace import as_model
+
+        model = as_model(work.values[self.of], self.of)
+        found = rl.zeros(model)
+        outside = abs(found.values) >= 1 if model.is_discrete else found.values.real >= 0
+        numbers = {
+            "values": found.values, "kinds": list(found.kinds), "normal_rank": found.normal_rank, "count": len(found),
+            "not_minimum_phase": int(outside.sum()),
+        }  # fmt: skip
+        facts = (
+            *(Fact(label[:1].upper() + label[1:], text) for label, text in found.facts() if text),
+            Fact("On the boundary or beyond", str(int(outside.sum()))),
+        )
+        return Outcome(None, f"Zeros of {self.of}.", numbers, facts, found.status)
+
+
+@step
 class SteadyStateStep(Step):
     """Outputs in steady state under constant inputs; inputs left out are zero."""
 
@@ -321,6 +346,38 @@ class ReduceModelStep(Step):
         }  # fmt: skip
         facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
         return Outcome(found.model, f"{self.of} with {found.order} states.", numbers, facts, found.status)
+
+
+@step
+class ResampleStep(Step):
+    """A model with another sample time: a continuous one discretised, a discrete one resampled or made continuous.
+
+    The digital form of a controller, judged in its loop, is the step `discretise`.
+    """
+
+    gives: ClassVar[str] = "model"
+    do: Literal["resample"]
+    of: ToOneModel
+    dt: Annotated[float, Field(ge=0)] = Field(description="Sample time in s; 0: continuous.")
+    method: Literal["zoh", "foh", "tustin"] = "zoh"
+
+    def run(self, work: Workspace) -> Outcome:
+        """The model, and for a discrete one how well discretising gives it back."""
+        from robustlab.statespace import as_model
+
+        model = as_model(work.values[self.of], self.of)
+        if not model.is_discrete:
+            if not self.dt:
+                raise InputError("dt", f"0, and {self.of} is continuous", "a sample time in s")
+            made, found = rl.discretise(model, self.dt, self.method), None
+        else:
+            found = rl.d2d(model, self.dt, self.method) if self.dt else rl.d2c(model, self.method)
+            made = found.model
+        told = () if found is None else found.facts()
+        facts = (*_model_facts(made), *(Fact(label[:1].upper() + label[1:], text) for label, text in told if text))
+        summary = f"{self.of} with a sample time of {self.dt:g} s." if self.dt else f"{self.of} in continuous time."
+        numbers = {**_model_numbers(made), "dt": made.dt} | ({} if found is None else {"error": found.error})
+        return Outcome(made, summary, numbers, facts, None if found is None else found.status)
 
 
 ToPart = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "any"))]

@@ -76,7 +76,7 @@ class H2NormStep(Step):
 
 @step
 class PassivityStep(Step):
-    """Relative passivity index of a square model."""
+    """Relative passivity index of a square model, and its input and output index."""
 
     do: Literal["passivity"]
     of: ToModel = Field(description="A square model, input k belonging to output k.")
@@ -85,12 +85,16 @@ class PassivityStep(Step):
         """Relative passivity index, as a proved bracket; below 1 the model is passive."""
         found = rl.passivity(work.values[self.of])
         numbers = picked(found, "lower", "upper", "frequency") | {"passive": found.passive}
-        facts = (
+        facts = [
             Fact("Relative index", f"{quantity(found.lower, digits=8)} (at most {quantity(found.upper, digits=8)})"),
             Fact("attained at", quantity(found.frequency, "rad/s")),
-        )
+        ]
+        for side, index in (("input", found.input_index), ("output", found.output_index)):
+            numbers[f"{side}_index"] = None if index is None else index.lower
+            if index is not None:
+                facts.append(Fact(f"{side.capitalize()} index, at least", quantity(index.lower, digits=8)))
         word = {True: "passive", False: "not passive", None: "on the boundary of passivity, or not decided"}
-        return Outcome(None, f"{self.of} is {word[found.passive]}.", numbers, facts, found.status)
+        return Outcome(None, f"{self.of} is {word[found.passive]}.", numbers, tuple(facts), found.status)
 
 
 @step

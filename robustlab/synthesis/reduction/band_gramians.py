@@ -32,6 +32,9 @@ CHUNK = 1000
 
 def band_gramian_factors(model: StateSpaceModel, low: float, high: float) -> tuple[AnyArray, AnyArray]:
     """Factors ``(L_c, L_o)`` of both Gramians over a band in rad/s, each (n, n); high may be infinite."""
+    n = model.n_states
+    if not n:
+        return np.zeros((0, 0)), np.zeros((0, 0))
     omega, weights = _rule(model, low, high)
     return _factor(model.A, model.B, model.dt, omega, weights), _factor(model.A.T, model.C.T, model.dt, omega, weights)
 
@@ -59,6 +62,8 @@ def _rule(model: StateSpaceModel, low: float, high: float) -> tuple[AnyArray, An
 
 def _factor(A: AnyArray, B: AnyArray, dt: float, omega: AnyArray, weights: AnyArray) -> AnyArray:
     n = len(A)
+    if not B.size:
+        return np.zeros((n, n))
     states = StateSpaceModel(A, B, np.eye(n), np.zeros((n, B.shape[1])), dt)
     root: AnyArray = np.zeros((0, n))
     for k in range(0, len(omega), CHUNK):

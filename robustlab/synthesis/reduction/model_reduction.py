@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.magnitude import Moderated, moderated
+from robustlab.magnitude import Moderated, moderated, scaled_down
 from robustlab.norms import (
     HinfNorm,
     bilinear_to_continuous,
@@ -278,7 +278,8 @@ class _Way:
 
     ``values`` are its Hankel values in the units of the model as given, ``most`` the largest order. ``reduced`` gives
     the part of an order, ``measured`` the certified size of a difference, ``bound`` what is promised for it, and
-    ``seen`` turns differences of responses at frequencies, as given, into what ``measured`` is the largest norm of.
+    ``seen`` turns differences of responses at frequencies, as given, into what ``measured`` is the largest norm of;
+    ``looked_at`` are frequencies to look at besides those of the model.
     """
 
     values: Array
@@ -287,26 +288,27 @@ class _Way:
     measured: Callable[[StateSpaceModel], HinfNorm]
     bound: Callable[[int], float] = lambda _: np.nan
     seen: Callable[[Array, ComplexArray], ComplexArray] = lambda _, gap: gap
+    looked_at: tuple[float, ...] = ()
 
 
 def _balanced_reduction(
     full: StateSpaceModel, method: str, weights: Weights, band: Band | None, floor: float
 ) -> Candidates:
-    own_units = weights != (None, None) or method == "stochastic"  # a weight or a floor has the units of the model
+    weighted = weights != (None, None)  # a weight has the units of the model
     unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))
-    ordinary = unchanged if own_units else moderated(full, "reduce_model")
+    ordinary = unchanged if weighted else moderated(full, "reduce_model")
     split = split_stable(ordinary.model)
     stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, ordinary.model.dt)
     name = method
     if method == "stochastic":
-        way = _stochastic_way(stable, floor)
+        way = _stochastic_way(stable, ordinary, floor)
     elif method == "hankel":
         way = _hankel_way(stable, ordinary)
     else:
         projection: Projection = "residualisation" if method == "residualisation" else "truncation"
         if band is not None:
             name, way = f"band {method}", _band_way(stable, ordinary, band, projection)
-        elif own_units:
+        elif weighted:
             name, way = f"weighted {method}", _weighted_way(stable, weights, projection)
         else:
             way = _plain_way(stable, ordinary, projection)
@@ -373,6 +375,7 @@ def _band_way(stable: StateSpaceModel, ordinary: Moderated, band: Band, projecti
         lambda order: balancing.reduced(stable, order, projection),
         lambda difference: norm_as_given(linf_norm(difference, band=(low, high)), ordinary),
         seen=lambda omega, gap: gap[(omega >= band[0]) & (omega <= band[1])],
+        looked_at=tuple(np.linspace(*band, 22)[1:-1]) if np.isfinite(band[1]) else (),
     )
 
 
@@ -389,13 +392,14 @@ def _hankel_way(stable: StateSpaceModel, ordinary: Moderated) -> _Way:
     )
 
 
-def _stochastic_way(stable: StateSpaceModel, floor: float) -> _Way:
-    spectrum = Spectrum.of(_in_continuous_time(stable), floor)
-    balancing, dt = spectrum.balancing, stable.dt
+def _stochastic_way(stable: StateSpaceModel, ordinary: Moderated, floor: float) -> _Way:
+    spectrum = Spectrum.of(_in_continuous_time(stable), scaled_down(floor, -ordinary.gain, "reduce_model"))
+    balancing, dt, given = spectrum.balancing, stable.dt, ordinary.as_given(stable, "reduce_model")
 
     def measured(difference: StateSpaceModel) -> HinfNorm:
         found = spectrum.relative(_in_continuous_time(difference))
-        return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
+        at = 2 / dt * float(np.arctan(found.frequency * dt / 2)) if dt else found.frequency
+        return replace(found, frequency=ordinary.frequency(at))
 
     return _Way(
         balancing.values,
@@ -403,7 +407,7 @@ def _stochastic_way(stable: StateSpaceModel, floor: float) -> _Way:
         lambda order: _back(balancing.reduced(spectrum.model, order, "truncation"), dt),
         measured,
         lambda order: relative_bound(balancing.values, order),
-        lambda omega, gap: relative_gap(frequency_response(stable, omega), gap, floor),
+        lambda omega, gap: relative_gap(frequency_response(given, omega), gap, floor),
     )
 
 
@@ -485,6 +489,7 @@ def _checked(
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
     if not reason and method != "coprime":
         seen, size = _seen_difference(full, named, way)
+        size = 1.0 if method == "stochastic" else size
         if seen > error.upper * (1 + 1e-6) + 1e-9 * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
@@ -495,7 +500,7 @@ def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, way: _Way) -
     """Largest difference of the two responses, as it is measured, on a grid away from poles; size of the responses."""
     if not full.n_inputs or not full.n_outputs or not full.n_states:
         return 0.0, 0.0
-    omega = default_grid(full, 40) * 1.0123
+    omega = np.append(default_grid(full, 40) * 1.0123, way.looked_at)
     if full.is_discrete:
         omega = omega[omega < np.pi / full.dt]
     first = frequency_response(full, omega)

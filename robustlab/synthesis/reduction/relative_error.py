@@ -36,6 +36,9 @@ from robustlab.synthesis.reduction.balancing import Balancing, gramian_factors
 __all__ = ["Spectrum", "relative_bound", "relative_gap"]
 
 HINT = "floor=: the gain below which errors count absolutely"
+TINY = float(np.finfo(float).tiny)
+# Of a model whose entries are of order one.
+LARGEST_FLOOR = 1e50
 # D D^T of a smaller share in its smallest eigenvalue has no full row rank: the model has no gain somewhere far out.
 FULL_RANK = 1e-12
 # Both ends of the bracket allow for what the factor may be off, up to this share of the spectrum.
@@ -70,10 +73,13 @@ class Spectrum:
         Raises
         ------
         InputError
-            D has no full row rank, and the floor is zero.
+            D has no full row rank, and the floor is zero; or a floor beside which the model is nothing.
         NoTrustworthyNumber
             No factor: G has zeros on the axis, or too near to it.
         """
+        if floor > LARGEST_FLOOR:
+            found = f"the floor is {floor:.0e} times what the gain is about"
+            raise InputError("reduce_model: floor", found, f"at most {LARGEST_FLOOR:.0e}")
         # Residuals are weighed by gains from and to all states, which must be alike in size for that.
         t = 2.0 ** balancing_exponents(model.A, model.B, model.C)
         a, b, c, d = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
@@ -109,8 +115,11 @@ class Spectrum:
 
 def relative_gap(response: AnyArray, gap: AnyArray, floor: float) -> AnyArray:
     """Differences at frequencies relative to the response there: without any factor of the spectrum."""
-    power = response @ response.conj().transpose(0, 2, 1) + floor**2 * np.eye(response.shape[1])
-    return np.linalg.solve(np.linalg.cholesky(power), gap)
+    turn, gains, _ = np.linalg.svd(response)
+    every = np.zeros(turn.shape[:2])
+    every[:, : gains.shape[1]] = gains
+    size = np.maximum(np.hypot(every, floor), TINY)
+    return turn.conj().transpose(0, 2, 1) @ gap / size[:, :, None]
 
 
 def relative_bound(values: AnyArray, order: int) -> float:

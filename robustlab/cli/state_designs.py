@@ -1,0 +1,101 @@
+"""``robustlab synth lqi | kalman``: designs in the states of a model, weights and noises by name."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from robustlab.cli.console import emit, require_trust, table
+from robustlab.cli.options import OutputOptions, assignments, grouped
+from robustlab.errors import UsageError
+
+__all__ = ["kalman", "lqi"]
+
+ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
+
+
+IntegralOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--integral",
+        help="Output that is to follow, with the weight on its integrated error: NAME=VALUE; repeatable.",
+        show_default=False,
+    ),
+]
+StateOption = Annotated[
+    list[str] | None, typer.Option("--state", help="Weight on a state: NAME=VALUE; repeatable.", show_default=False)
+]
+ControlOption = Annotated[
+    list[str] | None,
+    typer.Option("--control", help="Weight on a control: NAME=VALUE; repeatable. Else 1.", show_default=False),
+]
+ProcessOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--process", help="Intensity of the noise on a state or input: NAME=VALUE; repeatable.", show_default=False
+    ),
+]
+MeasurementOption = Annotated[
+    list[str] | None,
+    typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.", show_default=False),
+]
+
+
+@grouped
+def lqi(
+    *,
+    file: ModelArgument,
+    integral: IntegralOption = None,
+    state: StateOption = None,
+    control: ControlOption = None,
+    output: OutputOptions,
+) -> None:
+    """State feedback with integral action: outputs follow constant references without error; the loop is rebuilt.
+
+    All states are measured. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth lqi motor.h5 --integral omega=100 --control u=0.1 --out k.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.h2.integral_feedback import lqi as design
+    from robustlab.synthesis.h2.named_weights import integral_weights
+
+    followed = assignments("--integral", integral)
+    if not followed:
+        raise UsageError("synth lqi", "no output", "--integral NAME=VALUE: which output follows, and its weight")
+    model = as_model(load(file), file)
+    Q, R = integral_weights(model, followed, assignments("--state", state), assignments("--control", control))
+    found = design(model, Q, R, outputs=list(followed))
+    rows = [*found.facts(), *output.keep_made("synth lqi", found.controller, [file])]
+    emit("synth lqi", found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)
+
+
+@grouped
+def kalman(
+    *,
+    file: ModelArgument,
+    process: ProcessOption = None,
+    measurement: MeasurementOption = None,
+    output: OutputOptions,
+) -> None:
+    """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
+
+    White noise; of a discrete model the numbers are variances. Exit code 4: no filter could be vouched for.
+
+    Example: robustlab synth kalman motor.h5 --process u=0.04 --measurement omega=1e-4 --out filter.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.h2.kalman_filter import kalman as design
+    from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
+
+    model = as_model(load(file), file)
+    W = process_noise(model, assignments("--process", process), "--process")
+    V = diagonal_weight(assignments("--measurement", measurement), model.output_names, "--measurement")
+    found = design(model, W, V)
+    rows = [*found.facts(), *output.keep_made("synth kalman", found.estimator, [file])]
+    emit("synth kalman", found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)
