@@ -121,6 +121,7 @@ _PUBLIC = {
     "ncf": "synthesis.hinf.loop_shaping",
     "dk": "synthesis.dk.dk_iteration",
     "fixed_structure": "synthesis.fixed.fixed_structure",
+    "tune": "synthesis.fixed.goal_tuning",
     "generalized_plant": "synthesis.problem.partition",
     "performance_limits": "synthesis.problem.performance_limits",
     "performance_weight": "synthesis.specifications.weight_design",

@@ -71,6 +71,7 @@ from robustlab.structural import controllability as controllability
 from robustlab.structural import observability as observability
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
+from robustlab.synthesis.fixed.goal_tuning import tune as tune
 from robustlab.synthesis.h2.gaussian_regulator import lqg as lqg
 from robustlab.synthesis.h2.h2_synthesis import h2 as h2
 from robustlab.synthesis.h2.integral_feedback import lqi as lqi
@@ -242,6 +243,7 @@ __all__ = [
     "ncf",
     "dk",
     "fixed_structure",
+    "tune",
     "generalized_plant",
     "performance_limits",
     "performance_weight",

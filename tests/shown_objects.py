@@ -10,6 +10,7 @@ import numpy as np
 
 import robustlab as rl
 from robustlab import result
+from robustlab.synthesis import Damping, MarginGoal, TrackingGoal
 
 OMEGA = np.geomspace(0.01, 100.0, 60)
 
@@ -232,6 +233,9 @@ OBJECTS: dict[str, Any] = {
     ),
     "NcfSynthesis": lambda: rl.ncf(lag()),
     "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),
+    "TunedSynthesis": lambda: rl.tune(
+        lag(), "pi", [TrackingGoal(1.0), MarginGoal(1.0, hard=True), Damping(0.5)], starts=0
+    ),
     "TwoDegreeSynthesis": lambda: rl.ncf(
         lag(), 2.0, reference_model=rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     ),

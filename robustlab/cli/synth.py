@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from inspect import signature
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+from robustlab.cli.console import emit, note, require_trust, table
+from robustlab.cli.design_options import (
+    ChannelOptions,
+    DesignOutput,
+    GaussianOptions,
+    LoopChannelOptions,
+    QuietDesignOutput,
+    SignalOptions,
+    goal_of,
+    limit_of,
+    number_or_model,
+    weight_of,
+)
 from robustlab.cli.offers import FORMULAS, one_of
 from robustlab.cli.options import (
     DtOption,
     EffortOptions,
-    JsonOption,
-    OutOption,
     OutputOptions,
     PrewarpOption,
     SeedOption,
@@ -27,16 +35,10 @@ from robustlab.cli.progress import ProgressOptions
 from robustlab.cli.state_designs import kalman, lqi
 from robustlab.errors import (
     EXIT_REQUIREMENT_NOT_MET,
-    EnvironmentFault,
-    InputError,
-    RobustlabError,
     UsageError,
-    did_you_mean,
 )
 
 if TYPE_CHECKING:
-    from robustlab.statespace import StateSpaceModel
-    from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 app = typer.Typer(
@@ -57,136 +59,6 @@ PlantArgument = Annotated[
 ControllerArgument = Annotated[
     str, typer.Argument(help="Its controller: HDF5 or .mat file.", metavar="CONTROLLER", show_default=False)
 ]
-
-
-# --- option groups ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ChannelOptions:
-    """Which inputs and outputs of a file a design takes, by number or by name."""
-
-    n_meas: Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")] = None
-    n_con: Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")] = None
-    measurements: Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")] = None
-    controls: Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")] = None
-    disturbances: Annotated[
-        str | None,
-        typer.Option("--disturbances", help="With names: the inputs w; all that are no controls where left out."),
-    ] = None
-    performance: Annotated[
-        str | None, typer.Option("--performance", help="With names: the outputs z; all outputs where left out.")
-    ] = None
-
-    def check(self, command: str) -> None:
-        """Refuse channels that are not given, or given twice."""
-        by_name, by_number = (self.measurements, self.controls), (self.n_meas, self.n_con)
-        named, counted = None not in by_name, None not in by_number
-        halves = any(by_name) != named or any(n is not None for n in by_number) != counted
-        if halves or named == counted:
-            expected = "either --n-meas and --n-con, or --measurements and --controls"
-            raise UsageError(command, "channels are not given", expected)
-        if counted and (self.disturbances or self.performance):
-            raise UsageError(command, "--disturbances or --performance", "--measurements and --controls by name, too")
-
-    def plant(self, command: str, file: str, nominal: bool = False) -> GeneralizedPlant:
-        """The generalised plant of a file."""
-        from robustlab.storage import load
-        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
-        from robustlab.uncertainty.lft import UncertainModel
-
-        found: Any = load(file)
-        if nominal:
-            if not isinstance(found, UncertainModel):
-                raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
-            found = found.nominal
-        if self.measurements is None or self.controls is None:
-            return as_generalized_plant(found, self.n_meas, self.n_con, command)
-        w, z = (None if text is None else names(text) for text in (self.disturbances, self.performance))
-        return generalized_plant(found, names(self.measurements), names(self.controls), w, z)
-
-
-@dataclass(frozen=True)
-class LoopChannelOptions:
-    """Which inputs and outputs of a plant its controller is connected to."""
-
-    measurements: Annotated[
-        str | None,
-        typer.Option("--measurements", help="Measured outputs by name, a,b; the last outputs where left out."),
-    ] = None
-    controls: Annotated[
-        str | None, typer.Option("--controls", help="Control inputs by name, a,b; the last inputs where left out.")
-    ] = None
-
-    def plant(self, file: str, K: Any) -> GeneralizedPlant:
-        """The generalised plant of the file: by names, or with as many channels at the end as the controller has."""
-        from robustlab.storage import load
-        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
-
-        if (self.measurements is None) != (self.controls is None):
-            raise UsageError("--measurements, --controls", "one of them", "both, or none")
-        loaded = load(file)
-        if self.measurements is None or self.controls is None:
-            return as_generalized_plant(loaded, K.n_inputs, K.n_outputs, file)
-        return generalized_plant(loaded, names(self.measurements), names(self.controls))
-
-
-@dataclass(frozen=True)
-class SignalOptions:
-    """Which control inputs and outputs of a plain model are used."""
-
-    inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None
-    outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None
-
-    def model(self, file: str) -> StateSpaceModel:
-        """The model in a file with these signals."""
-        from robustlab.statespace import as_model
-        from robustlab.storage import load
-
-        model = as_model(load(file), file)
-        if not self.inputs and not self.outputs:
-            return model
-        sides = (None if not text else names(text) for text in (self.inputs, self.outputs))
-        return model.select(*sides)
-
-
-@dataclass(frozen=True)
-class DesignOutput(ProgressOptions):
-    """What becomes of a design, and whether its search is told step by step."""
-
-    out: OutOption = None
-    figure: Annotated[
-        str | None,
-        typer.Option("--figure", help="Figures to write: NAME and NAME-..., each as SVG and PNG.", show_default=False),
-    ] = None
-    verbose: Annotated[bool, typer.Option("--verbose", help="A line on stderr for each step of the search.")] = False
-    as_json: JsonOption = False
-
-    def check(self) -> None:
-        """Refuse, before the search, a file that could not be written after it."""
-        if self.out is not None and not Path(self.out).resolve().parent.is_dir():
-            raise EnvironmentFault(self.out, "no such folder", "a folder that exists")
-
-    def finish(self, command: str, found: Synthesis, file: str) -> None:
-        """Print the design, store the controller, draw, and leave with the exit code of its status."""
-        from robustlab.synthesis.problem.performance_limits import limits_in_words
-
-        limits = limits_in_words(found)
-        rows = found.facts()
-        rows += [("" if k else "limits of any controller", line) for k, line in enumerate(limits)]
-        rows += OutputOptions(self.out).keep_made(command, found.controller, [file])
-        if self.figure is not None:
-            _draw(found, self.figure)
-        emit(command, {**found.to_json(), "limits": limits}, table(rows), self.as_json)
-        require_trust(found.status)
-
-
-@dataclass(frozen=True)
-class QuietDesignOutput(DesignOutput):
-    """The same of a design that needs no search."""
-
-    verbose: bool = False
-    progress: str = "auto"
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -275,57 +147,13 @@ def ncf(
 
     output.check()
     model = signals.model(file)
-    weights = [None if text is None else _number_or_model(text) for text in (w1, w2)]
+    weights = [None if text is None else number_or_model(text) for text in (w1, w2)]
     if reference_model is None:
         output.finish("synth ncf", design(model, *weights, factor=factor), file)
         return
-    wanted, outputs = _number_or_model(reference_model), None if follow is None else names(follow)
+    wanted, outputs = number_or_model(reference_model), None if follow is None else names(follow)
     found = design(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
     output.finish("synth ncf", found, file)
-
-
-@dataclass(frozen=True)
-class GaussianOptions:
-    """Weights and noises of a linear-quadratic-Gaussian design: a number for all, or a,b,... for each on its own."""
-
-    q: Annotated[str, typer.Option("--q", help="Cost of the states: a number, or one for each: a,b.")] = "1"
-    r: Annotated[str, typer.Option("--r", help="Cost of the controls.")] = "1"
-    w: Annotated[str, typer.Option("--w", help="Intensity of the noise on the states.")] = "1"
-    v: Annotated[str, typer.Option("--v", help="Intensity of the noise on the measurements.")] = "1"
-    disturbance: Annotated[
-        str | None,
-        typer.Option("--disturbance", help="constant, the frequency of a sinusoid in rad/s, or the file of a filter."),
-    ] = None
-    at: Annotated[
-        str, typer.Option("--at", help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
-    ] = "input"
-    channels: Annotated[str | None, typer.Option("--channels", help="On which of them: a,b; all.")] = None
-    disturbance_noise: Annotated[str, typer.Option("--disturbance-noise", help="Intensity of its noise.")] = "1"
-    regulated: Annotated[str | None, typer.Option("--regulated", help="Outputs that it must leave: a,b; all.")] = None
-
-    def design(self, model: StateSpaceModel) -> Synthesis:
-        """The design for a model."""
-        import numpy as np
-
-        from robustlab.synthesis.h2.gaussian_regulator import lqg as design
-
-        sizes = (model.n_states, model.n_inputs, model.n_states, model.n_outputs)
-        weights = [
-            np.diag(np.broadcast_to(_numbers(f"--{name}", getattr(self, name), size), (size,)))
-            for name, size in zip("qrwv", sizes, strict=True)
-        ]
-        text = self.disturbance
-        given = text if text is None or text == "constant" else _number_or_model(text)
-        named = [None if text is None else names(text) for text in (self.channels, self.regulated)]
-        noise, at = (
-            _numbers("--disturbance-noise", self.disturbance_noise),
-            "output" if self.at == "output" else "input",
-        )
-        if self.at != at:
-            raise UsageError("--at", repr(self.at), "input or output")
-        return design(
-            model, *weights, disturbance=given, at=at, channels=named[0], disturbance_noise=noise, regulated=named[1]
-        )
 
 
 @app.command()
@@ -357,6 +185,11 @@ def dk(
             show_default=False,
         ),
     ] = None,
+    structure: Annotated[
+        str | None, typer.Option("--structure", help="What the controller may look like, as for fixed; D-K alone then.")
+    ] = None,
+    starts: Annotated[int, typer.Option("--starts", help="With a structure: random starts.")] = 3,
+    seed: SeedOption = 0,
     direct: Annotated[bool, typer.Option(help="Go on with direct minimisation after D-K iteration.")] = True,
     mixed: Annotated[bool, typer.Option(help="Use that real blocks are real.")] = True,
     max_order: Annotated[int | None, typer.Option(help="Largest order of the controller.", show_default=False)] = None,
@@ -374,13 +207,13 @@ def dk(
     output.check()
     rows = None if blocks is None else rows_of_blocks(blocks)
     from robustlab.synthesis.dk.dk_iteration import dk as design
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
 
     plant = channels.plant("synth dk", file)
+    words = None if structure is None else structure_in_words(structure, plant)
+    given: dict[str, Any] = {"structure": words, "starts": starts, "seed": seed, **vars(effort)}
     with output.shown("synth dk", verbose=output.verbose) as report:
-        found = design(
-            plant, rows, direct=direct, mixed=mixed, max_order=max_order, **vars(effort),
-            progress=report,
-        )  # fmt: skip
+        found = design(plant, rows, direct=direct, mixed=mixed, max_order=max_order, progress=report, **given)
     output.finish("synth dk", found, file)
 
 
@@ -430,6 +263,57 @@ def fixed(
 
 @app.command()
 @grouped
+def tune(
+    *,
+    files: Annotated[
+        list[str], typer.Argument(help="Plants, HDF5 or .mat files: one controller for all.", show_default=False)
+    ],
+    structure: Annotated[
+        str, typer.Option("--structure", help="As for fixed.", autocompletion=one_of("static", "pi", "pd", "pid"))
+    ] = "pid",
+    goal: Annotated[
+        list[str] | None,
+        typer.Option("--goal", help='Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".'),
+    ] = None,
+    hard: Annotated[list[str] | None, typer.Option("--hard", help='Must be met: "margin:disk=0.8,at=input".')] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="Always kept: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s)."),
+    ] = None,
+    signals: SignalOptions,
+    starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
+    seed: SeedOption = 0,
+    effort: EffortOptions,
+    output: DesignOutput,
+) -> None:
+    """Controller u = K (r - y) of a given structure that meets hard goals and makes the others small.
+
+    Goals: tracking, sensitivity, gain, rejection, variance, margin, overshoot (by a proxy); each is met where its value
+    is at most 1. Exit code 4: a hard goal is missed, or no controller could be vouched for.
+
+    Example: robustlab synth tune motor.h5 --structure pi --outputs omega --goal tracking:response_time=0.1 \
+    --hard margin:disk=0.8 --out controller.h5
+    """
+    output.check()
+    from robustlab.synthesis.fixed.design_goals import goal_in_words
+    from robustlab.synthesis.fixed.goal_tuning import tune as design
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+    models = [signals.model(file) for file in files]
+    first = models[0]
+    words = structure_in_words(structure, GeneralizedPlant(first, max(first.n_outputs, 1), max(first.n_inputs, 1)))
+    goals: list[Any] = [goal_in_words(*goal_of(text)) for text in goal or []]
+    goals += [goal_in_words(*goal_of(text), hard=True) for text in hard or []]
+    goals += [limit_of(text) for text in limit or []]
+    options: dict[str, Any] = {"starts": starts, "seed": seed, **vars(effort)}
+    with output.shown("synth tune", verbose=output.verbose) as report:
+        found = design(models, words, goals, progress=report, **options)
+    output.finish("synth tune", found, files[0])
+
+
+@app.command()
+@grouped
 def mixsyn(
     *,
     file: FileArgument,
@@ -463,9 +347,9 @@ def mixsyn(
     )
 
     weights = (
-        _weight("--w1", w1, performance_weight),
-        _weight("--w2", w2, control_weight),
-        _weight("--w3", w3, complementary_weight),
+        weight_of("--w1", w1, performance_weight),
+        weight_of("--w2", w2, control_weight),
+        weight_of("--w3", w3, complementary_weight),
     )
     if all(weight is None for weight in weights):
         raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
@@ -595,74 +479,9 @@ app.command()(lqi)
 app.command()(kalman)
 
 
-# --- reading ---------------------------------------------------------------------------------------------------------
-
-
-def _number_or_model(text: str) -> StateSpaceModel | float:
-    """A weight: a number, or a file with a model."""
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-
-    try:
-        return float(text)
-    except ValueError:
-        return as_model(load(text), text)
-
-
-def _number(where: str, text: str) -> float:
-    """A number, or a usage error."""
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(where, f"{text.strip()!r}", "a number") from None
-
-
-def _numbers(option: str, text: str, most: int | None = None) -> list[float]:
-    """One number, or as many as there are channels."""
-    found = [_number(option, part) for part in names(text)]
-    if most is not None and len(found) not in (1, most):
-        raise UsageError(option, f"{len(found)} numbers", f"one, or {most}")
-    return found
-
-
-def _weight(option: str, text: str | None, make: Any) -> Any:
-    """A number, or the weight that ``key=value,...`` specifies; None where left out."""
-    if text is None:
-        return None
-    if "=" not in text:
-        return _number(option, text)
-    known = list(signature(make).parameters)
-    specification: dict[str, float] = {}
-    for part in names(text):
-        key, _, value = part.partition("=")
-        key = key.strip().replace("-", "_")
-        if key not in known:
-            raise UsageError(option, f"unknown word {key!r}", f"one of {', '.join(known)}", did_you_mean(key, known))
-        specification[key] = _number(f"{option}: {key}", value)
-    if "order" in specification and specification["order"].is_integer():
-        specification["order"] = int(specification["order"])
-    required = known[0]
-    if required not in specification:
-        raise UsageError(option, f"{required} is missing", f"at least {required}=NUMBER")
-    return make(**specification)
-
-
 def _nominal(plant: GeneralizedPlant) -> GeneralizedPlant:
     """The plant at Delta = 0."""
     from robustlab.synthesis.problem.partition import GeneralizedPlant
     from robustlab.uncertainty.lft import UncertainModel
 
     return GeneralizedPlant(UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)
-
-
-def _draw(found: Synthesis, figure: str) -> None:
-    """Write all figures that there are of a design."""
-    from robustlab.report.design_figures import pictures
-
-    for suffix, make in pictures(found).items():
-        try:
-            drawing = make()
-        except RobustlabError as error:
-            note(f"no figure {suffix or 'of the loop'}: {error}")
-            continue
-        save_drawing(drawing, figure, f"-{suffix}" if suffix else "")

@@ -232,7 +232,7 @@ def history_figure(
         level.set_ylabel("bound of μ")
         level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         order.step(steps, orders, where="mid", color=COLOURS["nominal"])
-        order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(orders, default=1)))
+        order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(1, *orders)))
         order.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 

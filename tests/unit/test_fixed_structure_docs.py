@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 import robustlab as rl
+from robustlab.synthesis.fixed import design_goals
 from robustlab.synthesis.laws import controller_structures
 from robustlab.synthesis.nonsmooth import design_limits
 
@@ -40,7 +41,7 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
     # The infimum is that of state feedback: B1' X B1 with X of the LQR problem of q and 0.1 u.
     infimum = (2 * 0.1**3) ** 0.25
     assert infimum <= smooth.gamma <= 1.001 * infimum
-    assert infimum <= float(printed.split()[-1]) <= 1.001 * infimum
+    assert infimum <= float(printed.splitlines()[2].split()[-1]) <= 1.001 * infimum
     said = (
         f"{design.gamma:.4f}",
         f"Kp = {kp:.1f}",
@@ -48,12 +49,24 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
         f"tau = {tau:.2f}",
         f"of {infimum:.4f}",
     )
+    tuned = names["tuned"]
+    assert tuned.status is rl.Status.CERTIFIED
+    servo, K = names["servos"][0], tuned.K
+    grid = np.geomspace(1e-3, 1e3, 4001)
+    S = 1 / (1 + (rl.frequency_response(servo, grid) * rl.frequency_response(K, grid))[:, 0, 0])
+    assert 1.2 * np.abs(S - 0.5).max() == pytest.approx(tuned.goals[1].values[0], rel=1e-3)
+    said += (f"[{', '.join(f'{goal.value:.3f}' for goal in tuned.goals)}]", f"{tuned.overshoot:.2f}: percent")
     assert [text for text in said if text not in PAGE.read_text(encoding="utf-8")] == []
 
 
 def test_the_page_names_what_there_is():
     # Names of structures and limits begin with a capital.
-    known = {**vars(controller_structures), **vars(design_limits), "UncertainModel": rl.UncertainModel}
+    known = {
+        **vars(controller_structures),
+        **vars(design_limits),
+        **vars(design_goals),
+        "UncertainModel": rl.UncertainModel,
+    }
     named = set(re.findall(r"`([A-Z]\w+)[(`]", PAGE.read_text(encoding="utf-8")))
     assert len(named) >= 8
     assert named <= set(known)

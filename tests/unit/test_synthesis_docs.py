@@ -40,6 +40,19 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
     assert names["shaped"].gamma_min == pytest.approx(exact, rel=1e-6)
     assert names["shaped"].gamma <= 1.1 * exact * 1.001
 
+    text = PAGE.read_text(encoding="utf-8")
+    two, held = names["two"], names["held"]
+    assert f"# {two.margin.lower:.4f} {two.matching.upper:.4f}," in text
+    answered = rl.frequency_response(two.closed_loop.select(["y1 reference"], ["y1"]), omega)[:, 0, 0]
+    assert np.abs(answered - 4 / (s**2 + 3.2 * s + 4)).max() == pytest.approx(two.matching.upper, rel=1e-3)
+    force = rl.StateSpaceModel([], [], [], -np.eye(1)) @ held.K
+    assert abs((G / (1 + G * rl.frequency_response(force, omega)[:, 0, 0]))[0]) < 1e-2
+    for K, shown in ((names["plain"].K, 1.034), (held.K, 0.715)):
+        L = -G * rl.frequency_response(K, omega)[:, 0, 0]
+        assert 1 / np.abs(1 / (1 + L) - 0.5).max() == pytest.approx(shown, abs=6e-4)
+    static = names["static"]
+    assert (f"{static.gamma:.4f}", round(static.parameters["K[u4,y5]"], 2)) == ("0.8801", -6.53)
+
     robust = names["robust"]
     assert robust.status is rl.Status.CERTIFIED
     assert robust.proved_again() == pytest.approx(robust.scaled_level, rel=1e-5)

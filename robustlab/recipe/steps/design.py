@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -18,6 +19,7 @@ from robustlab.recipe.steps.vocabulary import (
     Effort,
     PerformanceWeight,
     Positive,
+    Strict,
     TimeLimit,
     ToController,
     ToDesignable,
@@ -231,6 +233,10 @@ class DkStep(DesignStep):
 
     do: Literal["dk"]
     start: ToController | None = Field(None, description="Stabilising controller to start from.")
+    structure: Annotated[str, Field(max_length=200)] | None = Field(
+        None, description="What the controller may look like, in the words of `fixed`; D-K iteration alone then."
+    )
+    starts: Annotated[int, Field(ge=0, le=1000)] = Field(3, description="With a structure: number of random starts.")
     direct: bool = Field(True, description="Go on with direct minimisation.")
     mixed: bool = Field(True, description="Use that real blocks are real.")
     max_order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="Largest order of the controller.")
@@ -241,11 +247,16 @@ class DkStep(DesignStep):
     def run(self, work: Workspace) -> Outcome:
         """A robust controller; mu proved at all frequencies."""
         from robustlab.report.design_figures import history_picture
+        from robustlab.synthesis.laws.controller_structures import structure_in_words
+        from robustlab.synthesis.problem.partition import as_generalized_plant
 
         P, *channels = self.generalised(work)
         start = None if self.start is None else work.values[self.start]
-        taken = {"direct", "mixed", "max_order", "order_rel", "effort", "time_limit"}
+        taken = {"direct", "mixed", "max_order", "order_rel", "effort", "time_limit", "starts"}
         options: dict[str, Any] = self.model_dump(include=taken)
+        if self.structure is not None:
+            plant = as_generalized_plant(P, channels[0], channels[1], "dk")
+            options |= {"structure": structure_in_words(self.structure, plant), "seed": work.seed}
         found = rl.dk(P, None, *channels, K0=start, **options)
         _draw_loop(found, work)
         work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
@@ -279,6 +290,65 @@ class FixedStep(DesignStep):
         _draw_loop(found, work)
         _draw_functions(found, self.of, work, proved=self.nominal and self.objective == "hinf")
         return designed(found, f"Controller of structure {self.structure} for {self.of}.", work)
+
+
+class GoalWords(Strict):
+    """A goal of a loop; which numbers it takes depends on its word."""
+
+    goal: Literal["tracking", "sensitivity", "gain", "rejection", "variance", "margin", "overshoot"]
+    hard: bool = Field(False, description="Must be met before the others are made small.")
+    response_time: Positive | None = Field(None, description="tracking, in s")
+    error: Positive | None = Field(None, description="tracking, sensitivity: at low frequency")
+    peak: Positive | None = Field(None, description="tracking, sensitivity")
+    bandwidth: Positive | None = Field(None, description="sensitivity, in rad/s")
+    bound: Positive | None = Field(None, description="gain, rejection, variance")
+    disk: Positive | None = Field(None, description="margin")
+    percent: Positive | None = Field(None, description="overshoot, by its proxy")
+    at: Literal["input", "output"] | None = Field(None, description="sensitivity, margin")
+    inputs: Literal["reference", "disturbance", "noise"] | None = Field(None, description="gain, variance")
+    outputs: Literal["output", "control", "total", "error"] | list[str] | None = Field(
+        None, description="gain, variance; names of outputs for tracking"
+    )
+
+
+@step
+class TuneStep(Step):
+    """Controller u = K (r - y) of a given structure: hard goals met, the others made small, for several plants."""
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["tune"]
+    of: ToModel
+    also: list[ToModel] = Field(default_factory=list, description="Further plants for the same controller.")
+    structure: Annotated[str, Field(max_length=200)] = Field("pid", description="In the words of `fixed`.")
+    goals: Annotated[list[GoalWords], Field(min_length=1, max_length=50)]
+    damping: Annotated[float, Field(gt=0, le=1)] | None = Field(None, description="Least damping of the loop's poles.")
+    decay: Positive | None = Field(None, description="Least decay rate of the loop's poles, in 1/s.")
+    bandwidth: Positive | None = Field(None, description="Largest modulus of the loop's poles, in rad/s.")
+    starts: Annotated[int, Field(ge=0, le=1000)] = Field(3, description="Number of random starts.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def run(self, work: Workspace) -> Outcome:
+        """A controller for goals; what was reached of each is verified."""
+        from robustlab.statespace import as_model
+        from robustlab.synthesis.fixed.design_goals import goal_in_words
+        from robustlab.synthesis.laws.controller_structures import structure_in_words
+        from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
+        from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+        models = [as_model(work.values[name], name) for name in (self.of, *self.also)]
+        first = models[0]
+        words = structure_in_words(self.structure, GeneralizedPlant(first, first.n_outputs, first.n_inputs))
+        goals: list[Any] = [
+            goal_in_words(g.goal, g.model_dump(exclude={"goal", "hard"}, exclude_none=True), g.hard) for g in self.goals
+        ]
+        limits = ((Damping, self.damping), (Decay, self.decay), (Bandwidth, self.bandwidth))
+        goals += [kind(value) for kind, value in limits if value is not None]
+        options: dict[str, Any] = self.model_dump(include={"starts", "effort", "time_limit"})
+        found = rl.tune(models, words, goals, seed=work.seed, **options)
+        _draw_loop(found, work)
+        outcome = designed(found, f"Controller of structure {self.structure} for {self.of}.", work)
+        return replace(outcome, numbers={**outcome.numbers, "missed": len(found.missed)})
 
 
 @step

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from robustlab.mu_analysis.axis.intervals import Piece
@@ -73,6 +74,8 @@ class DKSynthesis(Tabular, Synthesis):
         smaller bound. Frequencies are those of the loop mapped to continuous time where it is discrete.
     history
         Every iterate.
+    parameters
+        Of a controller of given structure: its parameters by name; ``K0`` of another design.
     """
 
     blocks: tuple[Block, ...]
@@ -83,6 +86,7 @@ class DKSynthesis(Tabular, Synthesis):
     scaled_level: float
     pieces: tuple[Piece, ...]
     history: tuple[DKStep, ...]
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
     def proved_again(self) -> float:
         """What the scalings prove for mu of the loop rebuilt from plant and K, computed anew; inf: nothing."""
@@ -109,6 +113,7 @@ class DKSynthesis(Tabular, Synthesis):
             ("orders of the scalings", orders or "constant"),
             ("iterates", f"{len(self.history)}, from {self.history[0].gamma:.6g}"),
             *rows[5:],
+            *((name, f"{value:.6g}") for name, value in list(self.parameters.items())[:40]),
         ]
 
     def table(self) -> Table:
@@ -127,4 +132,5 @@ class DKSynthesis(Tabular, Synthesis):
             "scalings": self.scalings.to_json(),
             "intervals": [(p.low, p.high, p.beta) for p in self.pieces],
             "history": list(self.history),
+            "parameters": dict(self.parameters),
         }

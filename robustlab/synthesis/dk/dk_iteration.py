@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
 )
 from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
+from robustlab.synthesis.dk.structured_problem import StructuredProblem
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
@@ -48,6 +50,9 @@ def dk(
     n_con: int | None = None,
     *,
     K0: Any = None,
+    structure: Any = None,
+    starts: int = 16,
+    seed: int = 0,
     direct: bool = True,
     mixed: bool = True,
     max_order: int | None = None,
@@ -81,7 +86,12 @@ def dk(
         Numbers of measurements and controls; left out for a `GeneralizedPlant`.
     K0
         Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); a `DKSynthesis` of the same
-        blocks also gives its scalings. H-infinity synthesis where left out.
+        blocks also gives its scalings. With a structure: values by parameter name. H-infinity synthesis where left out.
+    structure
+        What the controller may look like, as for `robustlab.fixed_structure`: "pid", an order, a mask, ... Then D-K
+        iteration alone: for given D a nonsmooth descent of the parameters, a local search.
+    starts, seed
+        Random starts of the first search for a structure, and their seed.
     direct
         Whether to go on with direct minimisation after D-K iteration.
     mixed
@@ -129,7 +139,7 @@ def dk(
     >>> design.status.value, design.lower <= design.gamma < 1
     ('certified', True)
     """
-    plant, structure = structure_with_performance(P, blocks, n_meas, n_con)
+    plant, all_blocks = structure_with_performance(P, blocks, n_meas, n_con)
     if not 0 <= order_rel < 1:
         raise InputError("synth dk", f"order_rel is {order_rel}", "a number in [0, 1)")
     budget = design_budget("synth dk", tuning.work, effort, time_limit)
@@ -140,7 +150,12 @@ def dk(
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         compile_kernels()
-        search = _Search(plant, structure, budget, int(max_order), mixed, progress, tuning)
+        search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress, tuning)
+        if structure is not None:
+            search.problem = StructuredProblem(plant, structure, starts, seed, search.search, tuning)
+            search.start_structured(K0)
+            search.alternate(False)
+            return search.finished(order_rel)
         search.start(K0)
         search.alternate(direct)
         if direct:
@@ -201,7 +216,7 @@ class _Search:
         self.mixed = mixed and some_real
         self.real, self.blocks = blocks, as_complex(blocks)
         self.curve_work = points_work(self.real if self.mixed else self.blocks, tuning.curve_points)
-        self.problem = RobustProblem(plant, budget, tuning)
+        self.problem: RobustProblem = RobustProblem(plant, budget, tuning)
         self.problem.budget = self.search = self._until(tuning.search_end)
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
@@ -255,6 +270,21 @@ class _Search:
             if other is not None:
                 self._prefer(other, found)
 
+    def start_structured(self, K0: Any) -> None:
+        """The end of smallest mu of the search for the structure without scalings; or the values given."""
+        assert isinstance(self.problem, StructuredProblem)
+        if K0 is not None and not isinstance(K0, Mapping):
+            raise InputError("synth dk: K0", f"a {type(K0).__name__}", "values by parameter name, beside a structure")
+        self.problem.budget = self.search.share(self.tuning.start_share)
+        found = self.problem.first(K0, unit_scalings(self.blocks))
+        self.problem.budget = self.search
+        if not found:
+            hint = "not found is no proof that there is none: try more starts, or a richer structure"
+            raise NoTrustworthyNumber("synth dk", "no start stabilised the plant with this structure", hint=hint)
+        best = min(found, key=lambda iterate: mu_curve(iterate.loop, self.blocks, self.search, tuning=self.tuning).peak)
+        self.problem.follow(best)
+        self._keep(best, "start")
+
     def _prefer(self, other: Iterate, found: Iterate) -> None:
         """Go on from the other start where its mu is clearly smaller."""
         before = self._followed(found)
@@ -276,6 +306,7 @@ class _Search:
             before = self.best.level
             scalings = self._fitted(self.curve, self.tuning.fit_loss, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
+            refitted = refitted and replace(refitted, p=now.p)
             if refitted is not None and refitted.level < before:
                 self._keep(refitted, "D-K", self.curve.peak)
             self.problem.regularise(refitted or now, self.tuning.rough)
@@ -423,6 +454,7 @@ class _Search:
             scaled_level=chosen.level,
             pieces=tuple(cover.pieces) if proved else (),
             history=tuple(self.history),
+            parameters=self.problem.values(chosen) if isinstance(self.problem, StructuredProblem) else {},
         )
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:

@@ -88,12 +88,15 @@ class Iterate:
         D, G whose scaled loop proves ``level``.
     level
         mu of the loop is at most this, at all frequencies.
+    p
+        Parameters of a controller of given structure.
     """
 
     K: StateSpaceModel
     loop: StateSpaceModel
     scalings: DynamicScalings
     level: float
+    p: AnyArray | None = None
 
     @property
     def pace(self) -> float:

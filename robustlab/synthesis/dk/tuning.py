@@ -19,6 +19,7 @@ class DKTuning:
     # --- the stages (dk_iteration) ---
     work: float = 120 * MILLION  # the usual work at effort 1
     start_share: float = 0.25  # for the H-infinity start; larger: a better first controller, less time for the rest
+    structured_ends: int = 3  # ends of the search for a controller of given structure whose mu is looked at
     classical_end: float = 0.5  # where D-K iteration has to end when direct minimisation follows
     search_end: float = 0.8  # where the whole search has to end; the rest is for the proof
     softening_end: float = 0.85  # where the search for slower controllers has to end

@@ -35,7 +35,16 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = ["FixedSynthesis", "LimitValue", "ParameterValue", "fixed_structure"]
+__all__ = [
+    "FixedSynthesis",
+    "LimitValue",
+    "ParameterValue",
+    "bounded_law",
+    "fixed_structure",
+    "given_starts",
+    "not_found",
+    "require_finite_h2",
+]
 
 WHERE = "synth fixed"
 # A limit that is met up to this share counts as kept: the search stays strictly inside.
@@ -270,8 +279,8 @@ def fixed_structure(
         law = as_structure(structure, common_scaling(plants)[0].rate).law(
             first.measurements, first.controls, first.model.dt
         )
-        law = _bounded(law, bounds or {})
-        given = [("given", p) for p in _given(law, start)]
+        law = bounded_law(law, bounds or {})
+        given = [("given", p) for p in given_starts(law, start)]
         search = _Search(starts, seed, say)
         if first.blocks:
             if objective != "hinf":
@@ -281,7 +290,7 @@ def fixed_structure(
             return search.for_worst_member(first, law, limits, given, budget)
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
-            _require_finite_h2(problem)
+            require_finite_h2(problem)
         return search.result(problem, [*given, *informed_starts(problem, seed, say)])
 
 
@@ -323,7 +332,8 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 # --- parameters -------------------------------------------------------------------------------------------------------
 
 
-def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
+def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
+    """The law with these bounds of its parameters, by name."""
     if not bounds:
         return law
     names = [p.name for p in law.parameters]
@@ -347,7 +357,7 @@ def _place(name: str, names: list[str]) -> int:
     return names.index(name)
 
 
-def _given(law: Law, start: Any) -> list[AnyArray]:
+def given_starts(law: Law, start: Any) -> list[AnyArray]:
     """Starts that were given, as parameters; what a start leaves out is the structure's own."""
     if start is None:
         return []
@@ -387,7 +397,7 @@ class _Search:
         best_first = [start for start in found[: self.tuning.verified] if np.isfinite(start.gamma)]
         kept = [design for start in best_first if (design := _verified(problem, start)) is not None]
         if not kept:
-            raise _not_found(problem, found)
+            raise not_found(problem, found)
         best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
         parts = [best.reason, f"{len(found)} starts; a local optimum"]
         status, reason = told(best.status, parts, problem.budget)
@@ -526,12 +536,14 @@ def _trust(norms: Sequence[HinfNorm | H2Norm], doubts: Sequence[str]) -> tuple[S
     return (Status.CERTIFIED if proved else Status.CONVERGED), text
 
 
-def _require_finite_h2(problem: DesignProblem) -> None:
+def require_finite_h2(problem: DesignProblem) -> None:
     """A continuous loop with a direct term has no H2 norm: say so before searching."""
     if problem.dt:
         return
     rng = np.random.default_rng(0)
-    for i, family in enumerate(problem.families, start=1):
+    for i, (family, kind) in enumerate(zip(problem.families, problem.kinds, strict=True), start=1):
+        if kind != "h2":
+            continue
         for v in (problem.start, problem.start + rng.standard_normal(len(problem.start))):
             loop = family.loop(problem.theta(problem.parameters(v)[0]))
             if loop is not None and np.abs(loop.D).max(initial=0.0) > 0:
@@ -543,7 +555,7 @@ def _require_finite_h2(problem: DesignProblem) -> None:
                 )
 
 
-def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
+def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
     """What stayed unstable in the start that came nearest."""
     nearest = min(found, key=lambda s: s.instability)
     theta = problem.theta(nearest.p)

@@ -32,6 +32,16 @@ class FixedTuning:
     poles: tuple[float, float] = (0.3, 3.0)
     discrete_poles: tuple[float, float] = (0.2, 0.8)
 
+    # --- goals
+    # Factor of hard goals in the search, so that they hold after it; most rounds, and the gain that is worth another.
+    harder: float = 1 + 1e-5
+    goal_rounds: int = 12
+    # Share of the work for the first search, from many starts.
+    goal_start: float = 0.6
+    # Weights of the soft goals, in turn, until the hard ones are met.
+    goal_shares: tuple[float, ...] = (0.5, 0.2, 0.05, 0.01, 0.0)
+    goal_progress: float = 1e-3
+
     # --- the worst member of a set
     # Most scenarios.
     rounds: int = 12

@@ -77,10 +77,9 @@ class DisturbanceModel:
     def frequencies(self) -> list[float]:
         """Frequencies >= 0 in rad/s of the modes that do not decay."""
         m = self.filter
-        poles = m.poles()
-        s = np.log(poles.astype(complex)) / m.dt if m.is_discrete else poles
-        lasting = s[_inside(m) <= PERSISTENT]
-        return sorted({round(abs(float(omega)), 12) for omega in np.imag(lasting)})
+        lasting = m.poles()[_inside(m) <= PERSISTENT]
+        s = np.log(lasting) / m.dt if m.is_discrete else lasting
+        return sorted({round(abs(float(omega)), 12) for omega in np.imag(s)})
 
     def beside(self, g: StateSpaceModel) -> StateSpaceModel:
         """The plant with the states of the filter below its own."""

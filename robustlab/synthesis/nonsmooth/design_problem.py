@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,36 +69,43 @@ class DesignProblem:
     law
         The controller.
     objective
-        ``"hinf"`` or ``"h2"``: the largest norm over the plants.
+        ``"hinf"`` or ``"h2"``: the largest norm over the plants; or one of them for each plant.
     limits
         What the design must keep, strictly.
     budget
         Every evaluation is counted there. None: no limit.
+    limited
+        Plants whose loops the limits are about, where those of ``plants`` have poles of weights; these where left out.
     """
 
     def __init__(
         self,
         plants: Sequence[GeneralizedPlant],
         law: Law,
-        objective: str,
+        objective: str | Sequence[str],
         limits: Sequence[Limit],
         budget: Budget | None = None,
         tuning: NonsmoothTuning = TUNING,
+        limited: Sequence[GeneralizedPlant] = (),
     ) -> None:
         self.tuning, self.budget = tuning, Budget() if budget is None else budget
-        self.plants, self.law, self.objective, self.limits = tuple(plants), law, objective, tuple(limits)
+        self.kinds = (objective,) * len(plants) if isinstance(objective, str) else tuple(objective)
+        self.plants, self.law, self.objective, self.limits = tuple(plants), law, self.kinds[0], tuple(limits)
         self.dt = plants[0].model.dt
-        scalings = common_scaling(plants)
+        scalings = common_scaling([*plants, *limited])
         self.scaling = scalings[0]
         k = law.sizes[0]
         rate, u, y = self.scaling.rate, self.scaling.u, self.scaling.y
+        self._h2_unit = float(np.sqrt(rate)) if "hinf" in self.kinds else 1.0
         # Theta of the scaled plant is left * Theta * right, entry by entry.
         self._rows = np.concatenate([np.full(k, 1 / rate), 1 / u])[:, None]
         self._columns = np.concatenate([np.ones(k), 1 / y])[None, :]
-        self.families = [
+        families = [
             LoopFamily(s.apply(plant.matrices()), plant.D22 * y[:, None] * u, k, self.dt > 0, tuning)
-            for s, plant in zip(scalings, plants, strict=True)
+            for s, plant in zip(scalings, [*plants, *limited], strict=True)
         ]
+        self.families = families[: len(self.plants)]
+        self.limited = families[len(self.plants) :] or self.families
         self._set_coordinates()
         # Of one evaluation, as measured: of the law, and of every loop its poles and a norm with its gradient.
         self._work = 300 + sum(dense(len(family.A), 2) for family in self.families)
@@ -111,7 +118,24 @@ class DesignProblem:
     def gain(self) -> float:
         """Factor from a norm of the plants to that of the scaled plants."""
         factor = self.scaling.gain
-        return factor / np.sqrt(self.scaling.rate) if self.objective == "h2" else factor
+        return factor if "hinf" in self.kinds else factor / np.sqrt(self.scaling.rate)
+
+    def norms(self, p: AnyArray) -> list[float]:
+        """The norm of every plant's loop in the plants' units; inf where it is not stable."""
+        theta = self.theta(p)
+        return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each()]
+
+    def _each(self) -> Iterable[tuple[LoopFamily, str]]:
+        return zip(self.families, self.kinds, strict=True)
+
+    def _one(
+        self, family: LoopFamily, kind: str, theta: AnyArray, give_up_above: float
+    ) -> tuple[float, AnyArray | None]:
+        """A norm with its gradient. Beside H-infinity norms an H2 norm counts in the same unit of time."""
+        if kind == "hinf":
+            return family.norm(theta, give_up_above)
+        value, G = family.h2_norm(theta)
+        return value * self._h2_unit, None if G is None else G * self._h2_unit
 
     def _set_coordinates(self) -> None:
         everything = self.law.parameters
@@ -197,7 +221,7 @@ class DesignProblem:
         return [
             (limit, family)
             for limit in self.limits
-            for family in (self.families[:1] if limit.of_controller else self.families)
+            for family in (self.limited[:1] if limit.of_controller else self.limited)
         ]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
@@ -212,8 +236,8 @@ class DesignProblem:
         if any(value >= 0 for value, _ in self.limit_values(theta)):
             return np.inf, None
         worst: tuple[float, AnyArray | None] = -np.inf, None
-        for family in self.families:
-            found = family.norm(theta, give_up_above) if self.objective == "hinf" else family.h2_norm(theta)
+        for family, kind in self._each():
+            found = self._one(family, kind, theta, give_up_above)
             if not np.isfinite(found[0]) or found[0] >= give_up_above:
                 return found[0], None
             if found[0] > worst[0]:
@@ -233,11 +257,11 @@ class DesignProblem:
         self.budget.spend(2 * self._work)
         theta = self.theta(p)
         found: list[tuple[float, AnyArray]] = []
-        for family in self.families:
-            if self.objective == "hinf":
+        for family, kind in self._each():
+            if kind == "hinf":
                 found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius)
             else:
-                norm, G = family.h2_norm(theta)
+                norm, G = self._one(family, kind, theta, np.inf)
                 if G is not None and norm > 0.8 * value:
                     found.append((norm, G))
         pieces = [Piece(f, self.by_parameters(p, G)) for f, G in found]
@@ -261,8 +285,11 @@ class DesignProblem:
                 return np.inf, None
             total -= np.log(-c)
             by_theta = by_theta - G / c
-        for family in self.families:
-            found = family.entropy(theta, gamma) if self.objective == "hinf" else _h2_barrier(family, theta, gamma)
+        for family, kind in self._each():
+            if kind == "hinf":
+                found = family.entropy(theta, gamma)
+            else:
+                found = _h2_barrier(self._one(family, kind, theta, np.inf), gamma)
             if found is None:
                 return np.inf, None
             total, by_theta, by_gamma = total + found[0], by_theta + found[1], by_gamma + found[2]
@@ -270,9 +297,9 @@ class DesignProblem:
         return log_gamma + mu * total, gradient
 
 
-def _h2_barrier(family: LoopFamily, theta: AnyArray, gamma: float) -> tuple[float, AnyArray, float] | None:
+def _h2_barrier(found: tuple[float, AnyArray | None], gamma: float) -> tuple[float, AnyArray, float] | None:
     """``-ln(1 - h^2/gamma^2)`` of an H2 norm h with its gradients; None where h is not below gamma."""
-    norm, G = family.h2_norm(theta)
+    norm, G = found
     if G is None or not norm < gamma:
         return None
     room = (gamma - norm) * (gamma + norm)

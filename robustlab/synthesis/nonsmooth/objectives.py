@@ -94,7 +94,7 @@ class PeakFinder:
         value = _sigma_at(loop, at)
         if value < direct:
             value, at = direct, np.inf
-        if value < give_up_above:
+        if 0 < value < give_up_above:
             value, at = self._above(loop, modal, value, at)
         if np.isfinite(at) and at not in self._warm:
             self._warm = [at, *self._warm[:3]]

@@ -1,0 +1,297 @@
+"""Option groups of ``robustlab synth``: channels, signals, weights, what becomes of a design; how words are read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+from robustlab.cli.offers import one_of
+from robustlab.cli.options import JsonOption, OutOption, OutputOptions, names
+from robustlab.cli.progress import ProgressOptions
+from robustlab.errors import EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from robustlab.statespace import StateSpaceModel
+    from robustlab.synthesis.problem.design import Synthesis
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+__all__ = [
+    "ChannelOptions",
+    "DesignOutput",
+    "GaussianOptions",
+    "LoopChannelOptions",
+    "QuietDesignOutput",
+    "SignalOptions",
+    "goal_of",
+    "limit_of",
+    "number_or_model",
+    "weight_of",
+]
+
+
+@dataclass(frozen=True)
+class ChannelOptions:
+    """Which inputs and outputs of a file a design takes, by number or by name."""
+
+    n_meas: Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")] = None
+    n_con: Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")] = None
+    measurements: Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")] = None
+    controls: Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")] = None
+    disturbances: Annotated[
+        str | None,
+        typer.Option("--disturbances", help="With names: the inputs w; all that are no controls where left out."),
+    ] = None
+    performance: Annotated[
+        str | None, typer.Option("--performance", help="With names: the outputs z; all outputs where left out.")
+    ] = None
+
+    def check(self, command: str) -> None:
+        """Refuse channels that are not given, or given twice."""
+        by_name, by_number = (self.measurements, self.controls), (self.n_meas, self.n_con)
+        named, counted = None not in by_name, None not in by_number
+        halves = any(by_name) != named or any(n is not None for n in by_number) != counted
+        if halves or named == counted:
+            expected = "either --n-meas and --n-con, or --measurements and --controls"
+            raise UsageError(command, "channels are not given", expected)
+        if counted and (self.disturbances or self.performance):
+            raise UsageError(command, "--disturbances or --performance", "--measurements and --controls by name, too")
+
+    def plant(self, command: str, file: str, nominal: bool = False) -> GeneralizedPlant:
+        """The generalised plant of a file."""
+        from robustlab.storage import load
+        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
+        from robustlab.uncertainty.lft import UncertainModel
+
+        found: Any = load(file)
+        if nominal:
+            if not isinstance(found, UncertainModel):
+                raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
+            found = found.nominal
+        if self.measurements is None or self.controls is None:
+            return as_generalized_plant(found, self.n_meas, self.n_con, command)
+        w, z = (None if text is None else names(text) for text in (self.disturbances, self.performance))
+        return generalized_plant(found, names(self.measurements), names(self.controls), w, z)
+
+
+@dataclass(frozen=True)
+class LoopChannelOptions:
+    """Which inputs and outputs of a plant its controller is connected to."""
+
+    measurements: Annotated[
+        str | None,
+        typer.Option("--measurements", help="Measured outputs by name, a,b; the last outputs where left out."),
+    ] = None
+    controls: Annotated[
+        str | None, typer.Option("--controls", help="Control inputs by name, a,b; the last inputs where left out.")
+    ] = None
+
+    def plant(self, file: str, K: Any) -> GeneralizedPlant:
+        """The generalised plant of the file: by names, or with as many channels at the end as the controller has."""
+        from robustlab.storage import load
+        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
+
+        if (self.measurements is None) != (self.controls is None):
+            raise UsageError("--measurements, --controls", "one of them", "both, or none")
+        loaded = load(file)
+        if self.measurements is None or self.controls is None:
+            return as_generalized_plant(loaded, K.n_inputs, K.n_outputs, file)
+        return generalized_plant(loaded, names(self.measurements), names(self.controls))
+
+
+@dataclass(frozen=True)
+class SignalOptions:
+    """Which control inputs and outputs of a plain model are used."""
+
+    inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None
+    outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None
+
+    def model(self, file: str) -> StateSpaceModel:
+        """The model in a file with these signals."""
+        from robustlab.statespace import as_model
+        from robustlab.storage import load
+
+        model = as_model(load(file), file)
+        if not self.inputs and not self.outputs:
+            return model
+        sides = (None if not text else names(text) for text in (self.inputs, self.outputs))
+        return model.select(*sides)
+
+
+@dataclass(frozen=True)
+class DesignOutput(ProgressOptions):
+    """What becomes of a design, and whether its search is told step by step."""
+
+    out: OutOption = None
+    figure: Annotated[
+        str | None,
+        typer.Option("--figure", help="Figures to write: NAME and NAME-..., each as SVG and PNG.", show_default=False),
+    ] = None
+    verbose: Annotated[bool, typer.Option("--verbose", help="A line on stderr for each step of the search.")] = False
+    as_json: JsonOption = False
+
+    def check(self) -> None:
+        """Refuse, before the search, a file that could not be written after it."""
+        if self.out is not None and not Path(self.out).resolve().parent.is_dir():
+            raise EnvironmentFault(self.out, "no such folder", "a folder that exists")
+
+    def finish(self, command: str, found: Synthesis, file: str) -> None:
+        """Print the design, store the controller, draw, and leave with the exit code of its status."""
+        from robustlab.synthesis.problem.performance_limits import limits_in_words
+
+        limits = limits_in_words(found)
+        rows = found.facts()
+        rows += [("" if k else "limits of any controller", line) for k, line in enumerate(limits)]
+        rows += OutputOptions(self.out).keep_made(command, found.controller, [file])
+        if self.figure is not None:
+            _draw(found, self.figure)
+        emit(command, {**found.to_json(), "limits": limits}, table(rows), self.as_json)
+        require_trust(found.status)
+
+
+@dataclass(frozen=True)
+class QuietDesignOutput(DesignOutput):
+    """The same of a design that needs no search."""
+
+    verbose: bool = False
+    progress: str = "auto"
+
+
+@dataclass(frozen=True)
+class GaussianOptions:
+    """Weights and noises of a linear-quadratic-Gaussian design: a number for all, or a,b,... for each on its own."""
+
+    q: Annotated[str, typer.Option("--q", help="Cost of the states: a number, or one for each: a,b.")] = "1"
+    r: Annotated[str, typer.Option("--r", help="Cost of the controls.")] = "1"
+    w: Annotated[str, typer.Option("--w", help="Intensity of the noise on the states.")] = "1"
+    v: Annotated[str, typer.Option("--v", help="Intensity of the noise on the measurements.")] = "1"
+    disturbance: Annotated[
+        str | None,
+        typer.Option("--disturbance", help="constant, the frequency of a sinusoid in rad/s, or the file of a filter."),
+    ] = None
+    at: Annotated[
+        str, typer.Option("--at", help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
+    ] = "input"
+    channels: Annotated[str | None, typer.Option("--channels", help="On which of them: a,b; all.")] = None
+    disturbance_noise: Annotated[str, typer.Option("--disturbance-noise", help="Intensity of its noise.")] = "1"
+    regulated: Annotated[str | None, typer.Option("--regulated", help="Outputs that it must leave: a,b; all.")] = None
+
+    def design(self, model: StateSpaceModel) -> Synthesis:
+        """The design for a model."""
+        import numpy as np
+
+        from robustlab.synthesis.h2.gaussian_regulator import lqg as design
+
+        sizes = (model.n_states, model.n_inputs, model.n_states, model.n_outputs)
+        weights = [
+            np.diag(np.broadcast_to(_numbers(f"--{name}", getattr(self, name), size), (size,)))
+            for name, size in zip("qrwv", sizes, strict=True)
+        ]
+        text = self.disturbance
+        given = text if text is None or text == "constant" else number_or_model(text)
+        named = [None if text is None else names(text) for text in (self.channels, self.regulated)]
+        noise, at = (
+            _numbers("--disturbance-noise", self.disturbance_noise),
+            "output" if self.at == "output" else "input",
+        )
+        if self.at != at:
+            raise UsageError("--at", repr(self.at), "input or output")
+        return design(
+            model, *weights, disturbance=given, at=at, channels=named[0], disturbance_noise=noise, regulated=named[1]
+        )
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def number_or_model(text: str) -> StateSpaceModel | float:
+    """A weight: a number, or a file with a model."""
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+
+    try:
+        return float(text)
+    except ValueError:
+        return as_model(load(text), text)
+
+
+def _number(where: str, text: str) -> float:
+    """A number, or a usage error."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(where, f"{text.strip()!r}", "a number") from None
+
+
+def _numbers(option: str, text: str, most: int | None = None) -> list[float]:
+    """One number, or as many as there are channels."""
+    found = [_number(option, part) for part in names(text)]
+    if most is not None and len(found) not in (1, most):
+        raise UsageError(option, f"{len(found)} numbers", f"one, or {most}")
+    return found
+
+
+def goal_of(text: str) -> tuple[str, dict[str, Any]]:
+    """``"tracking:response_time=1,peak=2"`` as a word and its options; ``outputs=a+b`` are names."""
+    word, _, rest = text.partition(":")
+    options: dict[str, Any] = {}
+    for part in names(rest) if rest else []:
+        key, found, value = part.partition("=")
+        if not found:
+            raise UsageError(f"goal {text!r}", repr(part), "key=value")
+        try:
+            options[key.strip()] = float(value)
+        except ValueError:
+            listed = word == "tracking" and key.strip() == "outputs"
+            options[key.strip()] = value.split("+") if listed else value.strip()
+    return word.strip(), options
+
+
+def limit_of(text: str) -> Any:
+    """``"damping=0.5"`` as a limit of poles."""
+    from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
+
+    known = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
+    word, _, value = text.partition("=")
+    if word.strip() not in known:
+        raise UsageError("--limit", repr(text), f"one of {', '.join(known)}, each =NUMBER")
+    return known[word.strip()](_number(f"--limit {word}", value))
+
+
+def weight_of(option: str, text: str | None, make: Any) -> Any:
+    """A number, or the weight that ``key=value,...`` specifies; None where left out."""
+    if text is None:
+        return None
+    if "=" not in text:
+        return _number(option, text)
+    known = list(signature(make).parameters)
+    specification: dict[str, float] = {}
+    for part in names(text):
+        key, _, value = part.partition("=")
+        key = key.strip().replace("-", "_")
+        if key not in known:
+            raise UsageError(option, f"unknown word {key!r}", f"one of {', '.join(known)}", did_you_mean(key, known))
+        specification[key] = _number(f"{option}: {key}", value)
+    if "order" in specification and specification["order"].is_integer():
+        specification["order"] = int(specification["order"])
+    required = known[0]
+    if required not in specification:
+        raise UsageError(option, f"{required} is missing", f"at least {required}=NUMBER")
+    return make(**specification)
+
+
+def _draw(found: Synthesis, figure: str) -> None:
+    """Write all figures that there are of a design."""
+    from robustlab.report.design_figures import pictures
+
+    for suffix, make in pictures(found).items():
+        try:
+            drawing = make()
+        except RobustlabError as error:
+            note(f"no figure {suffix or 'of the loop'}: {error}")
+            continue
+        save_drawing(drawing, figure, f"-{suffix}" if suffix else "")
