@@ -28,7 +28,7 @@ NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 COVERS = (
     "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
-    "inverse-input-multiplicative", "inverse-output-multiplicative",
+    "inverse-input-multiplicative", "inverse-output-multiplicative", "coprime",
 )  # fmt: skip
 _PLANT_FILES = (".h5", ".mat", ".json", ".py", ".fmu")
 

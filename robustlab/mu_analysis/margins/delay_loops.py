@@ -186,6 +186,7 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: 
     if (k.n_outputs, k.n_inputs) != (p.n_inputs, p.n_outputs):
         raise InputError(f"{where}: K", f"{k.n_outputs} x {k.n_inputs}", f"{p.n_inputs} x {p.n_outputs}")
     q, m, n = _renamed(p, "p"), p.n_inputs, p.n_outputs
+    around: Any
     if at == "both":  # [u; y] = [0, sign K; P, 0] [u; y]
         around = stacked(beside(np.zeros((m, m)), sign * k), beside(q, np.zeros((n, n))))
     else:
