@@ -38,6 +38,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargin,
     DiskMargins,
     Place,
+    channel_names,
     factor_model,
     gain_and_phase,
 )
@@ -196,11 +197,7 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: 
     if known.stable is None:
         found = f"no set up to order {highest_order} shows whether the closed loop is stable"
         raise NoTrustworthyNumber(where, found, None, "rl.delay_stability(loop, effort=...) may")
-    every = [*p.input_names, *p.output_names]
-    places = {"input": range(m), "output": range(m, m + n), "both": range(m + n)}[at]
-    names = [every[i] if every.count(every[i]) == 1 else f"{'input' if i < m else 'output'} {every[i]}" for i in places]
-    if at != "both":
-        names = [every[i] for i in places]
+    names = channel_names(p.input_names, p.output_names, at)
     return _Loop(S, tuple(names), known.stable)
 
 

@@ -251,6 +251,7 @@ def _between_points(
     models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, fit: Overbound, tolerance: float
 ) -> tuple[Overbound, tuple[float, ...], bool]:
     """The weight, lifted where an error passes it between the points of the grid; each model's size; whether proved."""
+    sizes: list[float] = []
     for _ in range(LIFTS):
         sizes, certain = [], True
         for m in models:
