@@ -84,23 +84,24 @@ def margins(
     from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
     from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
     from robustlab.storage import load
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel
 
     if loop.at not in PLACES:
         raise UsageError(f"--at {loop.at}", "no such place", "input, output or both")
-    thing = load(plant, transpose=transpose)
-    k = None if loop.controller is None else load(loop.controller, transpose=transpose)
+    thing: Any = load(plant, transpose=transpose)
+    k: Any = None if loop.controller is None else load(loop.controller, transpose=transpose)
     sign = _sign(loop.feedback, k)
     late = isinstance(thing, DelayedModel) or isinstance(k, DelayedModel)
     if late:
         thing, k = (None if o is None else as_delayed(getattr(o, "K", o), plant) for o in (thing, k))
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
-    if loop.frequency is not None:
+    if loop.frequency is not None or isinstance(thing, UncertainFrequencyData):
         from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
 
         if loop.classical:
             raise UsageError("--frequency", "with --classical", "the disk margin")
-        points = numbers("--frequency", loop.frequency)
+        points = None if loop.frequency is None else numbers("--frequency", loop.frequency)
         result: Any = disk_margin_at(thing, getattr(k, "K", k), points, **options)
         text = result.summary()
     elif loop.classical:

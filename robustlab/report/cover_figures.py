@@ -23,6 +23,8 @@ from robustlab.report.figures import (
     plain_label,
 )
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.covering.coprime_cover import NAME as COPRIME
+from robustlab.uncertainty.covering.coprime_cover import factors_of
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
 from robustlab.uncertainty.covering.unstructured_cover import error_sizes
@@ -61,8 +63,10 @@ def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, 
 def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """Errors of the models, their bound, and the weight above it; below, by how much it lies above."""
     assert cover.fit is not None
-    given = tuple(models)
-    errors = error_sizes(given, cover.model.nominal, cast(Form, cover.form), cover.fit.omega) if given else ()
+    given, form, centre = tuple(models), cover.form, cover.model.nominal
+    if form == COPRIME and given:
+        given, form, centre = tuple(map(factors_of, given)), "additive", factors_of(centre)
+    errors = error_sizes(given, centre, cast(Form, form), cover.fit.omega) if given else ()
     return overbound_figure(cover.fit, errors, f"{cover.form}: weight over the errors of {len(cover.sizes)} models")
 
 

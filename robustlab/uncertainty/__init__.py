@@ -7,8 +7,10 @@ elementwise     real parameters from a nominal and a perturbed model (Březina 2
 parametric      real parameters in rational expressions: laurent, decomposition_tree
 unstructured    one full block between two weights, in six places of the loop
 realised_delta  a complex Delta as a stable system
+frequency_responses
+                uncertain frequency-response data: sets of responses at given frequencies
 well_posedness  whether I - D11 Delta can be singular in the set
-covering/       sets that hold given models: weights above a bound, hulls, ellipsoids
+covering/       sets that hold given models: weights above a bound, hulls, ellipsoids, coprime factors
 distances/      coprime factors, their margin, gap and nu-gap
 
 Beneath them: upper_lft (a constant Delta closed in), reduction (Kalman reduction), interconnection (operands and

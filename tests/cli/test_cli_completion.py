@@ -221,17 +221,16 @@ def test_choices_are_those_of_the_library():
     from robustlab.dynamics.extended.force_blocks import Dry
     from robustlab.identification.validation.sampled_problem import NoiseNorm
     from robustlab.identification.validation.time_domain import DeltaKind
+    from robustlab.mu_analysis.margins.cover import COVER_FORMS
     from robustlab.mu_analysis.margins.disk_margin import Place
     from robustlab.synthesis.problem.performance_measure import MeasureName
     from robustlab.synthesis.reduction.model_reduction import Method as Reduction
     from robustlab.synthesis.sampled.discretisation import Method as Formula
     from robustlab.synthesis.sampled.sampled_controller import SampledMethod
-    from robustlab.uncertainty.covering.parametric_cover import ParametricForm
-    from robustlab.uncertainty.unstructured import Form
 
     kinds = get_args(get_type_hints(CampaignSettings)["kind"])
     assert set(FORMULAS) == set(get_args(Formula))
-    assert set(COVERS) == {*get_args(ParametricForm), *get_args(Form)}
+    assert set(COVERS) == set(COVER_FORMS)
     for words, option, known in [
         (("model", "margins"), "--at", get_args(Place)),
         (("model", "reduce"), "--method", get_args(Reduction)),

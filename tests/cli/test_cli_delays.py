@@ -108,3 +108,27 @@ def test_a_file_with_a_delay_that_is_none_is_refused(run):
     with h5py.File(run.folder / "late.h5", "r+") as file:
         del file["delays"]
     assert "missing /delays" in run("model", "show", "late.h5", "--no-verify", code=3)
+
+
+def test_margins_of_several_loops_with_delays(run):
+    plant = rl.StateSpaceModel(-np.diag([1.0, 2.0]), [[1, 0.3], [-0.2, 1]], np.eye(2), np.zeros((2, 2)))
+    rl.save("late.h5", rl.with_delays(plant, inputs={0: 0.3, 1: 0.1}))
+    rl.save("k.h5", rl.StateSpaceModel([], [], [], 2.0 * np.eye(2)))
+    found = json.loads(run("model", "margins", "late.h5", "-k", "k.h5", "--json"))
+    expected = rl.delay_disk_margins(rl.load("late.h5"), rl.load("k.h5"))
+    assert found["simultaneous"]["lower"] == pytest.approx(expected.simultaneous.lower)
+    classical = json.loads(run("model", "margins", "late.h5", "-k", "k.h5", "--classical", "--json"))
+    single = rl.delay_classical_margins(rl.load("late.h5"), rl.load("k.h5")).channels["y1"]
+    assert classical["channels"]["y1"]["phase_margin"] == pytest.approx(single.phase_margin)
+    at = json.loads(run("model", "margins", "late.h5", "-k", "k.h5", "--frequency", "1,3", "--json"))
+    assert len(at["simultaneous"]["lower"]) == 2
+
+
+def test_a_late_model_is_discretised_exactly(run):
+    run("model", "delay", "lag.h5", "--input", "u=0.25", "--out", "late.h5")
+    run("model", "discretise", "late.h5", "--dt", "0.1", "--method", "zoh", "--out", "digital.h5")
+    t = np.arange(30) * 0.1
+    u = np.sin(7 * t)
+    exact = rl.simulate(rl.load("late.h5"), t, u)["y"]
+    assert np.abs(rl.simulate(rl.load("digital.h5"), t, u)["y"] - exact).max() < 1e-14
+    assert "zoh" in run("model", "discretise", "late.h5", "--dt", "0.1", code=3)

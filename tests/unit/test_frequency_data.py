@@ -160,6 +160,14 @@ def test_a_pole_at_a_frequency_is_refused():
         rl.frequency_data([-1.0, 2.0], [1.0, 2.0]).feedback(1.0)
 
 
+def test_a_measured_response_becomes_data():
+    G = two_by_two()[:, :, 0]
+    found = rl.FrequencyData(OMEGA, G, "u", ["a", "b"]).uncertain(0.1 * abs(G))
+    assert (found.nominal[:, :, 0] == G).all()
+    assert [b.name for b in found.blocks] == ["frequency response a from u", "frequency response b from u"]
+    assert rl.robust_stability_at(found.feedback(np.ones((1, 2)))).status is rl.Status.CERTIFIED
+
+
 def test_a_file_gives_the_data_back(tmp_path):
     G = two_by_two()
     data = rl.frequency_data(G, OMEGA, radius=abs(G), inputs=[("a", "V"), "b"], outputs=["c", ("d", "m")]).feedback(0.5)

@@ -40,6 +40,7 @@ from robustlab.shown import Facts, listed, number
 from robustlab.statespace import Signal
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FrequencyData", "SpectralProblem", "Spectrum", "spectrum_of_record", "spectrum_of_response"]
@@ -119,6 +120,13 @@ class FrequencyData(Tabular, Evidence):
                 f"{len(self.omega)}, {number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}",
             ),
         ]
+
+    def uncertain(self, radius: ArrayLike) -> UncertainFrequencyData:
+        """The response with what is not known of it, (n,) or (n, n_y); see `robustlab.frequency_data`."""
+        r = np.asarray(radius, dtype=np.float64)
+        r = r[:, :, None] if r.ndim == 2 else r
+        whole, ins = self.response[:, :, None], [self.input]
+        return frequency_data(whole, self.omega, radius=r, name=self.name, inputs=ins, outputs=self.outputs)
 
     def table(self) -> Table:
         """The response of every output."""

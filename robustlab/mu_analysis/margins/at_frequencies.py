@@ -29,7 +29,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
-from robustlab.mu_analysis.margins.disk_margin import PLACES, Place
+from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, channel_names, channel_places
 from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
 from robustlab.mu_analysis.matrix.box import lowest, root_box
 from robustlab.mu_analysis.matrix.gain import largest_gain
@@ -347,9 +347,8 @@ def disk_margin_at(
     around[:, :m, m:], around[:, m:, :m] = sign * C, P
     one = UncertainFrequencyData(p.omega, np.broadcast_to(np.eye(m + n), around.shape))
     seen = one.feedback(UncertainFrequencyData(p.omega, around), 1).nominal + 0.5 * (skew - 1.0) * np.eye(m + n)
-    places = {"input": range(m), "output": range(m, m + n), "both": range(m + n)}[at]
-    every = [*(f"{s.name}" for s in p.inputs), *(s.name for s in p.outputs)]
-    names = [every[i] if every.count(every[i]) == 1 else f"{'input' if i < m else 'output'} {every[i]}" for i in places]
+    places = channel_places(m, n, at)
+    names = channel_names([s.name for s in p.inputs], [s.name for s in p.outputs], at)
     M = seen[:, list(places)][:, :, list(places)]
     channels = {
         name: _margin_at(p.omega, M[:, [i]][:, :, [i]], [ComplexScalar(name)], None, seed)

@@ -27,6 +27,8 @@ from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.covering.coprime_cover import NAME as COPRIME
+from robustlab.uncertainty.covering.coprime_cover import coprime_cover
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
 from robustlab.uncertainty.covering.unstructured_cover import model_set, unstructured_cover
@@ -37,7 +39,7 @@ from robustlab.uncertainty.unstructured import Form as UnstructuredForm
 
 __all__ = ["COVER_FORMS", "Conservatism", "Cover", "conservatism", "cover"]
 
-COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
+COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS, COPRIME)
 Loop = Callable[[UncertainModel], UncertainModel]
 
 
@@ -95,9 +97,10 @@ class Cover(Shown):
     form
         The form that was asked for.
     status
-        CERTIFIED: each model's delta was evaluated, or is proved to be a stable one of gain at most one. CONVERGED:
-        the deltas are stable, and were found to be at most one on a grid of frequencies. INACCURATE: a model is missed
-        by more than the tolerance, or the weight is further above the bound than was asked.
+        CERTIFIED: each model's delta was evaluated, or is proved to be a stable one of gain at most one over all
+        frequencies. CONVERGED: the deltas are stable, and were found to be at most one on a grid of frequencies.
+        INACCURATE: a model is missed by more than the tolerance, or the weight is further above the bound than was
+        asked.
     deltas
         For each model the value of every block by name: numbers, or a system for an unstructured block where it could
         be written as one; empty where it was judged by frequency response.
@@ -208,6 +211,8 @@ def cover(
         ``additive``, ``input-multiplicative``, ``output-multiplicative``, and ``inverse-`` with one of these
             one full block with a stable minimum-phase weight, see `robustlab.uncertainty.unstructured`; the models
             may have different states
+        ``coprime``
+            one full block on the normalised coprime factors: models with any unstable poles and zeros, continuous
 
         The first three need models with the same states.
     nominal
@@ -300,8 +305,11 @@ def _parametric(
 def _unstructured(
     models: tuple[StateSpaceModel, ...], form: str, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
-    assert form in get_args(UnstructuredForm)
-    made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
+    if form == COPRIME:
+        made = coprime_cover(models, nominal, order, excess)
+    else:
+        assert form in get_args(UnstructuredForm)
+        made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
     inside = max(made.sizes) <= 1.0 + 1e-9
     status = Status.CERTIFIED if made.proved and inside else Status.CONVERGED
     reason = "" if made.proved else f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"

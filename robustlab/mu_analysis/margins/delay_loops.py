@@ -38,6 +38,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargin,
     DiskMargins,
     Place,
+    channel_names,
     factor_model,
     gain_and_phase,
 )
@@ -186,6 +187,7 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: 
     if (k.n_outputs, k.n_inputs) != (p.n_inputs, p.n_outputs):
         raise InputError(f"{where}: K", f"{k.n_outputs} x {k.n_inputs}", f"{p.n_inputs} x {p.n_outputs}")
     q, m, n = _renamed(p, "p"), p.n_inputs, p.n_outputs
+    around: Any
     if at == "both":  # [u; y] = [0, sign K; P, 0] [u; y]
         around = stacked(beside(np.zeros((m, m)), sign * k), beside(q, np.zeros((n, n))))
     else:
@@ -195,11 +197,7 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: 
     if known.stable is None:
         found = f"no set up to order {highest_order} shows whether the closed loop is stable"
         raise NoTrustworthyNumber(where, found, None, "rl.delay_stability(loop, effort=...) may")
-    every = [*p.input_names, *p.output_names]
-    places = {"input": range(m), "output": range(m, m + n), "both": range(m + n)}[at]
-    names = [every[i] if every.count(every[i]) == 1 else f"{'input' if i < m else 'output'} {every[i]}" for i in places]
-    if at != "both":
-        names = [every[i] for i in places]
+    names = channel_names(p.input_names, p.output_names, at)
     return _Loop(S, tuple(names), known.stable)
 
 

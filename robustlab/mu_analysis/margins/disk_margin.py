@@ -45,6 +45,8 @@ __all__ = [
     "DiskMargin",
     "DiskMargins",
     "Place",
+    "channel_names",
+    "channel_places",
     "controller_for",
     "disk_channels",
     "disk_margin",
@@ -317,14 +319,25 @@ def disk_channels(
         [*inputs[:0], *(f"z{i}" for i in range(r)), *inputs[q:], *(f"y{i}" for i in range(p))],
     )
     loop = lower_lft(general, signed(K, sign))
-    places = {"input": range(m), "output": range(m, m + p), "both": range(m + p)}[at]
+    places = channel_places(m, p, at)
     kept = [inputs[q + i] for i in places]
     loop = loop.select([*inputs[:q], *kept], [*(f"z{i}" for i in range(r)), *kept])
-    names = [*plant.input_names[q:], *plant.output_names[r:]]
+    return loop, tuple(channel_names(plant.input_names[q:], plant.output_names[r:], at))
+
+
+def channel_places(n_inputs: int, n_outputs: int, at: Place) -> range:
+    """Which of the inputs and then the outputs of a plant the disks act on."""
+    every = n_inputs + n_outputs
+    return {"input": range(n_inputs), "output": range(n_inputs, every), "both": range(every)}[at]
+
+
+def channel_names(inputs: Sequence[str], outputs: Sequence[str], at: Place) -> list[str]:
+    """Names of the channels that the disks act on."""
+    names, places = [*inputs, *outputs], channel_places(len(inputs), len(outputs), at)
     chosen = [names[i] for i in places]
     if len(set(chosen)) < len(chosen):  # an input and an output of one name
-        chosen = [f"{'input' if i < m else 'output'} {names[i]}" for i in places]
-    return loop, tuple(chosen)
+        chosen = [f"{'input' if i < len(inputs) else 'output'} {names[i]}" for i in places]
+    return chosen
 
 
 # --- one loop, many loops --------------------------------------------------------------------------------------------

@@ -62,6 +62,7 @@ class CoverModelsStep(Step):
         "inverse-additive",
         "inverse-input-multiplicative",
         "inverse-output-multiplicative",
+        "coprime",
     ] = "elements"
     nominal: ToOneModel | None = Field(None, description="Where left out, the middle, or what makes the set smallest.")
     outputs: list[str] | None = None

@@ -47,6 +47,7 @@ from robustlab.invariant_zeros import transmission_zeros
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.uncertainty.covering.axis_proof import crossing_points
 from robustlab.uncertainty.covering.overbound import Overbound, anonymous, overbound
 from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
@@ -121,6 +122,8 @@ STILL = 1e-7
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 # No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
 NEAREST = 1e-6
+# How often the weight is lifted for what lies between the points of the grid.
+LIFTS = 6
 # Up to here a lift is rounding, or a peak just beside a frequency of the grid.
 LIFT = 1.001
 
@@ -140,8 +143,8 @@ class UnstructuredCover:
     sizes
         For each model the largest gain of its Delta: at most 1.
     proved
-        True where each size is an H-infinity norm, proved over all frequencies; False where it was evaluated on the
-        grid of ``fit``.
+        True where no size passes 1 at any frequency: as an H-infinity norm, or because the error crosses the weight
+        nowhere (`axis_proof`); False where it was evaluated on the grid of ``fit`` only.
     deltas
         For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
     radius
@@ -238,11 +241,31 @@ def _around(
     if proved:
         sizes = tuple(float(n.upper) for n in norms)
     else:
-        grid = fit.omega
-        errors = [_sigma(_error(m, centre, form, _circle(grid, m.dt))) for m in models]
-        sizes = tuple(float((e / fit.magnitude).max()) for e in errors)
+        fit, sizes, proved = _between_points(models, centre, form, fit, wanted[1])
+        deltas = ()
     model = unstructured(centre, fit.weight, form)
-    return UnstructuredCover(model, number, fit, sizes, proved, deltas if proved else (), radius)
+    return UnstructuredCover(model, number, fit, sizes, proved, deltas, radius)
+
+
+def _between_points(
+    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, fit: Overbound, tolerance: float
+) -> tuple[Overbound, tuple[float, ...], bool]:
+    """The weight, lifted where an error passes it between the points of the grid; each model's size; whether proved."""
+    sizes: list[float] = []
+    for _ in range(LIFTS):
+        sizes, certain = [], True
+        for m in models:
+            found = None if m is centre else crossing_points(m, centre, form, fit.weight)
+            certain = certain and (found is not None or m is centre)
+            omega = np.concatenate([fit.omega, [] if found is None else found])
+            weight = np.abs(frequency_response(fit.weight, omega)[:, 0, 0])
+            with np.errstate(all="ignore"):
+                ratio = _sigma(_error(m, centre, form, _circle(omega, m.dt))) / weight
+            sizes.append(float(np.nanmax(ratio)))
+        if max(sizes) <= 1.0:
+            return fit, tuple(sizes), certain
+        fit = _lifted(fit, max(sizes) * (1.0 + 1e-6), tolerance)
+    return fit, tuple(sizes), False
 
 
 def _to_the_ends(
@@ -437,7 +460,7 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
         bad = _pole_that_stays(model, centre, form, singular)
         if bad is not None:
             text = f"model {i} differs from the nominal one by an unstable error (pole {bad.real:.6g}{bad.imag:+.6g}j)"
-            hint = "an inverse form holds other poles on the right, additive other zeros; or close a loop first"
+            hint = "an inverse form holds other poles on the right, additive other zeros, coprime any"
             raise NoTrustworthyNumber(f"cover: form {form}", text, "a stable one", hint)
 
 

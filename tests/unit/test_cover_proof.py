@@ -1,0 +1,100 @@
+"""Covers over the whole axis: no crossing between points is missed; coprime factors hold any poles and zeros."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.uncertainty.covering.axis_proof import crossing_points
+from robustlab.uncertainty.covering.unstructured_cover import error_sizes
+from robustlab.uncertainty.unstructured import FORMS
+
+OMEGA = np.geomspace(1e-3, 1e4, 20_001)
+
+
+def family(seed, direct):
+    rng = np.random.default_rng(seed)
+
+    def one():
+        A = np.array([[-1.0, 2.0, 0.0], [-2.0, -1.0, 0.5], [0.0, 0.3, -4.0]]) + 0.15 * rng.standard_normal((3, 3))
+        B = np.array([[1.0, 0.0], [0.0, 1.0], [0.3, 0.2]]) + 0.15 * rng.standard_normal((3, 2))
+        C = np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.1]]) + 0.15 * rng.standard_normal((2, 3))
+        return rl.StateSpaceModel(A, B, C, direct * np.eye(2))
+
+    return [one() for _ in range(4)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_every_form_is_proved_and_holds_on_a_dense_grid(form, dt):
+    models = family(1, 1.0)
+    if dt:
+        models = [rl.discretise(m, dt) for m in models]
+    found = rl.cover(models, form, gain=False)
+    assert found.status is rl.Status.CERTIFIED
+    omega = np.linspace(1e-4, np.pi / dt * (1 - 1e-9), 20_001) if dt else OMEGA
+    weight = np.abs(rl.frequency_response(found.fit.weight, omega)[:, 0, 0])
+    ratio = error_sizes(tuple(models), found.model.nominal, form, omega) / weight
+    assert ratio.max() <= 1.0 + 1e-8
+    assert ratio.max() > 0.9  # and the weight is no larger than it has to be
+
+
+def test_a_peak_too_narrow_for_any_grid_is_seen():
+    plain = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
+    needle = rl.StateSpaceModel([[0, 1], [-7.0, -2e-7]], [[0], [1]], [[1e-6, 0]], [[0]])  # 2 at sqrt(7), 1e-7 wide
+    model = plain + needle
+    flat = rl.StateSpaceModel([], [], [], [[0.5]])
+    for form in FORMS:
+        on_grid = error_sizes((model,), plain, form, OMEGA).max()
+        points = crossing_points(model, plain, form, flat)
+        assert on_grid < 0.1
+        assert error_sizes((model,), plain, form, points).max() > 0.5, form
+    higher = rl.StateSpaceModel([], [], [], [[8.0]])
+    assert error_sizes((model,), plain, "additive", crossing_points(model, plain, "additive", higher)).max() < 8.0
+
+
+def test_other_unstable_poles_go_into_inverse_and_coprime_forms():
+    models = [rl.StateSpaceModel([[p]], [[1.0]], [[1.0]], [[0.0]]) for p in (-0.5, 0.2, 1.0)]
+    for form in ("additive", "input-multiplicative", "output-multiplicative"):
+        with pytest.raises(rl.NoTrustworthyNumber, match=r"(?s)unstable error.*coprime any"):
+            rl.cover(models, form, gain=False)
+    inverse = rl.cover(models, "inverse-additive", gain=False)
+    assert inverse.status is rl.Status.CERTIFIED
+    assert inverse.fit.order == 0  # 1 / G_i - 1 / G = p - p_i, and the middle is at 0.25
+    assert inverse.fit.magnitude.max() == pytest.approx(0.75, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_coprime_set_holds_models_with_any_poles_and_zeros(seed):
+    rng = np.random.default_rng(seed)
+    models = []
+    for _ in range(4):
+        A = rng.standard_normal((3, 3))
+        D = 0.3 * rng.standard_normal((2, 2))
+        models.append(rl.StateSpaceModel(A, rng.standard_normal((3, 2)), rng.standard_normal((2, 3)), D))
+    unstable = {int((m.poles().real > 0).sum()) for m in models}
+    assert len(unstable) > 1
+    found = rl.cover(models, "coprime", gain=False)
+    assert found.status is rl.Status.CERTIFIED
+    centre = models[found.nominal - 1]
+    omega = np.geomspace(1e-2, 1e2, 60)
+    near = np.abs(rl.frequency_response(found.model.nominal, omega) - rl.frequency_response(centre, omega))
+    assert near.max() < 1e-8
+    for model, delta in zip(models, found.deltas, strict=True):
+        reached = found.model.response(omega, delta)
+        wanted = rl.frequency_response(model, omega)
+        assert np.abs(reached - wanted).max() < 1e-7 * np.abs(wanted).max()
+        norm = rl.hinf_norm(delta["coprime"])
+        assert norm.lower <= 1.0 + 1e-9  # a stable Delta
+        assert np.isfinite(norm.upper)
+
+
+def test_a_loop_proved_for_the_coprime_set_stabilises_every_model():
+    models = [rl.StateSpaceModel([[p]], [[1.0]], [[k]], [[0.0]]) for p, k in ((-0.5, 1.0), (0.2, 1.1), (0.6, 0.9))]
+    found = rl.cover(models, "coprime", gain=False)
+    margin = rl.robust_stability(found.model.feedback(4.0))
+    assert margin.lower > 1.0
+    assert all(rl.UncertainModel(m, []).feedback(4.0).nominal.is_stable() for m in models)
+    with pytest.raises(rl.InputError, match="discrete models"):
+        rl.cover([rl.discretise(m, 0.1) for m in models], "coprime")
