@@ -12,10 +12,10 @@ from scipy.integrate import quad
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.iqc import inequality as inequality_module
-from robustlab.iqc.analysis import _problem
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Point, is_positive
 from robustlab.iqc.multipliers import Basis, l1_norm, nonlinear_terms, rate_terms, repeated_terms
+from robustlab.iqc.problem import _channel_balance, posed
 from robustlab.result import Status
 
 
@@ -32,7 +32,7 @@ def lure(num, den):
 
 def proved(model, law, order=2, pole=None):
     """Whether stability is proved for the law as given, without the search for a margin."""
-    problem, budget = _problem("iqc_stability", model, {("y", "u"): law}, order, pole, None, 1.0)
+    problem, budget = posed("iqc_stability", model, {("y", "u"): law}, order, pole, None, 1.0)
     return problem.proved_stable(1.0, budget) is not None
 
 
@@ -106,18 +106,19 @@ def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
 # --- against mu -------------------------------------------------------------------------------------------------------
 
 
-def random_set(seed, blocks, n=5):
+def random_set(seed, blocks, n=5, direct=0.0):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
     A -= (np.linalg.eigvals(A).real.max() + 0.4) * np.eye(n)
     rows, cols = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     B, C = rng.normal(size=(n, rows + 1)), rng.normal(size=(cols + 1, n))
-    return rl.UncertainModel(rl.StateSpaceModel(A, 0.3 * B, 0.3 * C, np.zeros((cols + 1, rows + 1))), blocks)
+    D = direct * rng.normal(size=(cols + 1, rows + 1))
+    return rl.UncertainModel(rl.StateSpaceModel(A, 0.3 * B, 0.3 * C, D), blocks)
 
 
 @pytest.mark.parametrize("seed", [1])
 def test_dynamic_blocks_agree_with_mu(seed):
-    uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)])
+    uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)], direct=0.1)
     mu = rl.robust_stability(uncertain)
     found = rl.iqc_stability(uncertain, order=3)
     assert found.margin <= mu.upper * (1 + 1e-6)
@@ -342,7 +343,7 @@ def test_no_varying_spring_reaches_more_than_the_proved_gain():
 
 def solved():
     law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
-    problem, budget = _problem("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
+    problem, budget = posed("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
     inequality, terms = problem._inequality(problem.bases[0], 1.0, 1.0)
     least = inequality.solve(budget)
     return inequality, terms, inequality.solve(budget, least.square * 1.01)
@@ -364,15 +365,11 @@ def test_the_frequency_domain_inequality_holds_for_the_multiplier_by_hand():
     _, terms, point = solved()
     unknowns = dict(zip([t.kind for t in terms], point.unknowns, strict=True))
     causal, anti, direct = next(t for t in terms if t.kernels).kernels(unknowns["Zames-Falb"])
-    problem, _ = _problem(
-        "iqc_gain", CUBE, {("y", "u"): rl.Nonlinearity((0, 3.0), (0, 3.0), odd=True)}, 3, 1.0, None, 1.0
-    )
-    from robustlab.iqc.analysis import _channels_balanced
+    problem, _ = posed("iqc_gain", CUBE, {("y", "u"): rl.Nonlinearity((0, 3.0), (0, 3.0), odd=True)}, 3, 1.0, None, 1.0)
     from robustlab.norms.level_set import well_scaled
 
     scaled, rate = well_scaled(problem.middle.M)
-    seen = scaled.C[0] != 0
-    d = (_channels_balanced(problem.middle.blocks, scaled)[1][0][seen] / scaled.C[0][seen])[0]  # z and w times d
+    (d,) = _channel_balance(problem.middle.blocks, scaled)  # z and w times d
     for omega in np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)]):
         G = rl.frequency_response(problem.middle.M, [omega])[0]
         zw, zd, yw, yd = G[0, 0], G[0, 1] * d, G[1, 0] / d, G[1, 1]
@@ -389,6 +386,21 @@ def test_the_frequency_domain_inequality_holds_for_the_multiplier_by_hand():
         y = np.array([yw, yd])
         form = form + np.outer(y.conj(), y) - point.square * np.diag([0.0, 1.0])
         assert np.linalg.eigvalsh(form)[-1] < 0
+
+
+def test_the_second_voice_hears_a_model_that_was_put_together_wrongly():
+    """A slip once doubled a direct term on its way into the inequality; an attack found it, and now this voice does."""
+    law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
+    problem, budget = posed("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
+    for slip in ("z", "A", "B"):
+        inequality, _ = problem._inequality(problem.bases[0], 1.0, 1.0)
+        setattr(inequality, slip, getattr(inequality, slip) * (1.1 if slip == "A" else 0.9))
+        least = inequality.solve(budget)
+        point = inequality.solve(budget, least.square * 1.01)
+        judged = inequality.judged(point)
+        assert judged.slack > 0  # the matrix is negative definite: of another model
+        assert judged.highest > 0
+        assert not judged.proved
 
 
 def test_a_solver_that_lies_proves_nothing(monkeypatch):
