@@ -159,7 +159,7 @@ def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, 
     above, below, states = stacked(z, *stages), stacked(w, *moved), stacked(*stages)
     return [
         _scaled(name, "real parameter", above, below, size, True, (1, 1), heard_parameter),
-        _scaled(name, f"its rate, {rate:.4g}", states, slow, order * count, True, (1, 1), heard_rate),
+        _scaled(name, "its rate", states, slow, order * count, True, (1, 1), heard_rate),
     ]
 
 

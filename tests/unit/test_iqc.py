@@ -338,6 +338,39 @@ def test_no_varying_spring_reaches_more_than_the_proved_gain():
     assert 0.6 * found.upper <= worst <= found.upper
 
 
+@pytest.mark.parametrize(("seed", "direct"), [(1, 0.0), (8, 0.15)])
+def test_no_mixed_loop_reaches_more_than_the_proved_gain(seed, direct):
+    """A parameter that varies, a saturation and a one-sided law at once, with and without algebraic loops."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3))
+    A -= (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(3)
+    B, C = rng.normal(size=(3, 4)) * [0.35, 0.5, 0.4, 1.0], 0.7 * rng.normal(size=(4, 3))
+    D = direct * rng.normal(size=(4, 4))
+    model = rl.StateSpaceModel(A, B, C, D, 0.0, ["wk", "v", "s", "d"], ["zk", "y1", "y2", "e"])
+    rate = float(rng.choice([0.5, 3.0, np.inf]))
+    laws = {("y1", "v"): rl.Nonlinearity.saturation(), ("y2", "s"): rl.Nonlinearity((0.0, 1.0), (0.0, 1.0))}
+    uncertain = rl.UncertainModel(model, [rl.RealScalar("k")])
+    found = rl.iqc_gain(uncertain, {"k": rl.Varying(rate), **laws}, ["d"], ["e"])
+    assert found.status is Status.CERTIFIED
+    assert found.lower <= found.upper
+    count, dt = 120, 0.02
+    size, omega = 10 ** rng.uniform(-1, 1.5, count), 10 ** rng.uniform(-1.3, 1, count)
+    phase, speed = rng.uniform(0, 6, count), 10 ** rng.uniform(-1, 1, count)
+    x, w, energy = np.zeros((3, count)), np.zeros((3, count)), np.zeros((2, count))
+    for t in np.arange(0.0, 30.0, dt):
+        d = size * np.sin(omega * t) * (t < 24)
+        wave = np.sin((speed if np.isinf(rate) else np.pi / 2 * rate * np.minimum(speed, 1)) * t + phase)
+        delta = np.sign(wave) if np.isinf(rate) else 2 / np.pi * np.arcsin(wave)  # it jumps, or is as fast as it may be
+        for _ in range(25 if direct else 1):  # the algebraic loop is a contraction here
+            z = C @ x + D @ np.vstack([w, d])
+            w = np.vstack([delta * z[0], np.clip(z[1], -1, 1), np.maximum(z[2], 0)])
+        u = np.vstack([w, d])
+        energy += [(C @ x + D @ u)[3] ** 2, d**2]
+        x = x + dt * (A @ (x + 0.5 * dt * (A @ x + B @ u)) + B @ u)
+    worst = np.sqrt(energy[0] / energy[1]).max()
+    assert 0.3 * found.upper <= worst <= found.upper
+
+
 # --- the proof --------------------------------------------------------------------------------------------------------
 
 
