@@ -259,20 +259,15 @@ def iqc_stability(
     (True, 2.0)
     """
     problem, budget = posed("iqc_stability", model, nature, order, pole, time_limit, effort)
-    low, high = 0.0, TUNING.largest
+    low, high, size = 0.0, math.inf, 1.0  # the largest that is proved, the smallest that is not, the next
     proof: IqcProof | None = None
     with one_thread():
-        size = 1.0
-        for _ in range(TUNING.sizes):
-            if budget.over or high <= low * (1 + TUNING.close):
-                break
-            found = problem.proved_stable(size, budget)
+        while not budget.over and low < TUNING.largest and TUNING.least < high > low * (1 + TUNING.close):
+            found = problem.proved_stable(size, budget, thorough=not low or high > low * (1 + TUNING.near))
             if found is None:
                 high = size
             else:
                 low, proof = size, found
-            size = min(2 * low, high) if high >= TUNING.largest and low else 0.5 * (low + high)
-            if low >= TUNING.largest:
-                break
+            size = 2 * low if math.isinf(high) else 0.5 * (low + high)
     status = Status.CERTIFIED if low else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
     return IqcStability(low >= 1, low, problem.words, problem.conditions, proof, status)
