@@ -163,8 +163,7 @@ class Problem:
         self.n_w, self.n_z = M.n_inputs - self.q, M.n_outputs - self.p
         self.laws = {b.name: _law(where, b, nature.get(b.name)) for b in middle.blocks}
         self.words = {b.name: _in_words(b, nature.get(b.name)) for b in middle.blocks}
-        holds = ((name, law.holds) for name, law in nature.items() if isinstance(law, Nonlinearity))
-        self.conditions = tuple(f"{name}: {text}" for name, text in holds if text)
+        self.conditions = tuple(f"{name}: {law.holds}" for name, law in nature.items() if law.holds)
         speed = np.abs(poles[np.abs(poles) > 0])
         typical = float(np.median(speed)) if len(speed) else 1.0
         filtered = order and any(not isinstance(n, Varying) or np.isfinite(n.rate) for n in self.laws.values())
@@ -304,7 +303,7 @@ def _law(where: str, block: Block, nature: Nature | None) -> Nature | None:
         if not block.is_real:
             found = f"a rate of {nature.rate:g} for a {type(block).__name__}"
             raise InputError(name, found, "a rate of a real parameter", "Varying() for an operator that varies")
-        return Varying(nature.rate / (1.0 if span is None else span.radius))
+        return Varying(nature.rate / (1.0 if span is None else abs(span.radius)))
     if nature is not None and not isinstance(nature, Varying):
         raise InputError(name, f"a {type(nature).__name__}", "Varying or Nonlinearity")
     return nature

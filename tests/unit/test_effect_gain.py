@@ -84,6 +84,7 @@ def test_friction_without_one_is_refused_with_the_reason():
 def test_any_other_sector_may_change_at_every_instant():
     found = gain_of({"quadratic-drag": {"c": 100.0}}, amplitude={"v": 1.0})
     assert list(found.proved.nature.values()) == ["varies arbitrarily fast"]
+    assert found.proved.conditions == ("quadratic-drag@v: while its signal stays within 1",)
     assert found.status is Status.CERTIFIED
 
 
