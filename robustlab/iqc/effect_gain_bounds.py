@@ -173,5 +173,6 @@ def _natures(
             where = f"effect_gain: {e.key}"
             raise InputError(where, "a gain by harmonic balance only", "an effect with a sector", "take it out")
         elif not e.effect.delay and not e.time_constant and e.scale is None:
-            found[block.name] = Varying()
+            local = f"while its signal stays within {amplitude[place]:g}" if place in amplitude else ""
+            found[block.name] = Varying(holds=local or ("within the amplitudes given" if amplitude else ""))
     return found

@@ -16,9 +16,9 @@ Rantzer 1996; Megretski, Rantzer 1997; Rump, "Verification of positive definiten
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from robustlab.iqc.filtered_model import FilteredModel, Rows
 from robustlab.iqc.multipliers import Term, l1_norm
 from robustlab.uncertainty.upper_lft import balanced
 
-__all__ = ["Inequality", "Judgement", "Point"]
+__all__ = ["Channels", "Inequality", "Judgement", "Point"]
 
 EPS = float(np.finfo(float).eps)
 # Endings of the solver whose numbers are worth a look; the proof decides.
@@ -36,6 +36,8 @@ ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 STEPS = 200
 # Least eigenvalue of every multiplier's unknowns as a share of the inequality's slack.
 INSIDE = 1e-2
+# Frequencies in the model's own time unit that the second voice looks at besides its candidates.
+GRID = (1e-3, 1e3, 61)
 # Relative rounding of an L1 norm, well above what its few exponentials can lose.
 NORM_ROUNDING = 1e-12
 
@@ -65,11 +67,28 @@ class Judgement:
     at: float
 
 
+class Channels(NamedTuple):
+    """Responses at one frequency over all inputs of an inequality: y, and block -> (z, w)."""
+
+    y: AnyArray
+    blocks: Mapping[str, tuple[AnyArray, AnyArray]]
+
+
+class Heard(Protocol):
+    """The loop as it was given, for the second voice."""
+
+    def at(self, omega: AnyArray) -> Iterator[tuple[float, Channels]]:
+        """Frequency and responses, frequencies in this inequality's time unit."""
+        ...
+
+
 class Inequality:
     """One model with its terms.
 
     Parameters
     ----------
+    loop
+        The second voice's responses.
     model
         With all filters.
     terms
@@ -80,8 +99,8 @@ class Inequality:
         Which inputs the performance inputs are.
     """
 
-    def __init__(self, model: FilteredModel, terms: Sequence[Term], z: Rows | None, w: slice) -> None:
-        self.A, self.B, self.terms = model.A, model.B, list(terms)
+    def __init__(self, model: FilteredModel, terms: Sequence[Term], z: Rows | None, w: slice, loop: Heard) -> None:
+        self.A, self.B, self.terms, self.loop = model.A, model.B, list(terms), loop
         n, m = model.n, model.m
         self.n, self.m, self.has_gain = n, m, z is not None
         self.rows = [np.hstack([t.rows.padded(n, m).c, t.rows.padded(n, m).d]) for t in terms]
@@ -201,38 +220,40 @@ class Inequality:
         return True
 
     def _over_frequency(self, point: Point) -> tuple[float, float]:
-        """The largest relative eigenvalue at all candidates, and its frequency in rad/s of this time unit."""
-        S = self.supply(point.unknowns, point.square)
-        omega = self._candidates(S)
-        n, m = self.n, self.m
-        finite = omega[np.isfinite(omega)]
-        states = np.zeros((len(finite), n, m), complex)
-        if n:
-            states = np.linalg.solve(
-                1j * finite[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(finite), n, m))
-            )
-        whole = np.concatenate([states, np.broadcast_to(np.eye(m), (len(finite), m, m))], axis=1)
-        beyond = np.concatenate([np.zeros((n, m)), np.eye(m)])[None]
-        values = np.concatenate([whole, beyond])
-        parts = values.conj().transpose(0, 2, 1) @ S @ values
-        sizes = np.abs(parts).max(axis=(1, 2))
-        top = np.linalg.eigvalsh(0.5 * (parts + parts.conj().transpose(0, 2, 1)))[:, -1] / np.maximum(sizes, 1e-300)
+        """The largest relative eigenvalue at all candidates, and its frequency in rad/s of this time unit.
+
+        From the transfer functions of the model as it was given and of the filters: nothing of this class's states.
+        """
+        omega = self._candidates(self.supply(point.unknowns, point.square))
+        top = np.array([self._relative(point, w, channels) for w, channels in self.loop.at(omega)])
         worst = int(np.argmax(top))
-        return float(top[worst]), float(finite[worst]) if worst < len(finite) else np.inf
+        return float(top[worst]), float(omega[worst])
+
+    def _relative(self, point: Point, omega: float, channels: Channels) -> float:
+        """Largest eigenvalue of the inequality at one frequency, over its largest part."""
+        inputs = np.eye(self.m)
+        form = channels.y.conj().T @ channels.y - point.square * self.E[self.n :, self.n :]
+        size = np.abs(form).max(initial=0.0)
+        for term, x in zip(self.terms, point.unknowns, strict=True):
+            v = term.heard(1j * omega, *channels.blocks[term.block], inputs)
+            part = v.conj().T @ term.middle(x) @ v
+            form, size = form + part, max(size, np.abs(part).max())
+        return float(np.linalg.eigvalsh(0.5 * (form + form.conj().T))[-1] / max(size, 1e-300))
 
     def _candidates(self, S: Array) -> AnyArray:
-        """Imaginary parts of all eigenvalues of the Hamiltonian, points between and beyond them, and infinity."""
+        """Imaginary parts of all eigenvalues of the Hamiltonian, points between and beyond them, and a grid."""
         n = self.n
         Q, N, R = S[:n, :n], S[:n, n:], S[n:, n:]
         try:
             feedback = np.linalg.solve(R, np.hstack([N.T, self.B.T]))
         except np.linalg.LinAlgError:  # at infinity it is no strict inequality, and is judged so there
-            return np.array([0.0, np.inf])
+            return np.array([0.0, 1.0])
         a = self.A - self.B @ feedback[:, :n]
         hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
         found = np.unique(np.append(np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag), 0.0))
         between = 0.5 * (found[:-1] + found[1:])
-        return np.unique(np.concatenate([found, between, [2 * found[-1] + 1.0, 10 * found[-1] + 10.0]]))
+        beyond = [2 * found[-1] + 1.0, 10 * found[-1] + 10.0]
+        return np.unique(np.concatenate([found, between, beyond, np.geomspace(*GRID)]))
 
 
 def is_positive(matrix: Array, error: float = 0.0) -> bool:

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
 from robustlab.iqc.nature import Nonlinearity
 
@@ -56,7 +56,9 @@ class Basis:
 class Term:
     """One constraint: its signals v, its M and what must be positive semidefinite, both linear in ``count`` unknowns.
 
-    ``kernels`` gives the coefficients of h, causal and anticausal parts, and x0 of a Zames-Falb multiplier.
+    ``kernels`` gives the coefficients of h, causal and anticausal, and x0 of a Zames-Falb multiplier. ``heard`` is
+    v from transfer functions alone, for the second voice: of s, of z and w over all inputs there, (k, m) complex, and
+    of the inputs themselves, (m, m).
     """
 
     block: str
@@ -65,6 +67,7 @@ class Term:
     count: int
     middle: Callable[[Array], Array]
     positive: Callable[[Array], list[Array]]
+    heard: Callable[[complex, AnyArray, AnyArray, AnyArray], AnyArray]
     kernels: Callable[[Array], tuple[Array, Array, float]] | None = None
 
 
@@ -87,7 +90,18 @@ def _triangle(size: int) -> int:
     return size * (size + 1) // 2
 
 
-def _scaled(name: str, kind: str, above: Rows, below: Rows, size: int, real: bool, copies: tuple[int, int]) -> Term:
+Heard = Callable[[complex, AnyArray, AnyArray, AnyArray], AnyArray]
+
+
+def _filtered(s: complex, signals: AnyArray, basis: Basis, first: int = 0) -> AnyArray:
+    """Signals behind the powers of the filter from ``first`` on, one below the other."""
+    low = basis.pole / (s + basis.pole)
+    return np.vstack([low**j * signals for j in range(first, basis.order + 1)])
+
+
+def _scaled(
+    name: str, kind: str, above: Rows, below: Rows, size: int, real: bool, copies: tuple[int, int], heard: Heard
+) -> Term:
     """``above^T X above - below^T X below`` with X >= 0, and for a real scalar ``2 above^T Y below``.
 
     X has ``size`` rows; each of its entries stands for so many ``copies`` (of z, of w) times the identity.
@@ -101,7 +115,7 @@ def _scaled(name: str, kind: str, above: Rows, below: Rows, size: int, real: boo
         return np.block([[over, cross], [cross.T, -under]])
 
     count = n_x + (size * (size - 1) // 2 if real else 0)
-    return Term(name, kind, stacked(above, below), count, middle, lambda x: [_symmetric(x[:n_x], size)])
+    return Term(name, kind, stacked(above, below), count, middle, lambda x: [_symmetric(x[:n_x], size)], heard)
 
 
 # --- linear blocks ----------------------------------------------------------------------------------------------------
@@ -116,7 +130,11 @@ def repeated_terms(
     what = ("real parameter" if real else "dynamics") + ("" if basis.order else ", static multiplier")
     copies = (1, 1) if scalar else (len(z), len(w))
     size = (basis.order + 1) * (len(z) if scalar else 1)
-    return [_scaled(name, what, above, below, size, real, copies)]
+
+    def heard(s: complex, seen: AnyArray, acts: AnyArray, _: AnyArray) -> AnyArray:
+        return np.vstack([_filtered(s, seen, basis), _filtered(s, acts, basis)])
+
+    return [_scaled(name, what, above, below, size, real, copies, heard)]
 
 
 def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, rate: float) -> list[Term]:
@@ -127,9 +145,22 @@ def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, 
     parts = [Rows(slow.c[i : i + count], rate * slow.d[i : i + count]) for i in range(0, order * count, count)]
     moved = model.low_passes(w, basis.pole, order, parts)
     size = (order + 1) * count
-    whole = _scaled(name, "real parameter", stacked(z, *stages), stacked(w, *moved), size, True, (1, 1))
-    states = stacked(*stages)
-    return [whole, _scaled(name, f"its rate, {rate:.4g} per s", states, slow, order * count, True, (1, 1))]
+    added = slice(model.m - order * count, model.m)
+
+    def heard_parameter(s: complex, seen: AnyArray, acts: AnyArray, inputs: AnyArray) -> AnyArray:
+        rows = [acts]
+        for extra in np.split(inputs[added], order):
+            rows.append((basis.pole * rows[-1] + rate * extra) / (s + basis.pole))
+        return np.vstack([_filtered(s, seen, basis), *rows])
+
+    def heard_rate(s: complex, seen: AnyArray, _: AnyArray, inputs: AnyArray) -> AnyArray:
+        return np.vstack([_filtered(s, seen, basis, 1), inputs[added]])
+
+    above, below, states = stacked(z, *stages), stacked(w, *moved), stacked(*stages)
+    return [
+        _scaled(name, "real parameter", above, below, size, True, (1, 1), heard_parameter),
+        _scaled(name, "its rate", states, slow, order * count, True, (1, 1), heard_rate),
+    ]
 
 
 # --- nonlinearities ---------------------------------------------------------------------------------------------------
@@ -145,20 +176,36 @@ def nonlinear_terms(
     """
     found: list[Term] = []
     if not loops:
-        square = Term(name, "sector", stacked(z, w), 1, lambda x: np.diag([x[0], -x[0]]), lambda x: [x.reshape(1, 1)])
-        found.append(square)
+        found.append(_single(name, "sector", stacked(z, w), np.diag([1.0, -1.0]), True, _heard_sector))
     if law.steady and not z.d.any():
-        rows = stacked(model.derivative(z), w)
-        found.append(Term(name, "Popov", rows, 1, lambda x: x[0] * np.array([[0.0, 1.0], [1.0, 0.0]]), lambda x: []))
+        swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+        found.append(_single(name, "Popov", stacked(model.derivative(z), w), swap, False, _heard_popov))
     if law.slope is not None:
         m, k = law.slope
         order = basis.order if law.steady else 0
-        found.append(_zames_falb(model, name, w.plus(k, z, -1.0), w.plus(-m, z), basis.pole, order, law.odd))
+        found.append(_zames_falb(model, name, z, w, Basis(basis.pole, order), (m, k), law.odd))
     return found
 
 
-def _zames_falb(model: FilteredModel, name: str, p: Rows, q: Rows, pole: float, order: int, odd: bool) -> Term:
-    stages = [*model.low_passes(q, pole, order), *model.low_passes(p, pole, order)]
+def _single(name: str, kind: str, rows: Rows, M: Array, signed: bool, heard: Heard) -> Term:
+    """``x M`` with one unknown, which must be positive where ``signed``."""
+    return Term(name, kind, rows, 1, lambda x: x[0] * M, lambda x: [x.reshape(1, 1)] if signed else [], heard)
+
+
+def _heard_sector(_: complex, seen: AnyArray, acts: AnyArray, _inputs: AnyArray) -> AnyArray:
+    return np.vstack([seen, acts])
+
+
+def _heard_popov(s: complex, seen: AnyArray, acts: AnyArray, _: AnyArray) -> AnyArray:
+    return np.vstack([s * seen, acts])
+
+
+def _zames_falb(
+    model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, slope: tuple[float, float], odd: bool
+) -> Term:
+    (m, k), order = slope, basis.order
+    p, q = w.plus(k, z, -1.0), w.plus(-m, z)
+    stages = [*model.low_passes(q, basis.pole, order), *model.low_passes(p, basis.pole, order)]
     grams = [((order - 1) // 2 + 1), ((order - 2) // 2 + 1)] if order else []
     each = [s for s in grams if s]
     signs = [1.0, -1.0] if odd else [1.0]
@@ -195,9 +242,15 @@ def _zames_falb(model: FilteredModel, name: str, p: Rows, q: Rows, pole: float, 
         mass = sum(float(_coefficients(part, order).sum()) for part in parts)
         return [np.array([[x[0] - mass]]), *(gram for part in parts for gram in part)]
 
+    def heard(s: complex, seen: AnyArray, acts: AnyArray, _: AnyArray) -> AnyArray:
+        p, q = k * seen - acts, acts - m * seen
+        if not order:
+            return np.vstack([p, q])
+        return np.vstack([p, q, _filtered(s, q, basis, 1), _filtered(s, p, basis, 1)])
+
     count = 1 + (2 * len(signs) * per_kernel if order else 0)
     kind = "Zames-Falb" if order else "slope, static multiplier"
-    return Term(name, kind, stacked(p, q, *stages), count, middle, positive, kernels)
+    return Term(name, kind, stacked(p, q, *stages), count, middle, positive, heard, kernels)
 
 
 def _coefficients(grams: list[Array], order: int) -> Array:

@@ -35,6 +35,8 @@ class Varying:
         Bound of the rate of change, in the parameter's unit per second; of delta per second where the block stands for
         no parameter. inf: no bound, the value may jump. Blocks that are no real parameter take inf only: an operator
         of gain one that varies with time.
+    holds
+        For which motions the range holds, in words; empty: for all.
 
     Raises
     ------
@@ -44,10 +46,11 @@ class Varying:
     Examples
     --------
     >>> Varying(0.5), Varying()
-    (Varying(rate=0.5), Varying(rate=inf))
+    (Varying(rate=0.5, holds=''), Varying(rate=inf, holds=''))
     """
 
     rate: float = math.inf
+    holds: str = ""
 
     def __post_init__(self) -> None:
         if isinstance(self.rate, bool) or not isinstance(self.rate, (int, float)) or not self.rate > 0:
@@ -212,7 +215,7 @@ def _nature(where: str, text: str) -> Nature:
     if len(numbers) not in ((0, count) if WORDS[word].startswith("[") else (count,)) or any(map(math.isnan, numbers)):
         raise InputError(where, f"{text!r}", f"{word} with {WORDS[word]}, numbers with colons between them")
     if word == "varying":
-        return Varying(*numbers)
+        return Varying(numbers[0]) if numbers else Varying()
     if word == "saturation":
         return Nonlinearity.saturation(*numbers)
     if word == "dead-zone":

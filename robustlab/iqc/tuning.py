@@ -21,9 +21,10 @@ class IqcTuning:
     # of the multipliers, in terms of the model's typical speed, tried in turn; more: closer bounds, more work
     back_offs: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)
     # shares above the solver's least gain at which the proof is tried in turn; smaller: closer, with less slack
-    close: float = 5e-4  # relative distance of the margin from a size that was not proved
-    sizes: int = 24  # sizes of the set that a stability margin looks at; more: closer
-    largest: float = 64.0  # size of the set beyond which no margin is looked for
+    close: float = 1e-3  # relative distance of a margin from a size that was not proved; smaller: more work
+    near: float = 0.05  # the same, from which on only the best basis so far is tried; smaller: closer, more work
+    least: float = 1e-3  # size of the set below which no margin is looked for
+    largest: float = 64.0  # and beyond which
     members: int = 64  # linear members at the ends of all ranges that bound the gain from below
     states: int = 60  # of the model with its filters; more unknowns than that are not begun
 

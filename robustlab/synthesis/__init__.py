@@ -12,6 +12,7 @@ dk              robust performance
 reduction       models and controllers of lower order
 fixed           fixed structure, for one plant, several, or an uncertain set
 sampled         digital controllers
+windup          controllers whose actuators saturate
 """
 
 from __future__ import annotations

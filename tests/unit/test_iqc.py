@@ -12,10 +12,10 @@ from scipy.integrate import quad
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.iqc import inequality as inequality_module
-from robustlab.iqc.analysis import _problem
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Point, is_positive
 from robustlab.iqc.multipliers import Basis, l1_norm, nonlinear_terms, rate_terms, repeated_terms
+from robustlab.iqc.problem import _channel_balance, posed
 from robustlab.result import Status
 
 
@@ -32,7 +32,7 @@ def lure(num, den):
 
 def proved(model, law, order=2, pole=None):
     """Whether stability is proved for the law as given, without the search for a margin."""
-    problem, budget = _problem("iqc_stability", model, {("y", "u"): law}, order, pole, None, 1.0)
+    problem, budget = posed("iqc_stability", model, {("y", "u"): law}, order, pole, None, 1.0)
     return problem.proved_stable(1.0, budget) is not None
 
 
@@ -98,7 +98,7 @@ def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
     spring = rl.parametric([[0, 1], ["-k", -c]], [[0], [1]], [[1, 0]], [[0]], {"k": (k, k - r, k + r)})
     radius = c * math.sqrt(k - c**2 / 4)
     found = rl.iqc_stability(spring, {"k": rl.Varying()})
-    assert found.margin == pytest.approx(radius / r, rel=1e-3)
+    assert found.margin == pytest.approx(radius / r, rel=2e-3)
     assert found.margin <= radius / r
     assert found.status is Status.CERTIFIED
 
@@ -106,18 +106,19 @@ def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
 # --- against mu -------------------------------------------------------------------------------------------------------
 
 
-def random_set(seed, blocks, n=5):
+def random_set(seed, blocks, n=5, direct=0.0):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
     A -= (np.linalg.eigvals(A).real.max() + 0.4) * np.eye(n)
     rows, cols = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     B, C = rng.normal(size=(n, rows + 1)), rng.normal(size=(cols + 1, n))
-    return rl.UncertainModel(rl.StateSpaceModel(A, 0.3 * B, 0.3 * C, np.zeros((cols + 1, rows + 1))), blocks)
+    D = direct * rng.normal(size=(cols + 1, rows + 1))
+    return rl.UncertainModel(rl.StateSpaceModel(A, 0.3 * B, 0.3 * C, D), blocks)
 
 
 @pytest.mark.parametrize("seed", [1])
 def test_dynamic_blocks_agree_with_mu(seed):
-    uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)])
+    uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)], direct=0.1)
     mu = rl.robust_stability(uncertain)
     found = rl.iqc_stability(uncertain, order=3)
     assert found.margin <= mu.upper * (1 + 1e-6)
@@ -130,7 +131,7 @@ def test_real_blocks_agree_with_mu_and_rates_lie_between(seed):
     mu = rl.robust_stability(uncertain)
     margins = [
         rl.iqc_stability(uncertain, nature, order=2).margin
-        for nature in ({"a": rl.Varying(), "b": rl.Varying()}, *({"a": rl.Varying(r)} for r in (1.0, 0.01)), {})
+        for nature in ({"a": rl.Varying(), "b": rl.Varying()}, {"a": rl.Varying(0.3)}, {})
     ]
     assert margins[-1] <= mu.upper * (1 + 1e-6)
     assert margins[-1] >= 0.9 * mu.lower
@@ -337,12 +338,45 @@ def test_no_varying_spring_reaches_more_than_the_proved_gain():
     assert 0.6 * found.upper <= worst <= found.upper
 
 
+@pytest.mark.parametrize(("seed", "direct"), [(1, 0.0), (8, 0.15)])
+def test_no_mixed_loop_reaches_more_than_the_proved_gain(seed, direct):
+    """A parameter that varies, a saturation and a one-sided law at once, with and without algebraic loops."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3))
+    A -= (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(3)
+    B, C = rng.normal(size=(3, 4)) * [0.35, 0.5, 0.4, 1.0], 0.7 * rng.normal(size=(4, 3))
+    D = direct * rng.normal(size=(4, 4))
+    model = rl.StateSpaceModel(A, B, C, D, 0.0, ["wk", "v", "s", "d"], ["zk", "y1", "y2", "e"])
+    rate = float(rng.choice([0.5, 3.0, np.inf]))
+    laws = {("y1", "v"): rl.Nonlinearity.saturation(), ("y2", "s"): rl.Nonlinearity((0.0, 1.0), (0.0, 1.0))}
+    uncertain = rl.UncertainModel(model, [rl.RealScalar("k")])
+    found = rl.iqc_gain(uncertain, {"k": rl.Varying(rate), **laws}, ["d"], ["e"])
+    assert found.status is Status.CERTIFIED
+    assert found.lower <= found.upper
+    count, dt = 120, 0.02
+    size, omega = 10 ** rng.uniform(-1, 1.5, count), 10 ** rng.uniform(-1.3, 1, count)
+    phase, speed = rng.uniform(0, 6, count), 10 ** rng.uniform(-1, 1, count)
+    x, w, energy = np.zeros((3, count)), np.zeros((3, count)), np.zeros((2, count))
+    for t in np.arange(0.0, 30.0, dt):
+        d = size * np.sin(omega * t) * (t < 24)
+        wave = np.sin((speed if np.isinf(rate) else np.pi / 2 * rate * np.minimum(speed, 1)) * t + phase)
+        delta = np.sign(wave) if np.isinf(rate) else 2 / np.pi * np.arcsin(wave)  # it jumps, or is as fast as it may be
+        for _ in range(25 if direct else 1):  # the algebraic loop is a contraction here
+            z = C @ x + D @ np.vstack([w, d])
+            w = np.vstack([delta * z[0], np.clip(z[1], -1, 1), np.maximum(z[2], 0)])
+        u = np.vstack([w, d])
+        energy += [(C @ x + D @ u)[3] ** 2, d**2]
+        x = x + dt * (A @ (x + 0.5 * dt * (A @ x + B @ u)) + B @ u)
+    worst = np.sqrt(energy[0] / energy[1]).max()
+    assert 0.3 * found.upper <= worst <= found.upper
+
+
 # --- the proof --------------------------------------------------------------------------------------------------------
 
 
 def solved():
     law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
-    problem, budget = _problem("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
+    problem, budget = posed("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
     inequality, terms = problem._inequality(problem.bases[0], 1.0, 1.0)
     least = inequality.solve(budget)
     return inequality, terms, inequality.solve(budget, least.square * 1.01)
@@ -364,15 +398,11 @@ def test_the_frequency_domain_inequality_holds_for_the_multiplier_by_hand():
     _, terms, point = solved()
     unknowns = dict(zip([t.kind for t in terms], point.unknowns, strict=True))
     causal, anti, direct = next(t for t in terms if t.kernels).kernels(unknowns["Zames-Falb"])
-    problem, _ = _problem(
-        "iqc_gain", CUBE, {("y", "u"): rl.Nonlinearity((0, 3.0), (0, 3.0), odd=True)}, 3, 1.0, None, 1.0
-    )
-    from robustlab.iqc.analysis import _channels_balanced
+    problem, _ = posed("iqc_gain", CUBE, {("y", "u"): rl.Nonlinearity((0, 3.0), (0, 3.0), odd=True)}, 3, 1.0, None, 1.0)
     from robustlab.norms.level_set import well_scaled
 
     scaled, rate = well_scaled(problem.middle.M)
-    seen = scaled.C[0] != 0
-    d = (_channels_balanced(problem.middle.blocks, scaled)[1][0][seen] / scaled.C[0][seen])[0]  # z and w times d
+    (d,) = _channel_balance(problem.middle.blocks, scaled)  # z and w times d
     for omega in np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)]):
         G = rl.frequency_response(problem.middle.M, [omega])[0]
         zw, zd, yw, yd = G[0, 0], G[0, 1] * d, G[1, 0] / d, G[1, 1]
@@ -389,6 +419,21 @@ def test_the_frequency_domain_inequality_holds_for_the_multiplier_by_hand():
         y = np.array([yw, yd])
         form = form + np.outer(y.conj(), y) - point.square * np.diag([0.0, 1.0])
         assert np.linalg.eigvalsh(form)[-1] < 0
+
+
+def test_the_second_voice_hears_a_model_that_was_put_together_wrongly():
+    """A slip once doubled a direct term on its way into the inequality; an attack found it, and now this voice does."""
+    law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
+    problem, budget = posed("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
+    for slip in ("z", "A", "B"):
+        inequality, _ = problem._inequality(problem.bases[0], 1.0, 1.0)
+        setattr(inequality, slip, getattr(inequality, slip) * (1.1 if slip == "A" else 0.9))
+        least = inequality.solve(budget)
+        point = inequality.solve(budget, least.square * 1.01)
+        judged = inequality.judged(point)
+        assert judged.slack > 0  # the matrix is negative definite: of another model
+        assert judged.highest > 0
+        assert not judged.proved
 
 
 def test_a_solver_that_lies_proves_nothing(monkeypatch):
