@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import Moderated, moderated, refuse_overflow
+from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = ["default_grid", "frequency_response"]
+__all__ = ["default_grid", "frequency_response", "response_within"]
 
 
 # (n_omega, n, n) complex systems are solved in chunks of about this many numbers.
@@ -103,6 +104,25 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
             ) from None
         response[where[first : first + step]] += model.C @ x
     return _as_given(response, given)
+
+
+def response_within(
+    model: StateSpaceModel, modes: ModalResponse | None, omega: Array, share: float
+) -> tuple[ComplexArray, Array]:
+    """The response at finite frequencies, shape (n_omega, n_y, n_u), and bounds of its error, shape (n_omega,).
+
+    From the model's modes wherever these are off by no more than ``share`` of it; solved for elsewhere, where the bound
+    told is 0.
+    """
+    found = np.empty((len(omega), *model.D.shape), dtype=complex)
+    error, doubtful = np.zeros(len(omega)), np.ones(len(omega), dtype=bool)
+    if modes is not None:
+        found, error, _ = modes.response(np.exp(1j * omega * model.dt) if model.is_discrete else 1j * omega)
+        with np.errstate(all="ignore"):
+            doubtful = ~(error**2 <= share**2 * (np.abs(found) ** 2).sum(axis=(1, 2)))
+    if doubtful.any():
+        found[doubtful], error[doubtful] = frequency_response(model, omega[doubtful]), 0.0
+    return found, error
 
 
 def _as_given(response: ComplexArray, given: Moderated) -> ComplexArray:

@@ -129,8 +129,7 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
 
 def share_beyond(store: Store, sense: int, limit: float, done: int, lost: int) -> Violation:
     """How many samples are worse than ``limit``, and bounds of the probability that a member of the set is."""
-    above = sum(1 for value in store.sorted_values(sense) if sense * value > sense * limit)
-    n = done + lost
+    above, n = store.beyond(sense, limit), done + lost
     lower = probability_bounds(above, n)[0]
     upper = probability_bounds(above + lost, n)[1]
     return Violation(limit, above + lost, n, lower, upper)

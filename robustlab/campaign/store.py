@@ -298,6 +298,12 @@ class Store:
             found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?", (DONE, np.inf))
             return int(found.fetchone()[0])
 
+    def beyond(self, sense: int, limit: float) -> int:
+        """How many samples have a value worse than ``limit``."""
+        with _named(self.path):
+            question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
+            return int(self._db.execute(question, (DONE, sense, sense * limit)).fetchone()[0])
+
     def sorted_values(self, sense: int) -> Iterator[float]:
         """Values from the best to the worst, streamed; SQLite sorts on disk where they are many."""
         with _named(self.path):

@@ -22,7 +22,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import frequency_response
+from robustlab.frequency import response_within
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 
@@ -174,16 +174,8 @@ def mean_square_gain(m: StateSpaceModel, tuning: AxisTuning = TUNING, *, careful
         poles = np.log(poles[np.abs(poles) > 1e-12]) / m.dt
 
     def density(omega: AnyArray) -> AnyArray:
-        doubtful = np.ones(len(omega), dtype=bool)
-        square = np.empty(len(omega))
-        if modes is not None:
-            found, error, _ = modes.response(np.exp(1j * omega * m.dt) if m.is_discrete else 1j * omega)
-            with np.errstate(all="ignore"):
-                square = (np.abs(found) ** 2).sum(axis=(1, 2))
-                doubtful = ~(error**2 <= tuning.modes**2 * square)
-        if doubtful.any():
-            found = (_refined_response if careful else frequency_response)(m, omega[doubtful])
-            square[doubtful] = (np.abs(found) ** 2).sum(axis=(1, 2))
+        found = _refined_response(m, omega) if careful else response_within(m, modes, omega, tuning.modes)[0]
+        square = (np.abs(found) ** 2).sum(axis=(1, 2))
         if not np.isfinite(square).all():
             raise NoTrustworthyNumber("h2_norm", "the frequency response overflows")
         return square[:, None]

@@ -1,15 +1,15 @@
-"""Loading and saving: which object a file holds, and which file an object becomes."""
+"""Loading and saving: which object a file holds, and which file an object becomes.
+
+What knows one kind of object is loaded where one is met: a command that reads a model needs no plants and no delays.
+"""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from robustlab.delays.model import DelayedModel
-from robustlab.dynamics.plant_contract import Plant
-from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
@@ -22,22 +22,21 @@ from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Trace
 from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.storage.controller_json import is_json, read_controller_json
-from robustlab.storage.delayed_models import decode_delayed, encode_delayed
-from robustlab.storage.frequency_files import decode_frequency_data, encode_frequency_data
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.model_pairs import decode_pair, looks_like_a_pair
-from robustlab.storage.plants import decode_plant, encode_plant
-from robustlab.storage.results import decode_result, encode_result
-from robustlab.storage.uncertain_models import decode_controller, decode_uncertain, encode_controller, encode_uncertain
-from robustlab.synthesis.problem.design import Controller
-from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["Loaded", "load", "load_pair", "read", "save", "is_plant_file", "load_plant"]
 
+if TYPE_CHECKING:
+    from robustlab.delays.model import DelayedModel
+    from robustlab.dynamics.plant_contract import Plant
+    from robustlab.synthesis.problem.design import Controller
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+    from robustlab.uncertainty.lft import UncertainModel
 
-Stored = StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | Controller | Record | Result | Plant
+    Stored = (
+        StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | Controller | Record | Result | Plant
+    )
 
 
 @dataclass(frozen=True)
@@ -155,6 +154,8 @@ def load_plant(path: str) -> Any:
     InputError
         The file holds something else.
     """
+    from robustlab.dynamics.plant_contract import Plant
+
     found = load(path)
     if not isinstance(found, Plant):
         raise InputError(
@@ -176,11 +177,13 @@ def read(
     where = str(path)
     content = content_of(path, limits)
     if content in ("text", "parquet", "mcap"):
+        from robustlab.storage.controller_json import is_json, read_controller_json
+
         if content == "text" and is_json(path):
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
             held = read_controller_json(path, limits, isolate)
-            warnings = (*held.warnings, *_unit_warnings(held.controller))
+            warnings = (*held.warnings, *_unit_warnings("controller", held.controller))
             return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
         keywords = read_record(path, RecordOptions(group), limits, isolate)
         return Loaded(_record(keywords, where), "record", where, False)
@@ -191,14 +194,19 @@ def read(
         thing = _of_kind(kind, tree, problems, transpose)
         verified = not found and not (no_verify and text_attr(tree.attrs, "content_sha256") is None)
         return Loaded(
-            thing, kind, where, verified, (*found, *problems.notes, *_unit_warnings(thing)), decode_provenance(tree)
+            thing,
+            kind,
+            where,
+            verified,
+            (*found, *problems.notes, *_unit_warnings(kind, thing)),
+            decode_provenance(tree),
         )
     node = tree.find(group) if group else tree
     if node is None:
         names = ", ".join(tree.group_names())
         raise InputError(where, f"missing group /{group}", f"one of {names}" if names else "a file with groups")
     kind, thing = _plain(node, problems, group, transpose=transpose, limits=limits, isolate=isolate)
-    return Loaded(thing, kind, where, False, (*problems.notes, *_unit_warnings(thing)))
+    return Loaded(thing, kind, where, False, (*problems.notes, *_unit_warnings(kind, thing)))
 
 
 def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Tree:
@@ -206,19 +214,27 @@ def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: b
 
 
 def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stored:
-    if kind == "uncertain":
-        return decode_uncertain(tree, problems, transpose)
+    if kind in ("uncertain", "controller"):
+        from robustlab.storage.uncertain_models import decode_controller, decode_uncertain
+
+        return (decode_uncertain if kind == "uncertain" else decode_controller)(tree, problems, transpose)
     if kind == "delayed":
+        from robustlab.storage.delayed_models import decode_delayed
+
         return decode_delayed(tree, problems, transpose)
     if kind == "frequency-data":
+        from robustlab.storage.frequency_files import decode_frequency_data
+
         return decode_frequency_data(tree, problems)
-    if kind == "controller":
-        return decode_controller(tree, problems, transpose)
     if kind == "record":
         return _record(decode_record(tree, tree.file), tree.file)
     if kind == "result":
+        from robustlab.storage.results import decode_result
+
         return decode_result(tree)
     if kind == "plant":
+        from robustlab.storage.plants import decode_plant
+
         return decode_plant(tree, problems)
     return _model(tree, problems, transpose)
 
@@ -256,17 +272,14 @@ def _record(keywords: dict[str, Any], where: str) -> Record:
         ) from None
 
 
-def _unit_warnings(thing: Any) -> tuple[str, ...]:
+def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
     """Row 17 of the fault table: missing units are accepted, and said."""
-    if isinstance(thing, tuple):
-        return _unit_warnings(thing[0])
-    if isinstance(thing, Record):
+    if kind in ("result", "plant"):
+        return ()
+    if kind == "record":
         bare = [name for name, unit in thing.units.items() if not unit]
     else:
-        thing = thing if not isinstance(thing, Plant) else None
-        outer = thing.K if isinstance(thing, Controller) else thing
-        if not isinstance(outer, (StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData)):
-            return ()
+        outer = thing[0] if kind == "pair" else thing.K if kind == "controller" else thing
         bare = [s.name for s in (*outer.inputs, *outer.outputs) if not s.unit]
     return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
 
@@ -301,6 +314,8 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     InputError, UsageError
         An object or a file name that cannot be written.
     """
+    from robustlab.dynamics.plant_file import code_of
+
     suffix = Path(path).suffix.lower()
     if suffix == ".mat":
         return _save_matlab(path, obj)
@@ -324,6 +339,17 @@ def _origin(obj: Any, given: Provenance) -> Provenance:
 
 
 def _encode(tree: Tree, obj: Any) -> str:
+    from robustlab.delays.model import DelayedModel
+    from robustlab.dynamics.plant_contract import Plant
+    from robustlab.storage.delayed_models import encode_delayed
+    from robustlab.storage.frequency_files import encode_frequency_data
+    from robustlab.storage.plants import encode_plant
+    from robustlab.storage.results import encode_result
+    from robustlab.storage.uncertain_models import encode_controller, encode_uncertain
+    from robustlab.synthesis.problem.design import Controller
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+    from robustlab.uncertainty.lft import UncertainModel
+
     if isinstance(obj, UncertainModel):
         encode_uncertain(tree, obj)
         return "uncertain"
@@ -351,6 +377,8 @@ def _encode(tree: Tree, obj: Any) -> str:
 
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:
+    from robustlab.uncertainty.lft import UncertainModel
+
     if isinstance(obj, (UncertainModel, Record, Result)):
         found = "an uncertain model" if isinstance(obj, UncertainModel) else f"a {type(obj).__name__}"
         hint = "save it as .h5, which MATLAB reads with h5read"

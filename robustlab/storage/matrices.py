@@ -8,16 +8,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robustlab.arrays import Array, not_finite
-from robustlab.dynamics.descriptor_elimination import Eliminated, eliminated
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread, type_name
 from robustlab.signals import COMPLEX
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
+
+if TYPE_CHECKING:
+    from robustlab.dynamics.descriptor_elimination import Eliminated
 
 __all__ = [
     "Problems",
@@ -142,6 +144,8 @@ def decode_model(
         a, b, c, d = (matrices[name] for name in NAMES)
         if e is None:
             return StateSpaceModel(a, b, c, d, step, inputs, outputs, states, point, where=where)
+        from robustlab.dynamics.descriptor_elimination import eliminated
+
         found = eliminated(a, b, c, d, e, step, inputs, outputs, states, where)
         problems.notes.append(str(found))
         return _at_point(found, point)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,9 +21,11 @@ from robustlab.storage.matrices import (
     entries,
     find_children,
 )
-from robustlab.synthesis.problem.design import Controller
 from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
+
+if TYPE_CHECKING:
+    from robustlab.synthesis.problem.design import Controller
 
 __all__ = [
     "decode_blocks",
@@ -190,4 +192,6 @@ def decode_controller(tree: Tree, problems: Problems, transpose: bool = False) -
         problems.add(f"attribute status is {text!r}, expected one of {', '.join(s.value for s in Status)}")
     problems.raise_any()
     assert model is not None
+    from robustlab.synthesis.problem.design import Controller
+
     return Controller(model, gamma, Status(text), str(np.asarray(tree.attrs.get("method", ""))))

@@ -15,6 +15,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.frequency import response_within
 from robustlab.magnitude import times_power
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.norms.axis_integral import AxisTuning, axis_integral
@@ -265,7 +266,7 @@ def _difference(grid: SeparateValues, direct: AnyArray, separate: SeparateLoop, 
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega, loop = grid.omega[finite], separate.loop
     try:
-        rebuilt, error = separate.rebuilt(omega)
+        rebuilt, error = response_within(loop, separate.modes[0], omega, separate.tuning.quick)
     except NoTrustworthyNumber:
         return float("inf")
     difference = frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D)) + error

@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.frequency import frequency_response
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
@@ -201,17 +200,6 @@ class SeparateLoop:
         error = frobenius(T_error) + 16 * EPS * gain
         error = np.where(np.isnan(error), np.inf, error)
         return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
-
-    def rebuilt(self, omega: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """The rebuilt loop's response at finite frequencies, and bounds of its error where it comes from the modes."""
-        s, modes = np.exp(1j * omega * self.dt) if self.dt else 1j * omega, self.modes[0]
-        if modes is None:
-            return frequency_response(self.loop, omega), np.zeros(len(omega))
-        found, error, _ = modes.response(s)
-        doubtful = ~(error <= self.tuning.quick * frobenius(found))
-        if doubtful.any():
-            found[doubtful], error[doubtful] = frequency_response(self.loop, omega[doubtful]), 0.0
-        return found, error
 
     def _rebuilt_polynomial(self, s: AnyArray, kind: Any) -> _LogDet:
         """Log det(sI - A) of the rebuilt loop: from its modes where these are known well enough, else by elimination.

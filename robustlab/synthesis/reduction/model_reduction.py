@@ -10,8 +10,9 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.frequency import default_grid, frequency_response, response_within
 from robustlab.magnitude import Moderated, moderated, scaled_down
+from robustlab.modal_response import ModalResponse
 from robustlab.norms import (
     HinfNorm,
     bilinear_to_continuous,
@@ -45,6 +46,8 @@ METHODS = get_args(Method)
 
 # A certified error may exceed its a-priori bound by this share of the largest Hankel value: rounding of the values.
 BOUND_ROUNDING = 1e-10
+# Share of the responses by which the two models may seem to differ.
+OVERLOOKED = 1e-9
 
 
 @told_as("hankel_singular_values")
@@ -278,8 +281,8 @@ class _Way:
 
     ``values`` are its Hankel values in the units of the model as given, ``most`` the largest order. ``reduced`` gives
     the part of an order, ``measured`` the certified size of a difference, ``bound`` what is promised for it, and
-    ``seen`` turns differences of responses at frequencies, as given, into what ``measured`` is the largest norm of;
-    ``looked_at`` are frequencies to look at besides those of the model.
+    ``seen`` turns differences of responses at frequencies, as given, into what ``measured`` is the largest norm of,
+    where that is not the difference; ``looked_at`` are frequencies to look at besides those of the model.
     """
 
     values: Array
@@ -287,7 +290,7 @@ class _Way:
     reduced: Callable[[int], StateSpaceModel]
     measured: Callable[[StateSpaceModel], HinfNorm]
     bound: Callable[[int], float] = lambda _: np.nan
-    seen: Callable[[Array, ComplexArray], ComplexArray] = lambda _, gap: gap
+    seen: Callable[[Array, ComplexArray], ComplexArray] | None = None
     looked_at: tuple[float, ...] = ()
 
 
@@ -490,23 +493,34 @@ def _checked(
     if not reason and method != "coprime":
         seen, size = _seen_difference(full, named, way)
         size = 1.0 if method == "stochastic" else size
-        if seen > error.upper * (1 + 1e-6) + 1e-9 * size:
+        if seen > error.upper * (1 + 1e-6) + OVERLOOKED * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
     return ReducedModel(named, method, error, bound, values, apart, full, status, reason)
 
 
 def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, way: _Way) -> tuple[float, float]:
-    """Largest difference of the two responses, as it is measured, on a grid away from poles; size of the responses."""
+    """Largest difference of the two responses, as it is measured, on a grid away from poles, less the bounds of their
+    errors where they come from the modes; and the size of the responses.
+    """
     if not full.n_inputs or not full.n_outputs or not full.n_states:
         return 0.0, 0.0
     omega = np.append(default_grid(full, 40) * 1.0123, way.looked_at)
     if full.is_discrete:
         omega = omega[omega < np.pi / full.dt]
-    first = frequency_response(full, omega)
-    gap = way.seen(omega, first - frequency_response(model, omega))
-    size_of = np.linalg.norm
-    return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, 2, axis=(1, 2)).max(initial=0.0))
+    share = OVERLOOKED if way.seen is None else 0.0  # what weighs a difference would weigh the bounds of its errors
+    (first, error), (second, other) = (_response(m, omega, share) for m in (full, model))
+    size = float(np.linalg.norm(first, 2, axis=(1, 2)).max(initial=0.0))
+    if way.seen is None:
+        gap = np.linalg.norm(first - second, 2, axis=(1, 2)) - error - other
+    else:
+        gap = np.linalg.norm(way.seen(omega, first - second), 2, axis=(1, 2))
+    return float(gap.max(initial=0.0)), size
+
+
+def _response(model: StateSpaceModel, omega: Array, share: float) -> tuple[ComplexArray, Array]:
+    modes = ModalResponse.of(model.A, model.B, model.C, model.D) if model.n_states and share else None
+    return response_within(model, modes, omega, share)
 
 
 def _coprime_reduction(full: StateSpaceModel) -> Candidates:
