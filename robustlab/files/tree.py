@@ -40,7 +40,7 @@ __all__ = [
 
 FORMAT = "robustlab"
 FORMAT_VERSION = "1.0"
-KINDS = ("state-space", "uncertain", "delayed", "controller", "record", "result", "plant")
+KINDS = ("state-space", "uncertain", "delayed", "lpv", "controller", "lpv-controller", "record", "result", "plant")
 # Attribute of a dataset whose texts are the paths that its references lead to.
 REFERENCES = "robustlab_references"
 ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")

@@ -24,18 +24,23 @@ from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.controller_json import is_json, read_controller_json
 from robustlab.storage.delayed_models import decode_delayed, encode_delayed
+from robustlab.storage.lpv_models import decode_lpv, encode_lpv
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.model_pairs import decode_pair, looks_like_a_pair
 from robustlab.storage.plants import decode_plant, encode_plant
 from robustlab.storage.results import decode_result, encode_result
 from robustlab.storage.uncertain_models import decode_controller, decode_uncertain, encode_controller, encode_uncertain
 from robustlab.synthesis.problem.design import Controller
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["Loaded", "load", "load_pair", "read", "save", "is_plant_file", "load_plant"]
 
 
-Stored = StateSpaceModel | UncertainModel | DelayedModel | Controller | Record | Result | Plant
+Stored = (
+    StateSpaceModel | UncertainModel | DelayedModel | LPVModel | Controller | LPVController | Record | Result | Plant
+)
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,8 @@ class Loaded:
     Attributes
     ----------
     object
-        StateSpaceModel, UncertainModel, DelayedModel, Controller, Record, Result, Plant; for ``kind = "pair"``
-        (nominal, perturbed).
+        StateSpaceModel, UncertainModel, DelayedModel, LPVModel, Controller, LPVController, Record, Result, Plant; for
+        ``kind = "pair"`` (nominal, perturbed).
     kind
         Kind of format 1, or ``"pair"``.
     verified
@@ -102,7 +107,7 @@ def load(
 
     Returns
     -------
-    StateSpaceModel, UncertainModel, DelayedModel, Controller, Record, Result or Plant
+    StateSpaceModel, UncertainModel, DelayedModel, LPVModel, Controller, LPVController, Record, Result or Plant
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
         The object's ``provenance`` is that of the file. Where no content hash verified the file, its note says so; a
         format 1 file without one, or with one that does not match, also brings a warning.
@@ -208,6 +213,8 @@ def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stor
         return decode_uncertain(tree, problems, transpose)
     if kind == "delayed":
         return decode_delayed(tree, problems, transpose)
+    if kind in ("lpv", "lpv-controller"):
+        return decode_lpv(tree, problems, controller=kind == "lpv-controller")
     if kind == "controller":
         return decode_controller(tree, problems, transpose)
     if kind == "record":
@@ -260,8 +267,8 @@ def _unit_warnings(thing: Any) -> tuple[str, ...]:
         bare = [name for name, unit in thing.units.items() if not unit]
     else:
         thing = thing if not isinstance(thing, Plant) else None
-        outer = thing.K if isinstance(thing, Controller) else thing
-        if not isinstance(outer, (StateSpaceModel, UncertainModel, DelayedModel)):
+        outer = thing.K if isinstance(thing, (Controller, LPVController)) else thing
+        if not isinstance(outer, (StateSpaceModel, UncertainModel, DelayedModel, LPVModel)):
             return ()
         bare = [s.name for s in (*outer.inputs, *outer.outputs) if not s.unit]
     return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
@@ -278,7 +285,8 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     path
         File to write; an existing file is replaced once the new one is complete.
     obj
-        StateSpaceModel, UncertainModel, DelayedModel, Controller, Record, a plant with or without effects, a
+        StateSpaceModel, UncertainModel, DelayedModel, LPVModel, Controller, LPVController, Record, a plant with or
+        without effects, a
         python-control system, or a result (with ``.status`` and ``.to_json()``). A plant is one as from
         `robustlab.dynamics.plant`, or
         one of the user's own, whose equations are stored as coefficients (`LinearPlant`) or tapes (`PlantEquations`).
@@ -326,6 +334,8 @@ def _encode(tree: Tree, obj: Any) -> str:
     if isinstance(obj, DelayedModel):
         encode_delayed(tree, obj)
         return "delayed"
+    if isinstance(obj, (LPVModel, LPVController)):
+        return encode_lpv(tree, obj)
     if isinstance(obj, Controller):
         encode_controller(tree, obj)
         return "controller"

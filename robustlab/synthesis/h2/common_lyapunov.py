@@ -13,6 +13,7 @@ unit vectors of the unknowns, and another level changes a few constants only.
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import numpy as np
 
 from robustlab.arrays import AnyArray

@@ -16,8 +16,8 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
-from robustlab.synthesis.scheduling.lpv_model import EXACT, SAMPLED, LPVModel
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
 
 __all__ = ["LPVGain", "gain_from", "lpv_gain"]
@@ -162,7 +162,9 @@ def lpv_gain(
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
-        raise InputError("lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
+        raise InputError(
+            "lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
+        )
     budget = search_budget("lpv_gain", TUNING.work, effort, time_limit)
     with one_thread():
         return gain_from(model, lyapunov, budget, progress or (lambda _: None))
@@ -176,7 +178,7 @@ def gain_from(
     guess: Array | None = None,
     tuning: SchedulingTuning = TUNING,
 ) -> LPVGain:
-    """`lpv_gain` on a budget; ``guess`` is a constant Lyapunov matrix to try, and in whose states the LMIs are posed."""
+    """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
     varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
     lower, at, frequency, unstable = _frozen(model)
@@ -305,7 +307,9 @@ def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[floa
     gamma, margin, size = (m * count + k for k in range(3))
     robust = any(c.deviation.any() for c in posed.coefficients)
     # margin <= 1, margin >= 0, size >= 0
-    rows, right = [sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))], [[1, 0, 0]]
+    bounds = sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))
+    rows: list[Any] = [bounds]
+    right: list[Any] = [[1.0, 0.0, 0.0]]
     sizes: list[int] = []
 
     def add(parts: dict[int, Array], constant: Array) -> None:

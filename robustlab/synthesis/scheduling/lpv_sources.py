@@ -18,7 +18,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.scheduling.lpv_model import EXACT, PROVED, SAMPLED, LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, PROVED, SAMPLED, LPVModel
 from robustlab.uncertainty.blocks import RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -107,7 +107,9 @@ def _of_uncertain(
         blocks.append(b)
     for name in points:
         if name not in [b.name for b in blocks]:
-            raise InputError("lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(b.name for b in blocks)}")
+            raise InputError(
+                "lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(b.name for b in blocks)}"
+            )
     values = {b.name: _values(b, points.get(b.name, 2)) for b in blocks}
     entries = [_entries(b, values[b.name]) for b in blocks]
     index = list(np.ndindex(*(len(e) for e in entries)))
@@ -129,7 +131,9 @@ def _values(block: RealScalar, given: int | Sequence[float]) -> Array:
         return np.linspace(low, high, max(int(given), 2))
     values = np.asarray(given, float)
     if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():
-        raise InputError(f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}")
+        raise InputError(
+            f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}"
+        )
     return values
 
 

@@ -32,7 +32,7 @@ from robustlab.arrays import Array
 from robustlab.mu_analysis.matrix.certificate import EPS, positive_definite
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
-from robustlab.synthesis.scheduling.lpv_model import LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 
 __all__ = ["Coefficient", "Inequality"]
 
@@ -248,4 +248,4 @@ def _definite(X: Array, error: Array) -> bool:
         return False
     s = np.exp2(np.rint(-0.5 * np.log2(diagonal)))
     bound = error * s[:, None] * s
-    return positive_definite(X * s[:, None] * s, 1.01 * float(np.linalg.norm(bound, 2)))
+    return positive_definite((X + 0j) * s[:, None] * s, 1.01 * float(np.linalg.norm(bound, 2)))

@@ -22,7 +22,8 @@ class SchedulingTuning:
     gain_bisections: int = 12
     # Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
     synthesis_backoffs: tuple[float, ...] = (0.005, 0.03, 0.15)
-    # Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, infeasible sooner.
+    # Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, sooner
+    # infeasible.
     couplings: tuple[float, ...] = (1.5, 1.05)
     # Rounds in which states are balanced by what the LMIs gave in the last.
     balancings: int = 8
