@@ -66,9 +66,10 @@ def platform() -> None:
     def change(gains: np.ndarray) -> float:
         return max(np.linalg.norm(np.linalg.solve(at_home, g) - np.eye(6), 2) for g in gains)
 
-    print(f"gain of the platform over {len(grid)} poses of its workspace: within {change(linear_models(plant, grid).B[:, 6:]):.2%} of home")
     loaded = {"platform_mass": np.full(len(grid), own + LOADS[1])}
-    print(f"with {LOADS[1]:g} kg on it: within {change(linear_models(plant, grid, loaded).B[:, 6:]):.2%} of home without load")
+    bare, full = (change(linear_models(plant, grid, masses).B[:, 6:]) for masses in (None, loaded))
+    print(f"gain of the platform over {len(grid)} poses of its workspace: within {bare:.2%} of home")
+    print(f"with {LOADS[1]:g} kg on it: within {full:.2%} of home without load")
 
     values, T = np.linalg.eigh(0.5 * (at_home + at_home.T))
 
@@ -124,7 +125,8 @@ def simulated(machine, laws, T) -> None:
 
     for word, scheduled in (("scheduled", True), ("constant", False)):
         error = run(scheduled)
-        print(f"nonlinear platform with payload, simulated, {word:10} largest error {1e3 * error[:3].max():7.4f} mm, {1e3 * error[3:].max():7.4f} mrad")
+        place, angle = 1e3 * error[:3].max(), 1e3 * error[3:].max()
+        print(f"nonlinear platform with payload, simulated, {word:10} largest error {place:7.4f} mm, {angle:7.4f} mrad")
 
 
 def stiff_spring() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, PROVED, SAMPLED, LPVModel
 from robustlab.uncertainty.blocks import RealScalar, block_slices
@@ -198,6 +199,7 @@ def _of_function(
         at = np.array([v[i] + s * (v[i + 1] - v[i]) for v, i, s in zip(values.values(), cell, share, strict=True)])
         true = _called(source, dict(zip(values, at.tolist(), strict=True)))
         found = np.abs(np.block([[true.A, true.B], [true.C, true.D]]) - plain.matrix_at(at))
+        found[found <= 16 * EPS * np.abs(plain.matrix_at(at))] = 0.0  # rounding
         deviation[cell] = np.maximum(deviation[cell], found)
     return LPVModel(values, models, rates, units, deviation, SAMPLED)
 

@@ -274,7 +274,7 @@ class LPVModel(Shown, Traced):
             i = min(max(int(np.searchsorted(p.points, value)) - 1, 0), len(p.points) - 2)
             share = (value - p.points[i]) / (p.points[i + 1] - p.points[i])
             share = min(max(share, 0.0), 1.0)
-            found = (1 - share) * found[i] + share * found[i + 1]
+            found = found[i] + share * (found[i + 1] - found[i])  # constant entries stay exactly so
         return found
 
     def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
@@ -302,7 +302,7 @@ class LPVModel(Shown, Traced):
             low, high = np.array(p.points)[parent], np.array(p.points)[parent + 1]
             share = ((values - low) / (high - low)).reshape(-1, *([1] * (matrices.ndim - axis - 1)))
             before, after = np.take(matrices, parent, axis), np.take(matrices, parent + 1, axis)
-            matrices = np.where(share == 0, before, np.where(share == 1, after, (1 - share) * before + share * after))
+            matrices = np.where(share == 1, after, before + share * (after - before))
             deviation = np.take(deviation, parent[:-1], axis)
             parameters.append(SchedulingParameter(p.name, tuple(values), p.rate, p.unit))
         return LPVModel.of(

@@ -33,6 +33,8 @@ class SchedulingTuning:
     near: float = 0.02
     # Points at which frozen loops are looked at beside the grid, and the seed of their places.
     frozen_points: int = 20
+    # Entries of the deviation in a cell up to which every choice of signs is asked for: exact, but 2^n inequalities.
+    signed_entries: int = 3
     # Inequalities of one problem, at most: beyond it they outlast any patience.
     inequalities: int = 4000
 
