@@ -99,7 +99,7 @@ def simulated(machine, laws, T) -> None:
     t = np.linspace(0.0, 1.25, 501)
     asked = nut_angles(machine.geometry, motion.pose(t))
     heights = np.linspace(*HEIGHTS[::2], 13)
-    mean = np.array([rl.trim(machine, pose=machine.geometry.home + [0, 0, z, 0, 0, 0]).x[:6].mean() for z in heights])
+    mean = np.array([rl.trim(machine, pose=machine.geometry.home + np.eye(6)[2] * z).x[:6].mean() for z in heights])
     start = rl.trim(machine)
 
     def run(scheduled: bool) -> np.ndarray:

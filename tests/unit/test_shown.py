@@ -32,9 +32,9 @@ PLAIN = {"Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange",
 # Nothing to draw: a few numbers.
 NUMBERS = {
     "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain", "DelayStability",
-    "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap", "Passivity",
-    "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain",
-    "StreamedResponses", "Trim", "WellPosedness", "Zeros",
+    "GapMetric", "H2Norm", "HinfNorm", "Influence", "InputPassivity", "LPVController", "LPVGain", "LPVModel",
+    "LPVSynthesis", "LinearSolution", "NuGap", "Passivity", "PerformanceLimits", "PlantSamples", "Reduction",
+    "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim", "WellPosedness", "Zeros",
 }  # fmt: skip
 
 
