@@ -65,15 +65,16 @@ def test_steps_of_a_recipe_prove_and_design(tmp_path):
     rl.save(tmp_path / "loop.h5", loop)
     (tmp_path / "recipe.toml").write_text(
         """
+schema = "robustlab.recipe/1"
 name = "scheduled"
 
 [step.plant]
 do = "load"
-file = "plant.h5"
+path = "plant.h5"
 
 [step.loop]
 do = "load"
-file = "loop.h5"
+path = "loop.h5"
 
 [step.gain]
 do = "lpv-gain"
@@ -86,12 +87,14 @@ measurements = 1
 controls = 1
 
 [[require]]
-value = "law.gamma"
-max = 1.45
+text = "The scheduled loop"
+that = "law.gamma"
+at_most = 1.45
 
 [[require]]
-value = "gain.upper"
-max = 1.45
+text = "The loop by itself"
+that = "gain.upper"
+at_most = 1.45
 """
     )
     done = robustlab("run", "recipe.toml", "--out", "out", cwd=tmp_path)
