@@ -144,6 +144,33 @@ def stiff_spring() -> None:
     compared("spring 1..25 N/m, 1 N/m/s, 4 cells", ends.refined(4).with_rates(k=1.0), 2, 1)
 
 
+def missile() -> None:
+    """Pitch axis of a missile: alpha' = -Z alpha + q, q' = -M alpha + delta, Z in 0.5..4, M in 0..106, both measured.
+
+    W1 = 2.01 / (s + 0.201) on the error of the acceleration, W2 = (9.678 s^3 + 0.029 s^2) / (s^3 + 1.206e4 s^2 +
+    1.136e7 s + 1.066e10) on the fin. The rate is measured without noise: the problem is singular.
+    """
+
+    def vertex(Z: float, M: float) -> rl.StateSpaceModel:
+        a1, a2, a3 = 1.206e4, 1.136e7, 1.066e10
+        A = np.zeros((6, 6))
+        A[:2, :2], A[2, 0], A[2, 2] = [[-Z, 1], [-M, 0]], 2.01, -0.201
+        A[3:] = [[0, 0, 0, -a1, -a2, -a3], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0]]
+        B, C, D = np.zeros((6, 2)), np.zeros((4, 6)), np.zeros((4, 2))
+        B[1, 1], B[2, 0], B[3, 1] = 1.0, 2.01, 1.0
+        C[0, 2], C[1, 3:], C[2, 0], C[3, 1] = 1.0, [0.029 - 9.678 * a1, -9.678 * a2, -9.678 * a3], 1.0, 1.0
+        D[1, 1], D[2, 0] = 9.678, 1.0
+        return rl.StateSpaceModel(A, B, C, D)
+
+    ranges = {"Z": [0.5, 4.0], "M": [0.0, 106.0]}
+    said: list[str] = []
+    plant = rl.LPVModel(ranges, [vertex(Z, M) for Z in ranges["Z"] for M in ranges["M"]])
+    design = rl.lpv_hinf(plant, 2, 1, progress=said.append)
+    rounds = [text.rpartition(" ")[2] for text in said if "balanced" in text]
+    print(f"missile: optimum of the LMIs in rounds of balancing {', '.join(rounds)}; proved {design.gamma:.4f}")
+
+
 if __name__ == "__main__":
+    missile()
     stiff_spring()
     platform()

@@ -16,7 +16,7 @@ GROUPS = {
     "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
     "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
     "synth": ("robustlab.cli.synth", "Design a controller and verify its loop."),
-    "lpv": ("robustlab.cli.lpv", "Gain scheduling: LPV models, their gain, scheduled controllers."),
+    "lpv": ("robustlab.cli.lpv", "Gain scheduling: LPV models, gains, controllers."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
     "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
     "recipe": ("robustlab.cli.recipe", "Check a recipe, print its schema, start a new one."),

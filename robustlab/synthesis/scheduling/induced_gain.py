@@ -87,8 +87,11 @@ class LPVGain(Shown, Traced):
     def facts(self) -> Facts:
         """The bracket, where it is attained, what it holds for."""
         place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
+        upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
+        if not np.isfinite(self.lower):
+            upper = "infinite (attained)"
         return [
-            ("gain", f"{number(self.lower, digits=6)} (frozen, attained) .. {number(self.upper, digits=6)} (proved)"),
+            ("gain", f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"),
             ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if place else ""),
             ("holds", self.scope),
             ("Lyapunov function", self.lyapunov),
@@ -160,6 +163,9 @@ def lpv_gain(
     """
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
+    if not model.n_states:
+        hint = "without states it is the largest singular value of D at the points"
+        raise InputError("lpv_gain", "a model without states", "one with states", hint)
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
         raise InputError(
@@ -194,8 +200,6 @@ def gain_from(
     if posed.count() > tuning.inequalities:
         found = f"{posed.count()} inequalities"
         raise InputError("lpv_gain", found, f"at most {tuning.inequalities}", "fewer points, or lyapunov='constant'")
-    if not model.n_states:
-        posed = Inequality(model, False)
     say(f"{len(posed.coefficients)} inequalities of size {sum(model.matrices.shape[-2:]) - posed.n}")
     best, how = None, "by the Lyapunov matrix of the synthesis"
     basis = np.eye(posed.n)
@@ -240,7 +244,7 @@ def _basis(P: Array, before: Array) -> Array:
 
 def _level_of(posed: Inequality, P: Array, lower: float, tuning: SchedulingTuning) -> tuple[float, Array] | None:
     """The smallest level (scaled) that P proves, with it; None where none is found."""
-    level = _smallest(posed, P, max(lower, 1e-12) * posed.gain, tuning)
+    level = _smallest(posed, P, max(lower * posed.gain, tuning.smallest), tuning)
     return None if level is None else (level, P)
 
 
@@ -269,7 +273,7 @@ def _solved(
         if gamma is None:
             break
         say(f"LMIs: optimum {gamma / posed.gain:.6g}")
-        start, found = max(gamma, lower * posed.gain), None
+        start, found = max(gamma, lower * posed.gain, tuning.smallest), None
         for backoff in tuning.gain_backoffs:
             level = start * (1 + backoff)
             _, found, text = _posed(turned, level, budget)

@@ -20,7 +20,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, PROVED, SAMPLED, LPVModel
-from robustlab.uncertainty.blocks import RealScalar, block_slices
+from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["lpv_model"]
@@ -100,9 +100,9 @@ def _of_uncertain(
     rates: Mapping[str, float] | None,
     units: Mapping[str, str],
 ) -> LPVModel:
-    blocks: list[RealScalar] = []
+    blocks: list[Any] = []
     for b in source.blocks:
-        if not isinstance(b, RealScalar):
+        if not (b.is_real and b.is_scalar):
             hint = "what cannot be measured is no scheduling parameter: evaluate the set at a value of that block"
             raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
         blocks.append(b)
@@ -124,7 +124,7 @@ def _of_uncertain(
     return LPVModel(values, models, rates, {**own, **units}, deviation, known)
 
 
-def _values(block: RealScalar, given: int | Sequence[float]) -> Array:
+def _values(block: Any, given: int | Sequence[float]) -> Array:
     """Values of a parameter, within its range."""
     p = block.parameter
     low, high = block.interval if p is None else (p.low, p.high)
@@ -138,7 +138,7 @@ def _values(block: RealScalar, given: int | Sequence[float]) -> Array:
     return values
 
 
-def _entries(block: RealScalar, values: Array) -> Array:
+def _entries(block: Any, values: Array) -> Array:
     """The numbers that stand in Delta for values of a parameter: one affine law."""
     p = block.parameter
     return values if p is None else (values - p.nominal) / p.radius
