@@ -17,7 +17,7 @@ class SchedulingTuning:
     # of which rounding leaves unproved.
     gain_backoffs: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 0.1)
     # Smallest scaled gain that is told from zero.
-    smallest: float = 1e-7
+    smallest: float = 1e-5
     # Steps of the solver, at most.
     steps: int = 200
     # Bisections for the smallest gamma that a Lyapunov matrix still proves.
