@@ -97,6 +97,11 @@ from robustlab.synthesis.sampled.resampling import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise_controller as discretise_controller
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
+from robustlab.synthesis.scheduling.induced_gain import lpv_gain as lpv_gain
+from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
+from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController as LPVController
+from robustlab.synthesis.scheduling.scheduled_synthesis import lpv_hinf as lpv_hinf
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.specifications.loop_functions import loop_functions_of as loop_functions_of
 from robustlab.synthesis.specifications.weight_design import check_weights as check_weights
@@ -254,6 +259,11 @@ __all__ = [
     "makeweight",
     "noise_weight",
     "Controller",
+    "LPVModel",
+    "lpv_model",
+    "lpv_gain",
+    "lpv_hinf",
+    "LPVController",
     "hankel_singular_values",
     "balanced_truncation",
     "reduce_model",

@@ -161,6 +161,18 @@ def effect_gain() -> Any:
     return rl.effect_gain(rough, 30.0, outputs=["q"], amplitude={"u": 12.0}, order=1)
 
 
+def scheduled_plant() -> rl.LPVModel:
+    def vertex(a: float) -> rl.StateSpaceModel:
+        return rl.StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+
+    return rl.LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)])
+
+
+@cache
+def scheduled() -> Any:
+    return rl.lpv_hinf(scheduled_plant(), 1, 1)
+
+
 @cache
 def mixsyn() -> Any:
     W1 = rl.performance_weight(1.0, 0.01, 2.0)
@@ -177,6 +189,10 @@ OBJECTS: dict[str, Any] = {
     "DelayedModel": lambda: rl.with_delays(lag(), inputs={"u": 0.5}),
     "UncertainFrequencyData": measured_loop,
     "Controller": lambda: mixsyn().controller,
+    "LPVModel": scheduled_plant,
+    "LPVController": lambda: scheduled().controller,
+    "LPVGain": lambda: scheduled().gain,
+    "LPVSynthesis": scheduled,
     "GeneralizedPlant": lambda: rl.generalized_plant(problem(), ["y"], ["u"]),
     "Record": record,
     "DcMotor": motor,

@@ -17,6 +17,7 @@ GROUPS = {
     "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
     "iqc": ("robustlab.cli.iqc", "Proved gain with nonlinear and time-varying blocks; anti-windup."),
     "synth": ("robustlab.cli.synth", "Design a controller and verify its loop."),
+    "lpv": ("robustlab.cli.lpv", "Gain scheduling: LPV models, gains, controllers."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
     "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
     "recipe": ("robustlab.cli.recipe", "Check a recipe, print its schema, start a new one."),

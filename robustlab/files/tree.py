@@ -40,7 +40,10 @@ __all__ = [
 
 FORMAT = "robustlab"
 FORMAT_VERSION = "1.0"
-KINDS = ("state-space", "uncertain", "delayed", "frequency-data", "controller", "record", "result", "plant")
+KINDS = (
+    "state-space", "uncertain", "delayed", "frequency-data", "lpv", "controller", "lpv-controller", "record", "result",
+    "plant",
+)  # fmt: skip
 # Attribute of a dataset whose texts are the paths that its references lead to.
 REFERENCES = "robustlab_references"
 ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")

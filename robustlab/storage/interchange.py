@@ -31,12 +31,13 @@ if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.synthesis.problem.design import Controller
+    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel
 
-    Stored = (
-        StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | Controller | Record | Result | Plant
-    )
+    Models = StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | LPVModel
+    Stored = Models | Controller | LPVController | Record | Result | Plant
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class Loaded:
     Attributes
     ----------
     object
-        StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, Controller, Record, Result, Plant; for
+        StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, LPVModel, Controller, LPVController,
+        Record, Result, Plant; for
         ``kind = "pair"`` (nominal, perturbed).
     kind
         Kind of format 1, or ``"pair"``.
@@ -103,7 +105,7 @@ def load(
 
     Returns
     -------
-    StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, Controller, Record, Result or Plant
+    StateSpaceModel, or whatever else `save` takes
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
         The object's ``provenance`` is that of the file. Where no content hash verified the file, its note says so; a
         format 1 file without one, or with one that does not match, also brings a warning.
@@ -226,6 +228,10 @@ def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stor
         from robustlab.storage.frequency_files import decode_frequency_data
 
         return decode_frequency_data(tree, problems)
+    if kind in ("lpv", "lpv-controller"):
+        from robustlab.storage.lpv_models import decode_lpv
+
+        return decode_lpv(tree, problems, controller=kind == "lpv-controller")
     if kind == "record":
         return _record(decode_record(tree, tree.file), tree.file)
     if kind == "result":
@@ -279,7 +285,7 @@ def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
     if kind == "record":
         bare = [name for name, unit in thing.units.items() if not unit]
     else:
-        outer = thing[0] if kind == "pair" else thing.K if kind == "controller" else thing
+        outer = thing[0] if kind == "pair" else thing.K if kind in ("controller", "lpv-controller") else thing
         bare = [s.name for s in (*outer.inputs, *outer.outputs) if not s.unit]
     return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
 
@@ -295,9 +301,9 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     path
         File to write; an existing file is replaced once the new one is complete.
     obj
-        StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, Controller, Record, a plant with or
-        without effects, a python-control system, or a result (with ``.status`` and ``.to_json()``). A plant is one as
-        from `robustlab.dynamics.plant`, or
+        StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, LPVModel, Controller, LPVController,
+        Record, a plant with or without effects, a python-control system, or a result (with ``.status`` and
+        ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or
         one of the user's own, whose equations are stored as coefficients (`LinearPlant`) or tapes (`PlantEquations`).
     provenance
         Where it comes from; where left out, time and versions of now, and the code of a plant file (its SHA-256).
@@ -343,10 +349,13 @@ def _encode(tree: Tree, obj: Any) -> str:
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.storage.delayed_models import encode_delayed
     from robustlab.storage.frequency_files import encode_frequency_data
+    from robustlab.storage.lpv_models import encode_lpv
     from robustlab.storage.plants import encode_plant
     from robustlab.storage.results import encode_result
     from robustlab.storage.uncertain_models import encode_controller, encode_uncertain
     from robustlab.synthesis.problem.design import Controller
+    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -359,6 +368,8 @@ def _encode(tree: Tree, obj: Any) -> str:
     if isinstance(obj, UncertainFrequencyData):
         encode_frequency_data(tree, obj)
         return "frequency-data"
+    if isinstance(obj, (LPVModel, LPVController)):
+        return encode_lpv(tree, obj)
     if isinstance(obj, Controller):
         encode_controller(tree, obj)
         return "controller"

@@ -9,6 +9,7 @@ nonsmooth       nonsmooth optimisation of loops
 hinf            H-infinity, mixed sensitivity, loop shaping
 h2              H2, LQG, state feedback, H2 under an H-infinity bound
 dk              robust performance
+scheduling      models and controllers that depend on measured parameters
 reduction       models and controllers of lower order
 fixed           fixed structure, for one plant, several, or an uncertain set
 sampled         digital controllers

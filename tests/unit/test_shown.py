@@ -35,9 +35,9 @@ PLAIN = {
 NUMBERS = {
     "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
-    "IqcGain", "IqcStability", "LinearSolution", "NuGap", "Passivity", "PassivityIndex", "PerformanceLimits",
-    "PlantSamples", "Reduction", "Resampled", "Result", "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim",
-    "WellPosedness", "Zeros",
+    "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
+    "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result",
+    "RiccatiSolution", "RobustGain", "StreamedResponses", "Trim", "WellPosedness", "Zeros",
 }  # fmt: skip
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 # The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
 # named here come last.
 ORDER = (
-    "models", "delays", "story", "covers", "worst_case", "campaign", "robustness", "nonlinear", "design", "digital",
+    "models", "delays", "story", "covers", "worst_case", "campaign", "robustness", "nonlinear", "design", "scheduling",
+    "digital",
     "control", "records", "discovery", "validation", "published",
 )  # fmt: skip
 

@@ -35,7 +35,8 @@ __all__ = ["LmiOutcome", "Outer", "Slopes", "lmi_controllers", "projection", "re
 NULL = 1e-10
 
 
-# For each plant the motions of the matrix that varies: factors of its values at the plants, whose sum is its derivative.
+# For each plant the motions of the matrix that varies: factors of its values at the plants; their sum is its
+# derivative.
 Slopes = Sequence[Sequence[Mapping[int, float]]]
 
 

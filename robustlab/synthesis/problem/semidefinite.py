@@ -26,7 +26,7 @@ class SemidefiniteAnswer:
 
 
 def triangle(matrix: AnyArray) -> AnyArray:
-    """Upper triangles of a stack (..., n, n) by columns, off-diagonal entries times the root of two: Clarabel's order."""
+    """Upper triangles of a stack (..., n, n) by columns, off the diagonal times the root of two: Clarabel's way."""
     n = matrix.shape[-1]
     rows, columns = np.triu_indices(n)
     order = np.lexsort((rows, columns))

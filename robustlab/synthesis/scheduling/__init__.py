@@ -1,6 +1,6 @@
 """Gain scheduling: models that depend on measured parameters, their induced gain, controllers scheduled by them.
 
-lpv_model            LPVModel: models at the points of a grid, multi-linear between them
+parameter_varying    LPVModel: models at the points of a grid, multi-linear between them
 lpv_sources          LPV models of uncertain sets, and of functions that linearise a plant
 lpv_loop             the closed loop of an LPV plant and an LPV controller, as an LPV model
 lyapunov_inequality  the dissipation inequality over whole cells: its coefficients, and their check outside a solver

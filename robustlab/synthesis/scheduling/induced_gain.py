@@ -16,8 +16,8 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
-from robustlab.synthesis.scheduling.lpv_model import EXACT, SAMPLED, LPVModel
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
 
 __all__ = ["LPVGain", "gain_from", "lpv_gain"]
@@ -87,8 +87,11 @@ class LPVGain(Shown, Traced):
     def facts(self) -> Facts:
         """The bracket, where it is attained, what it holds for."""
         place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
+        upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
+        if not np.isfinite(self.lower):
+            upper = "infinite (attained)"
         return [
-            ("gain", f"{number(self.lower, digits=6)} (frozen, attained) .. {number(self.upper, digits=6)} (proved)"),
+            ("gain", f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"),
             ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if place else ""),
             ("holds", self.scope),
             ("Lyapunov function", self.lyapunov),
@@ -160,9 +163,14 @@ def lpv_gain(
     """
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
+    if not model.n_states:
+        hint = "without states it is the largest singular value of D at the points"
+        raise InputError("lpv_gain", "a model without states", "one with states", hint)
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
-        raise InputError("lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
+        raise InputError(
+            "lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
+        )
     budget = search_budget("lpv_gain", TUNING.work, effort, time_limit)
     with one_thread():
         return gain_from(model, lyapunov, budget, progress or (lambda _: None))
@@ -176,7 +184,7 @@ def gain_from(
     guess: Array | None = None,
     tuning: SchedulingTuning = TUNING,
 ) -> LPVGain:
-    """`lpv_gain` on a budget; ``guess`` is a constant Lyapunov matrix to try, and in whose states the LMIs are posed."""
+    """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
     varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
     lower, at, frequency, unstable = _frozen(model)
@@ -192,8 +200,6 @@ def gain_from(
     if posed.count() > tuning.inequalities:
         found = f"{posed.count()} inequalities"
         raise InputError("lpv_gain", found, f"at most {tuning.inequalities}", "fewer points, or lyapunov='constant'")
-    if not model.n_states:
-        posed = Inequality(model, False)
     say(f"{len(posed.coefficients)} inequalities of size {sum(model.matrices.shape[-2:]) - posed.n}")
     best, how = None, "by the Lyapunov matrix of the synthesis"
     basis = np.eye(posed.n)
@@ -238,7 +244,7 @@ def _basis(P: Array, before: Array) -> Array:
 
 def _level_of(posed: Inequality, P: Array, lower: float, tuning: SchedulingTuning) -> tuple[float, Array] | None:
     """The smallest level (scaled) that P proves, with it; None where none is found."""
-    level = _smallest(posed, P, max(lower, 1e-12) * posed.gain, tuning)
+    level = _smallest(posed, P, max(lower * posed.gain, tuning.smallest), tuning)
     return None if level is None else (level, P)
 
 
@@ -267,7 +273,7 @@ def _solved(
         if gamma is None:
             break
         say(f"LMIs: optimum {gamma / posed.gain:.6g}")
-        start, found = max(gamma, lower * posed.gain), None
+        start, found = max(gamma, lower * posed.gain, tuning.smallest), None
         for backoff in tuning.gain_backoffs:
             level = start * (1 + backoff)
             _, found, text = _posed(turned, level, budget)
@@ -305,7 +311,9 @@ def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[floa
     gamma, margin, size = (m * count + k for k in range(3))
     robust = any(c.deviation.any() for c in posed.coefficients)
     # margin <= 1, margin >= 0, size >= 0
-    rows, right = [sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))], [[1, 0, 0]]
+    bounds = sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))
+    rows: list[Any] = [bounds]
+    right: list[Any] = [[1.0, 0.0, 0.0]]
     sizes: list[int] = []
 
     def add(parts: dict[int, Array], constant: Array) -> None:

@@ -6,7 +6,10 @@ With the generalised plant's :math:`u = K(\rho) y`, :math:`D_{22} = 0`,
 
 where P, U, K and V are multi-linear in each cell. Where U and V (B2, D12, C2, D21) do not depend on the parameters the
 product is multi-linear too, and the loop is exact at the vertices of the cells. Else multi-linear interpolation errs by
-at most :math:`\tfrac14 \sum_i |\Delta_i U| |\Delta_i K| |V| + |\Delta_i U| |K| |\Delta_i V| + |U| |\Delta_i K| |\Delta_i V|`,
+at most
+
+.. math:: \tfrac14 \sum_i |\Delta_i U| |\Delta_i K| |V| + |\Delta_i U| |K| |\Delta_i V| + |U| |\Delta_i K| |\Delta_i V|
+
 with the largest changes :math:`\Delta_i` along parameter i over the cell.
 """
 
@@ -21,7 +24,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.synthesis.problem.partition import PlantMatrices
-from robustlab.synthesis.scheduling.lpv_model import EXACT, KNOWN, PROVED, LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, LPVModel
 
 __all__ = ["closed_loop", "plant_matrices"]
 
@@ -76,8 +79,7 @@ def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "cl
         found = "; ".join(p.words for p in law.parameters)
         raise InputError(where, f"a controller over {found}", "; ".join(p.words for p in plant.parameters))
     points = {
-        p.name: sorted({*p.points, *other.points})
-        for p, other in zip(plant.parameters, law.parameters, strict=True)
+        p.name: sorted({*p.points, *other.points}) for p, other in zip(plant.parameters, law.parameters, strict=True)
     }
     plant, law = plant.on_points(points), law.on_points(points)
     n_meas, n_con = len(law.inputs), len(law.outputs)
@@ -104,9 +106,7 @@ def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "cl
     deviation = np.zeros((*plant.deviation.shape[:-2], *P.shape[-2:]))
     for cell in plant.cells():
         (u, d_u), (k, d_k), (v, d_v) = (_largest(m, cell) for m in (U, law.matrices, V))
-        bend = sum(
-            0.25 * (du @ dk @ v + du @ k @ dv + u @ dk @ dv) for du, dk, dv in zip(d_u, d_k, d_v, strict=True)
-        )
+        bend = sum(0.25 * (du @ dk @ v + du @ k @ dv + u @ dk @ dv) for du, dk, dv in zip(d_u, d_k, d_v, strict=True))
         eu, ev = e_U[cell], e_V[cell]
         deviation[cell] = e_P[cell] + bend + eu @ k @ (v + ev) + u @ k @ ev
     known = plant.known

@@ -17,9 +17,10 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.scheduling.lpv_model import EXACT, PROVED, SAMPLED, LPVModel
-from robustlab.uncertainty.blocks import RealScalar, block_slices
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, PROVED, SAMPLED, LPVModel
+from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["lpv_model"]
@@ -99,15 +100,17 @@ def _of_uncertain(
     rates: Mapping[str, float] | None,
     units: Mapping[str, str],
 ) -> LPVModel:
-    blocks: list[RealScalar] = []
+    blocks: list[Any] = []
     for b in source.blocks:
-        if not isinstance(b, RealScalar):
+        if not (b.is_real and b.is_scalar):
             hint = "what cannot be measured is no scheduling parameter: evaluate the set at a value of that block"
             raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
         blocks.append(b)
     for name in points:
         if name not in [b.name for b in blocks]:
-            raise InputError("lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(b.name for b in blocks)}")
+            raise InputError(
+                "lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(b.name for b in blocks)}"
+            )
     values = {b.name: _values(b, points.get(b.name, 2)) for b in blocks}
     entries = [_entries(b, values[b.name]) for b in blocks]
     index = list(np.ndindex(*(len(e) for e in entries)))
@@ -121,7 +124,7 @@ def _of_uncertain(
     return LPVModel(values, models, rates, {**own, **units}, deviation, known)
 
 
-def _values(block: RealScalar, given: int | Sequence[float]) -> Array:
+def _values(block: Any, given: int | Sequence[float]) -> Array:
     """Values of a parameter, within its range."""
     p = block.parameter
     low, high = block.interval if p is None else (p.low, p.high)
@@ -129,11 +132,13 @@ def _values(block: RealScalar, given: int | Sequence[float]) -> Array:
         return np.linspace(low, high, max(int(given), 2))
     values = np.asarray(given, float)
     if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():
-        raise InputError(f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}")
+        raise InputError(
+            f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}"
+        )
     return values
 
 
-def _entries(block: RealScalar, values: Array) -> Array:
+def _entries(block: Any, values: Array) -> Array:
     """The numbers that stand in Delta for values of a parameter: one affine law."""
     p = block.parameter
     return values if p is None else (values - p.nominal) / p.radius
@@ -194,6 +199,7 @@ def _of_function(
         at = np.array([v[i] + s * (v[i + 1] - v[i]) for v, i, s in zip(values.values(), cell, share, strict=True)])
         true = _called(source, dict(zip(values, at.tolist(), strict=True)))
         found = np.abs(np.block([[true.A, true.B], [true.C, true.D]]) - plain.matrix_at(at))
+        found[found <= 16 * EPS * np.abs(plain.matrix_at(at))] = 0.0  # rounding
         deviation[cell] = np.maximum(deviation[cell], found)
     return LPVModel(values, models, rates, units, deviation, SAMPLED)
 

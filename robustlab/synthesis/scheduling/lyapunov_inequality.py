@@ -13,8 +13,9 @@ parameter along which P varies and of degree 1 in the others. In Bernstein form,
 
 it is a convex combination of its coefficients, each the mean of :math:`L(M_v, P_w)` over the pairs of vertices with
 :math:`v + w = c`. Where all of them are negative definite, so is L everywhere in the cell. It is affine in the rates,
-whose ends suffice. What the model deviates from its interpolation, and the rounding errors of the evaluation, are
-bounded entry by entry and allowed for in the check.
+whose ends suffice. It is affine in the model's deviation from its interpolation too: where few entries deviate, each
+coefficient is asked for with both signs of each; where many do, and of the rounding errors of the evaluation, a bound
+entry by entry is allowed for in the check.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from robustlab.arrays import Array
 from robustlab.mu_analysis.matrix.certificate import EPS, positive_definite
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
-from robustlab.synthesis.scheduling.lpv_model import LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+from robustlab.synthesis.scheduling.tuning import TUNING
 
 __all__ = ["Coefficient", "Inequality"]
 
@@ -51,13 +53,16 @@ class Coefficient:
         Factor and vertex of P: their sum is the derivative of P.
     cell
         Vertices of P in the cell.
+    shift
+        Added to the model: its deviation with one choice of signs; zero where the next takes its place.
     deviation
-        Bound of the model's deviation there.
+        Bound of what the model deviates beside it.
     """
 
     pairs: tuple[tuple[Index, Index], ...]
     slopes: tuple[tuple[float, Index], ...]
     cell: tuple[Index, ...]
+    shift: Array
     deviation: Array
 
 
@@ -113,35 +118,47 @@ class Inequality:
         made, n, back = copy(self), self.n, np.linalg.inv(T)
         left, right = np.eye(self.model.matrices.shape[-2]), np.eye(self.model.matrices.shape[-1])
         left[:n, :n], right[:n, :n] = back, T
-        deviation = np.abs(left) @ self.model.deviation @ np.abs(right)
-        made.model = self.model.with_matrices(left @ self.model.matrices @ right, deviation)
-        made.__dict__.pop("coefficients", None)
+        made.model = self.model.with_matrices(left @ self.model.matrices @ right)
+        made.coefficients = [
+            replace(c, shift=left @ c.shift @ right, deviation=np.abs(left) @ c.deviation @ np.abs(right))
+            for c in self.coefficients
+        ]
         return made
 
     # --- coefficients ------------------------------------------------------------------------------------------------
 
     @cached_property
     def coefficients(self) -> list[Coefficient]:
-        """All of them; those that neighbouring cells share once, with the larger deviation."""
-        found: dict[tuple[Any, Any], Coefficient] = {}
+        """All of them; those that neighbouring cells share once."""
+        found: dict[Any, Coefficient] = {}
         for cell in self.model.cells():
-            deviation = self.model.deviation[cell]
-            for made in self._of_cell(cell, deviation):
-                key = (made.pairs, made.slopes)
+            for made in self._of_cell(cell):
+                key = (made.pairs, made.slopes, made.shift.tobytes(), made.deviation.tobytes())
                 known = found.get(key)
-                if known is not None:
-                    larger = np.maximum(known.deviation, deviation)
-                    made = replace(made, deviation=larger, cell=tuple({*known.cell, *made.cell}))
-                found[key] = made
+                found[key] = made if known is None else replace(made, cell=tuple({*known.cell, *made.cell}))
         return list(found.values())
 
     def count(self) -> int:
         """How many inequalities there are at most, without making them."""
         cells = int(np.prod([size - 1 for size in self.model.grid]))
-        return cells * int(np.prod([6 if v else 2 for v in self.varies]))
+        signs = max(len(self._signed(self.model.deviation[cell])[0]) for cell in self.model.cells())
+        return cells * signs * int(np.prod([6 if v else 2 for v in self.varies]))
 
-    def _of_cell(self, cell: Index, deviation: Array) -> list[Coefficient]:
+    def _signed(self, deviation: Array) -> tuple[list[Array], Array]:
+        """The deviation with every choice of its signs, and what of it is only bounded: all where entries are many."""
+        places = np.argwhere(deviation > 0)
+        if len(places) > TUNING.signed_entries:
+            return [np.zeros_like(deviation)], deviation
+        shifts = []
+        for signs in product((1.0, -1.0), repeat=len(places)):
+            shift = np.zeros_like(deviation)
+            shift[tuple(places.T)] = signs * deviation[tuple(places.T)]
+            shifts.append(shift)
+        return shifts, np.zeros_like(deviation)
+
+    def _of_cell(self, cell: Index) -> list[Coefficient]:
         k, made = len(cell), []
+        shifts, rest = self._signed(self.model.deviation[cell])
         own = tuple(product(*((i, i + 1) if v else (0,) for i, v in zip(cell, self.varies, strict=True))))
         signs = [(1.0, -1.0) if v and rate > 0 else (0.0,) for v, rate in zip(self.varies, self.rates, strict=True)]
         for c in product(*((0, 1, 2) if v else (0, 2) for v in self.varies)):
@@ -151,7 +168,8 @@ class Inequality:
                 v = tuple(cell[i] + bits[i][0] for i in range(k))
                 pairs.append((v, tuple(cell[i] + bits[i][1] if self.varies[i] else 0 for i in range(k))))
             for sign in product(*signs):
-                made.append(Coefficient(tuple(pairs), self._slopes(cell, pairs, sign), own, deviation))
+                slopes = self._slopes(cell, pairs, sign)
+                made += [Coefficient(tuple(pairs), slopes, own, shift, rest) for shift in shifts]
         return made
 
     def _slopes(
@@ -177,13 +195,13 @@ class Inequality:
         n, share = self.n, 1.0 / len(c.pairs)
         half, into = np.zeros((n, n)), np.zeros((n, self.model.matrices.shape[-1] - n))
         for v, w in c.pairs:
-            m = self.model.matrices[v]
+            m = self.model.matrices[v] + c.shift
             half, into = half + share * (P[w] @ m[:n, :n]), into + share * (P[w] @ m[:n, n:])
         moving = sum((part * P[w] for part, w in c.slopes), start=half + half.T)
         return moving, into, *self._outputs(c)
 
     def _outputs(self, c: Coefficient) -> tuple[Array, Array]:
-        mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0)
+        mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0) + c.shift[self.n :]
         return mean[:, : self.n], mean[:, self.n :]
 
     def parts(self, c: Coefficient, basis: Array) -> tuple[dict[Index, Array], Array, Array]:
@@ -194,7 +212,7 @@ class Inequality:
         found: dict[Index, Array] = {}
         for v, w in c.pairs:
             part = found.setdefault(w, np.zeros((len(basis), whole, whole)))
-            made = share * (basis @ self.model.matrices[v][:n])
+            made = share * (basis @ (self.model.matrices[v] + c.shift)[:n])
             part[:, :n, : n + n_w] += made
             part[:, : n + n_w, :n] += np.swapaxes(made, 1, 2)
         for factor, w in c.slopes:
@@ -224,7 +242,7 @@ class Inequality:
         # What rounding, and what the deviation, may change of each entry.
         unit = 4 * (n + 2 * len(c.pairs) + len(c.slopes) + 4) * EPS
         large = np.max([np.abs(P[w]) for w in c.cell], axis=0)
-        size = np.max([np.abs(self.model.matrices[v]) for v, _ in c.pairs], axis=0)
+        size = np.max([np.abs(self.model.matrices[v]) for v, _ in c.pairs], axis=0) + np.abs(c.shift)
         moved = sum((abs(part) * np.abs(P[w]) for part, w in c.slopes), start=np.zeros((n, n)))
         change = unit * size + c.deviation
         a, b = large @ change[:n, :n], large @ change[:n, n:]
@@ -248,4 +266,4 @@ def _definite(X: Array, error: Array) -> bool:
         return False
     s = np.exp2(np.rint(-0.5 * np.log2(diagonal)))
     bound = error * s[:, None] * s
-    return positive_definite(X * s[:, None] * s, 1.01 * float(np.linalg.norm(bound, 2)))
+    return positive_definite((X + 0j) * s[:, None] * s, 1.01 * float(np.linalg.norm(bound, 2)))

@@ -33,10 +33,12 @@ from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
-from robustlab.synthesis.scheduling.lpv_model import EXACT, LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, LPVModel
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
 
 __all__ = ["LPVController", "LPVSynthesis", "lpv_hinf"]
+
+Varying = Literal["", "R", "S"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +156,13 @@ def lpv_hinf(
     ----------
     plant
         Generalised `LPVModel`: inputs [w; u], outputs [z; y], no direct term from u to y. Where B2, C2, D12 and D21 do
-        not depend on the parameters the loop is multi-linear between the points; where they do, its bend is bounded and
+        not depend on the parameters the loop is multi-linear between the points; where they do its bend is bounded and
         a finer grid (`LPVModel.refined`) lowers what it costs. A lag before u or behind y makes them constant.
     n_meas, n_con
         Numbers of measurements and controls.
     lyapunov
-        ``"constant"``: shared R and S, for parameters of any rate. ``"varying"``: S, then R, varies over the grid at the
-        bounded rates. Where left out: constant, and varying after it where rates are bounded; the better loop wins.
+        ``"constant"``: shared R and S, for parameters of any rate. ``"varying"``: S, then R, varies over the grid at
+        the bounded rates. Where left out: constant, and varying after it where rates are bounded; the better loop wins.
     effort
         Multiple of the usual work.
     time_limit
@@ -197,7 +199,9 @@ def lpv_hinf(
         raise InputError("lpv_hinf", f"a {type(plant).__name__}", "an LPVModel", "rl.lpv_model makes one")
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
-        raise InputError("lpv_hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
+        raise InputError(
+            "lpv_hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
+        )
     matrices = plant_matrices(plant, n_meas, n_con, "lpv_hinf")
     if not plant.n_states:
         raise InputError("lpv_hinf", "a plant without states", "one with states")
@@ -243,8 +247,11 @@ class _Task:
     def result(self) -> LPVSynthesis:
         bounded = any(np.isfinite(p.rate) for p in self.plant.parameters)
         asked = self.lyapunov or ("constant" if not bounded else None)
-        tried: list[Literal["", "R", "S"]] = [] if asked == "varying" and bounded else [""]
-        tried += ["S", "R"] if asked != "constant" and bounded else []
+        tried: list[Varying] = []
+        if asked != "varying" or not bounded:
+            tried.append("")
+        if asked != "constant" and bounded:
+            tried.extend(("S", "R"))
         best: LPVSynthesis | None = None
         notes = []
         for varying in tried:
@@ -258,7 +265,7 @@ class _Task:
             raise NoTrustworthyNumber("lpv_hinf", "; ".join(notes), None, hint)
         return best
 
-    def _designed(self, varying: Literal["", "R", "S"]) -> tuple[LPVSynthesis | None, str]:
+    def _designed(self, varying: Varying) -> tuple[LPVSynthesis | None, str]:
         """The best verified loop of one kind of Lyapunov matrices, and how it went."""
         words = {"": "R and S shared", "R": "R varies, S shared", "S": "S varies, R shared"}[varying]
         problem, outcome = self._conditioned()
@@ -276,9 +283,7 @@ class _Task:
         for backoff in self.tuning.synthesis_backoffs:
             for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
                 level = gamma * (1 + backoff) + 1e-9
-                _, outer, _ = projection(
-                    problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes
-                )
+                _, outer, _ = projection(problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes)
                 lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
                 K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
                 if K is None or lyapunov is None:
@@ -294,7 +299,7 @@ class _Task:
         return best, f"{words}: optimum {optimum:.6g}" + (", no loop of it could be proved" if best is None else "")
 
     def _conditioned(self) -> tuple[_Conditioned | None, str]:
-        """The plants in states in which R and S are equal and diagonal, as found at the last optimum, until that stands.
+        """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands.
 
         Without it the optimum that a solver in double precision finds may be many times too large: R and S of a
         singular problem range over ten decades.
@@ -386,7 +391,9 @@ class _Task:
         controller = LPVController(K, gain.upper, gain.status, "lpv-hinf")
         frozen = self._frozen(K)
         if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
-            raise NoTrustworthyNumber("lpv_hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
+            raise NoTrustworthyNumber(
+                "lpv_hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}"
+            )
         return LPVSynthesis(
             controller=controller, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
             status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
@@ -422,9 +429,7 @@ def _balancing(R: Array, S: Array) -> Array:
     return root @ turn / np.maximum(squares, 1e-14 * squares[-1]) ** 0.25
 
 
-def _closed_lyapunov(
-    outer: Outer, slopes: Slopes, varying: Literal["", "R", "S"]
-) -> list[tuple[Array, list[Array]]] | None:
+def _closed_lyapunov(outer: Outer, slopes: Slopes, varying: Varying) -> list[tuple[Array, list[Array]]] | None:
     r"""X of the closed loop at each point, and its derivatives along the motions there; None where one is singular.
 
     With :math:`X \Pi_1 = \Pi_2`, :math:`\Pi_1 = [R\ I; M^T\ 0]`, :math:`\Pi_2 = [I\ S; 0\ N^T]`.

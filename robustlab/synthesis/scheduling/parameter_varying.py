@@ -1,10 +1,11 @@
 r"""Linear parameter-varying (LPV) models: state-space models at the points of a grid, multi-linear between them.
 
 .. math:: \dot x = A(\rho) x + B(\rho) u, \qquad y = C(\rho) x + D(\rho) u, \qquad
-    M(\rho) = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \sum_v \alpha_v(\rho)\, M_v + E(\rho), \quad |E(\rho)| \le \bar E_{cell}
+    M = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \sum_v \alpha_v(\rho)\, M_v + E(\rho), \quad
+    |E(\rho)| \le \bar E
 
-:math:`\alpha_v \ge 0` are the products of the linear weights along each parameter, so that :math:`\rho` lies in one cell
-of the grid and M is a convex combination of the cell's vertices. Two points for each parameter make a polytopic model;
+:math:`\alpha_v \ge 0` are the products of the linear weights along each parameter; in a cell of the grid M is a convex
+combination of the cell's vertices, but for E. Two points for each parameter make a polytopic model;
 there every affine dependence is exact. :math:`\bar E` bounds, entry by entry, what a family that is not multi-linear
 does between the points.
 """
@@ -267,20 +268,20 @@ class LPVModel(Shown, Traced):
         return np.array([float(given[name]) for name in self.names])
 
     def matrix_at(self, rho: Array) -> Array:
-        """``[A B; C D]`` at the values rho (k,), held at the ends of the ranges; nothing is checked: for simulations."""
+        """``[A B; C D]`` at the values rho (k,), held at the ends of the ranges; unchecked, for simulations."""
         found = self.matrices
         for p, value in zip(self.parameters, rho, strict=True):
             i = min(max(int(np.searchsorted(p.points, value)) - 1, 0), len(p.points) - 2)
             share = (value - p.points[i]) / (p.points[i + 1] - p.points[i])
             share = min(max(share, 0.0), 1.0)
-            found = (1 - share) * found[i] + share * found[i + 1]
+            found = found[i] + share * (found[i + 1] - found[i])  # constant entries stay exactly so
         return found
 
     def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
-        """The same model with every cell cut into ``pieces`` along each parameter, or along those named: a finer grid
+        """The same model with every cell cut into ``pieces`` along each parameter, or those named: a finer grid
         for Lyapunov functions and controllers.
         """
-        cuts = {name: pieces for name in self.names} if isinstance(pieces, int) else dict(pieces)
+        cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
         points = {}
         for p in self.parameters:
             count = cuts.get(p.name, 1)
@@ -301,7 +302,7 @@ class LPVModel(Shown, Traced):
             low, high = np.array(p.points)[parent], np.array(p.points)[parent + 1]
             share = ((values - low) / (high - low)).reshape(-1, *([1] * (matrices.ndim - axis - 1)))
             before, after = np.take(matrices, parent, axis), np.take(matrices, parent + 1, axis)
-            matrices = np.where(share == 0, before, np.where(share == 1, after, (1 - share) * before + share * after))
+            matrices = np.where(share == 1, after, before + share * (after - before))
             deviation = np.take(deviation, parent[:-1], axis)
             parameters.append(SchedulingParameter(p.name, tuple(values), p.rate, p.unit))
         return LPVModel.of(
@@ -391,7 +392,13 @@ class LPVModel(Shown, Traced):
         """Parameters, signals and stacked matrices."""
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
         told = [vars(p).copy() for p in self.parameters]
-        return {"parameters": told, "matrices": self.matrices, **sides, "deviation": self.deviation, "known": self.known}
+        return {
+            "parameters": told,
+            "matrices": self.matrices,
+            **sides,
+            "deviation": self.deviation,
+            "known": self.known,
+        }
 
 
 def _flat(models: Any, depth: int) -> list[StateSpaceModel]:

@@ -1,0 +1,162 @@
+"""``robustlab lpv``: models that depend on measured parameters, their induced gain, scheduled controllers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, require_trust, table
+from robustlab.cli.offers import one_of
+from robustlab.cli.options import EffortOptions, OutputOptions, assignments, grouped
+from robustlab.cli.progress import ProgressOptions
+from robustlab.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+
+app = typer.Typer(
+    help="Gain scheduling: LPV models, their induced gain, scheduled controllers.", no_args_is_help=True,
+    add_completion=False,
+)  # fmt: skip
+
+FileArgument = Annotated[str, typer.Argument(help="LPV or uncertain model: HDF5 file.", show_default=False)]
+LyapunovOption = Annotated[
+    str | None,
+    typer.Option(
+        "--lyapunov", help="constant or varying; both, as far as rates are bounded, where left out.",
+        show_default=False, autocompletion=one_of("constant", "varying"),
+    ),
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SchedulingOptions:
+    """How an uncertain model becomes an LPV model."""
+
+    points: Annotated[
+        list[str] | None, typer.Option("--points", help="Points of a parameter, NAME=5; 2 where left out; repeatable.")
+    ] = None
+    rates: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--rate", help="Bound of a parameter's rate, NAME=0.5 per second; any where left out; repeatable."
+        ),
+    ] = None
+
+    def model(self, file: str) -> LPVModel:
+        """The LPV model in a file, or of the uncertain one there."""
+        from robustlab.storage import load
+        from robustlab.synthesis.scheduling.lpv_sources import lpv_model
+        from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+        from robustlab.uncertainty.lft import UncertainModel
+
+        found: Any = load(file)
+        rates = assignments("--rate", self.rates)
+        counts = {name: int(value) for name, value in assignments("--points", self.points).items()}
+        if isinstance(found, UncertainModel):
+            return lpv_model(found, counts, rates)
+        if not isinstance(found, LPVModel):
+            raise InputError(file, f"a {type(found).__name__}", "an LPV or an uncertain model")
+        if counts:
+            raise UsageError("--points", f"{file} has its points", "an uncertain model's file")
+        return found.with_rates(**rates)
+
+
+@app.command()
+@grouped
+def build(*, file: FileArgument, scheduling: SchedulingOptions, output: OutputOptions) -> None:
+    """LPV model of an uncertain one: its real parameters become measured ones; what it is between the points is proved.
+
+    Example: robustlab lpv build spring.h5 --points k=5 --rate k=0.5 --out lpv.h5
+    """
+    found = scheduling.model(file)
+    rows = [*found.facts(), *output.keep_made("lpv build", found, [file])]
+    emit("lpv build", found.to_json(), table(rows), output.as_json)
+
+
+@app.command()
+@grouped
+def gain(
+    *,
+    file: FileArgument,
+    scheduling: SchedulingOptions,
+    lyapunov: LyapunovOption = None,
+    effort: EffortOptions,
+    progress: ProgressOptions,
+    output: OutputOptions,
+) -> None:
+    """Proved bound of the induced L2 gain over all trajectories of the parameters.
+
+    Exit code 4: none could be proved.
+
+    Example: robustlab lpv gain lpv.h5 --rate k=0.5
+    """
+    from robustlab.synthesis.scheduling.induced_gain import lpv_gain
+
+    model, kind = scheduling.model(file), _kind(lyapunov)
+    with progress.shown("lpv gain") as report:
+        found = lpv_gain(model, kind, **vars(effort), progress=report)
+    output.keep(found)
+    emit("lpv gain", found.to_json(), table(found.facts()), output.as_json)
+    require_trust(found.status)
+
+
+@app.command()
+@grouped
+def hinf(
+    *,
+    file: FileArgument,
+    n_meas: Annotated[int, typer.Option("--n-meas", help="Number of measurements (the last outputs).")],
+    n_con: Annotated[int, typer.Option("--n-con", help="Number of controls (the last inputs).")],
+    scheduling: SchedulingOptions,
+    lyapunov: LyapunovOption = None,
+    effort: EffortOptions,
+    progress: ProgressOptions,
+    output: OutputOptions,
+) -> None:
+    """Scheduled H-infinity controller u = K(rho) y (positive feedback), its loop verified by lpv gain.
+
+    Exit code 4: no controller could be vouched for.
+
+    Example: robustlab lpv hinf plant.h5 --n-meas 1 --n-con 1 --out controller.h5
+    """
+    from robustlab.synthesis.scheduling.scheduled_synthesis import lpv_hinf
+
+    model, kind = scheduling.model(file), _kind(lyapunov)
+    with progress.shown("lpv hinf") as report:
+        found = lpv_hinf(model, n_meas, n_con, kind, **vars(effort), progress=report)
+    rows = [*found.facts(), *output.keep_made("lpv hinf", found.controller, [file])]
+    emit("lpv hinf", found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)
+
+
+@app.command()
+@grouped
+def at(
+    *,
+    file: Annotated[str, typer.Argument(help="LPV model or scheduled controller: HDF5 file.", show_default=False)],
+    values: Annotated[list[str], typer.Argument(help="Value of each parameter: NAME=VALUE.", show_default=False)],
+    output: OutputOptions,
+) -> None:
+    """The model or the controller at one value of every parameter.
+
+    Example: robustlab lpv at controller.h5 k=2.5 --out frozen.h5
+    """
+    from robustlab.storage import load
+    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
+
+    found: Any = load(file)
+    if not isinstance(found, (LPVModel, LPVController)):
+        raise InputError(file, f"a {type(found).__name__}", "an LPV model or a scheduled controller")
+    model = found.at(assignments("NAME=VALUE", values))
+    rows = [*model.facts(), *output.keep_made("lpv at", model, [file])]
+    emit("lpv at", model.to_json(), table(rows), output.as_json)
+
+
+def _kind(word: str | None) -> Any:
+    if word not in (None, "constant", "varying"):
+        raise UsageError("--lyapunov", f"{word!r}", "constant or varying")
+    return word

@@ -1,0 +1,74 @@
+"""Steps with measured parameters: an uncertain model as an LPV model, its induced gain, a scheduled controller."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step
+from robustlab.recipe.steps.vocabulary import GUARD, Effort, TimeLimit, ToUncertain
+
+Counts = dict[str, Annotated[int, Field(ge=2, le=100)]]
+Rates = dict[str, Annotated[float, Field(ge=0)]]
+
+
+class ScheduledStep(Step):
+    """What the steps share that take an uncertain model's real parameters as measured ones."""
+
+    of: ToUncertain = Field(description="With real parameters only; a loaded file may hold an LPV model.")
+    points: Counts = Field({}, description="Parameter -> how many points its range gets; 2 where left out.")
+    rates: Rates = Field({}, description="Parameter -> bound of its rate per second; any rate where left out.")
+    lyapunov: Literal["constant", "varying"] | None = Field(None, description="Lyapunov matrix; both where left out.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def scheduled(self, work: Workspace) -> rl.LPVModel:
+        """The LPV model."""
+        given = work.values[self.of]
+        if not isinstance(given, rl.LPVModel):
+            return rl.lpv_model(work.uncertain(self.of), self.points, self.rates)
+        if self.points:
+            raise InputError("points", "given", "none: the LPV model has its own")
+        return given.with_rates(**self.rates)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """For the functions."""
+        return self.model_dump(include={"lyapunov", "effort", "time_limit"})
+
+
+@step
+class LpvGainStep(ScheduledStep):
+    """Induced L2 gain over all trajectories of measured parameters, proved between the points too."""
+
+    do: Literal["lpv-gain"]
+
+    def run(self, work: Workspace) -> Outcome:
+        """A bound of the induced gain."""
+        found = rl.lpv_gain(self.scheduled(work), **self.options)
+        return _told(None, found, {"lower": found.lower, "upper": found.upper}, f"Induced gain of {self.of}.", work)
+
+
+@step
+class LpvHinfStep(ScheduledStep):
+    """H-infinity controller scheduled by measured parameters, its loop verified for all their trajectories."""
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["lpv-hinf"]
+    measurements: Annotated[int, Field(ge=1)] = Field(description="How many of the last outputs are measured.")
+    controls: Annotated[int, Field(ge=1)] = Field(description="How many of the last inputs are controls.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A scheduled controller."""
+        found = rl.lpv_hinf(self.scheduled(work), self.measurements, self.controls, **self.options)
+        numbers = {"gamma": found.gamma, "lmi_gamma": found.lmi_gamma, "frozen": found.frozen}
+        return _told(found.controller, found, numbers, f"Scheduled controller for {self.of}.", work)
+
+
+def _told(value: Any, found: Any, numbers: dict[str, float], summary: str, work: Workspace) -> Outcome:
+    work.keep(found)
+    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
+    return Outcome(value, summary, numbers, facts, found.status)

@@ -1,0 +1,117 @@
+"""LPV models and scheduled controllers in a file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.tree import Tree, Unread
+from robustlab.result import Status
+from robustlab.statespace import Signal
+from robustlab.storage.matrices import SIDES, Problems, entries, find_children
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
+from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
+
+__all__ = ["decode_lpv", "encode_lpv"]
+
+
+def encode_lpv(tree: Tree, thing: LPVModel | LPVController) -> str:
+    """Stacked ``matrices`` [A B; C D] over the grid, ``deviation`` over its cells, parameters and signals; the kind.
+
+    A controller has the attributes of kind ``controller`` as well.
+    """
+    model = thing.K if isinstance(thing, LPVController) else thing
+    tree.put("matrices", model.matrices)
+    tree.put("deviation", model.deviation)
+    tree.attrs.update(states=model.n_states, known=model.known)
+    group = tree.group("parameters")
+    group.put("name", np.array([p.name for p in model.parameters], dtype=np.str_))
+    group.put("unit", np.array([p.unit for p in model.parameters], dtype=np.str_))
+    group.put("rate", np.array([p.rate for p in model.parameters]))
+    group.put("count", np.array([len(p.points) for p in model.parameters]))
+    group.put("points", np.concatenate([p.points for p in model.parameters]))
+    for side, signals in zip(SIDES, (model.states, model.inputs, model.outputs), strict=True):
+        for kind in ("name", "unit"):
+            texts = np.array([getattr(s, kind) for s in signals], dtype=np.str_)
+            tree.group("signals").group(side).put(kind, texts)
+    if not isinstance(thing, LPVController):
+        return "lpv"
+    tree.attrs.update(status=thing.status.value, method=thing.method)
+    if thing.gamma is not None:
+        tree.attrs["gamma"] = thing.gamma
+    return "lpv-controller"
+
+
+def decode_lpv(tree: Tree, problems: Problems, *, controller: bool) -> LPVModel | LPVController:
+    """Inverse of `encode_lpv`.
+
+    Raises
+    ------
+    InputError
+        With all that is missing or does not fit.
+    """
+    find_children(tree, ("matrices", "deviation"), problems, kind="dataset")
+    find_children(tree, ("parameters", "signals"), problems, kind="group")
+    problems.raise_any()
+    arrays = {name: _array(tree, name, problems) for name in ("matrices", "deviation")}
+    group, columns = tree.groups["parameters"], {}
+    for name, kinds in (("name", "U"), ("unit", "U"), ("rate", "fi"), ("count", "i"), ("points", "fi")):
+        find_children(group, (name,), problems, kind="dataset")
+        columns[name] = entries(group, name, kinds, problems) if name in group.datasets else None
+    sides = [_signals(tree.groups["signals"], side, problems) for side in SIDES]
+    problems.raise_any()
+    try:
+        model = _model(arrays, columns, sides, tree)
+    except (InputError, ValueError, KeyError, IndexError) as error:
+        said = error.line if isinstance(error, InputError) else str(error)
+        raise InputError(problems.file, f"no LPV model: {said}", "what kind lpv of format 1 says") from None
+    if not controller:
+        return model
+    gamma = np.asarray(tree.attrs.get("gamma", np.nan), dtype=float)
+    text = str(np.asarray(tree.attrs.get("status", Status.INCONCLUSIVE.value)))
+    if gamma.size != 1 or text not in [s.value for s in Status]:
+        raise InputError(problems.file, f"attributes gamma or status ({text!r})", "a number, and a status")
+    value = float(gamma.flat[0])
+    method = str(np.asarray(tree.attrs.get("method", "")))
+    return LPVController(model, None if np.isnan(value) else value, Status(text), method)
+
+
+def _array(tree: Tree, name: str, problems: Problems) -> Any:
+    values = tree.datasets[name].values
+    if isinstance(values, Unread) or values.dtype.kind not in "fi" or values.ndim < 3 or not np.isfinite(values).all():
+        problems.add(f"{tree.child_path(name)}: expected finite real numbers, three dimensions or more")
+        return None
+    return values.astype(np.float64)
+
+
+def _signals(group: Tree, side: str, problems: Problems) -> list[Signal]:
+    find_children(group, (side,), problems, kind="group")
+    if side not in group.groups:
+        return []
+    node = group.groups[side]
+    find_children(node, ("name", "unit"), problems, kind="dataset")
+    both = [entries(node, kind, "U", problems) if kind in node.datasets else None for kind in ("name", "unit")]
+    names, units = (part or [] for part in both)
+    if len(names) != len(units):
+        problems.add(f"{node.path}: {len(names)} names and {len(units)} units")
+        return []
+    return [Signal(name, unit) for name, unit in zip(names, units, strict=True)]
+
+
+def _model(arrays: dict[str, Any], columns: dict[str, Any], sides: list[list[Signal]], tree: Tree) -> LPVModel:
+    ends = np.cumsum(columns["count"])
+    points = np.split(np.asarray(columns["points"], float), ends[:-1])
+    parameters = tuple(
+        SchedulingParameter(name, tuple(values), rate, unit)
+        for name, unit, rate, values in zip(columns["name"], columns["unit"], columns["rate"], points, strict=True)
+    )
+    states, inputs, outputs = sides
+    n, matrices = int(np.asarray(tree.attrs["states"])), arrays["matrices"]
+    grid = tuple(len(p.points) for p in parameters)
+    expected = (*grid, n + len(outputs), n + len(inputs))
+    if matrices.shape != expected or len(states) != n:
+        raise InputError("matrices", f"shape {matrices.shape}", f"{expected}")
+    known = str(np.asarray(tree.attrs["known"]))
+    return LPVModel.of(parameters, matrices, n, inputs, outputs, states, arrays["deviation"], known)
