@@ -61,6 +61,22 @@ def margins(seeds: range, tolerance: float) -> None:
         print(f"{name:44s} {cells[0]:>24s} {cells[1]:>22s} {cells[2]:>22s}", flush=True)
 
 
+CHAINS = ((12, 1, 0), (12, 2, 0), (12, 3, 0), (18, 2, 0), (18, 3, 0), (24, 2, 0), (24, 4, 0), (24, 6, 0))
+
+
+def chains(tolerance: float) -> None:
+    """One line per lightly damped chain of masses: where the search for a small Delta decides the gap."""
+    print(f"\nlightly damped chains, stiffnesses shared by several springs, robust_stability(tolerance={tolerance:g})")
+    print(f"{'masses x springs of each parameter, seed':44s} {'margin':>20s} {'gap %':>8s} {'CPU s':>8s}")
+    for masses, repeats, seed in CHAINS:
+        uncertain = rl.UncertainModel(*mu_models.chain(masses, repeats, seed))
+        started = time.process_time()
+        margin = rl.robust_stability(uncertain, tolerance=tolerance)
+        spent = time.process_time() - started
+        ends = f"{margin.lower:.4f} .. {margin.upper:.4f}"
+        print(f"{f'{masses} x {repeats}, {seed}':44s} {ends:>20s} {100 * margin.gap:8.2f} {spent:8.1f}", flush=True)
+
+
 def gains(seeds: range) -> None:
     """Worst-case gain of the same models at half their margin."""
     print(f"\nworst_case_gain at half the margin, 2 x 2 performance channels, {len(seeds)} models a class")
@@ -118,10 +134,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--tolerance", type=float, default=0.01)
+    parser.add_argument("--chains", action="store_true", help="only the lightly damped chains, to 5 %%")
     given = parser.parse_args()
     versions = f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
     print(f"# {datetime.now(UTC):%Y-%m-%d}, {platform.machine()} {platform.system()}, {versions}, one thread")
     rl.robust_stability(model(4, 2, 1, (0.05, 0.7), 0))  # compiled kernels are not timed
+    if given.chains:
+        chains(0.05)
+        return
     published()
     matrices(4 * given.seeds)
     margins(range(given.seeds), given.tolerance)

@@ -73,6 +73,38 @@ CLASSES = {
 }
 
 
+def chain(n: int, repeats: int, seed: int, damping: float = 0.005, spread: float = 0.3) -> Model:
+    """A chain of n masses on springs, lightly damped, each of n / repeats stiffnesses shared by so many springs.
+
+    Masses and springs lie in [0.5, 2] and [0.3, 3]; the first mass is pushed against the speed of the last one, seen
+    through a lag at the middle frequency, at 40 % of the gain at which that loop becomes unstable. Modes that meet
+    inside the set exchange what this loop does to their damping.
+    """
+    rng = np.random.default_rng(seed)
+    eye, elongation = np.eye(n), np.eye(n) - np.eye(n, k=-1)
+    k, m = 10 ** rng.uniform(-0.5, 0.5, n), 10 ** rng.uniform(-0.3, 0.3, n)
+    stiffness, root = elongation.T @ np.diag(k) @ elongation, np.sqrt(m)
+    squares, modes = np.linalg.eigh(stiffness / root[:, None] / root)
+    omega = np.sqrt(squares)
+    damper = root[:, None] * (modes * (2 * damping * omega)) @ modes.T * root
+    order = rng.permutation(n)
+    A = np.block([[0 * eye, eye], [-stiffness / m[:, None], -damper / m[:, None]]])
+    B = np.vstack([0 * eye, -(elongation.T * (spread * k))[:, order] / m[:, None], np.zeros((1, n))])
+    C = np.hstack([elongation[order], np.zeros((n, n + 1))])
+    push, speed, lag = np.eye(2 * n)[:, n : n + 1] / m[0], np.eye(2 * n)[2 * n - 1 :], 1 / np.median(omega)
+
+    def closed(gain: float) -> np.ndarray:
+        return np.block([[A, push], [-gain / lag * speed, -np.eye(1) / lag]])
+
+    low, high = 0.0, 10.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        stable = np.linalg.eigvals(closed(middle)).real.max() < 0
+        low, high = (middle, high) if stable else (low, middle)
+    blocks = [RealScalar(f"k{i}", repeats) for i in range(n // repeats)]
+    return StateSpaceModel(closed(0.4 * low), B, C, np.zeros((n, n))), blocks
+
+
 def two_mass() -> Model:
     """MathWorks' example: two masses and a spring, each 1 +- 20 %, under 100 ((s + 1) / (0.001 s + 1))^3.
 

@@ -53,6 +53,7 @@ class MuTuning:
     # by which a level is raised until its D, G prove it
     largest_level: float = 1e8  # above it, for M of norm one, the fixed blocks alone count as at the edge of singular
     # --- branch and bound (branch_and_bound, axis_problems) ---
+    first_branches: float = 0.02  # share of the work for it before a smaller Delta is sought by modes
     regions: int = 16  # solved together; more: quicker each, more of them in vain where a Delta is met
     searched: int = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
     narrow: float = 1e-7  # relative width below which a box is not cut again: rounding decides there
@@ -78,6 +79,16 @@ class MuTuning:
     peaks: int = 6  # of mu on the grid that paths start from
     axis_rounds: int = 15  # of descent along the axis at most ...
     least_axis_descent: float = 1e-5  # ... each of which has to lower the norm by this share
+    # --- modes driven to the axis inside a box (mode_ascent) ---
+    ascent_starts: int = 6  # in a row of each mode that lead to nothing smaller end the search
+    ascent_reach: float = 0.97  # box of the ascents, in sizes of the smallest member known
+    ascent_gain: float = 1e-3  # share by which a member has to be smaller for the search to begin anew
+    ascent_first: float = 0.3  # share of the way to its own corner at which a nominal mode begins
+    ascent_step: float = 0.05  # share by which the box shrinks around a mode that was led across the axis ...
+    ascent_last_step: float = 0.01  # ... and at the end
+    ascents_of_mode: int = 30  # quasi-Newton steps of one ascent
+    ascent_halvings: int = 20  # of the way from the nominal model to an unstable member
+    ascent_share: float = 0.25  # of the work left, for all of it
     # --- disk margins, small gain, covers ---
     disk_close: float = 1e-5  # bounds of several loops that are farther apart get a closer search along the axis
     disk_singular: float = 1e-7  # relative smallest singular value of a loop that a critical disk closes

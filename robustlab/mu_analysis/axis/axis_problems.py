@@ -14,6 +14,7 @@ from robustlab.arrays import Array
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
+from robustlab.mu_analysis.axis.mode_ascent import mode_next_to
 from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, real_blocks
@@ -21,7 +22,7 @@ from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, block_slices
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["GainProblem", "MarginProblem"]
 
@@ -82,8 +83,10 @@ class MarginProblem(_AxisProblem):
         for _ in range(3):
             if self._rightmost(values) >= 0:
                 return self._crossing(values)
-            slope = self._slope(values, region.hot or 0.0)
-            corner = np.where(real_blocks(self.blocks), centre + half * np.sign(slope), 0.0)
+            mode = mode_next_to(self.model, self.blocks, values, 1j * (region.hot or 0.0))
+            if mode is None:
+                return None
+            corner = np.where(real_blocks(self.blocks), centre + half * np.sign(mode.slopes), 0.0)
             if np.array_equal(corner, values):
                 return None
             values = corner
@@ -98,21 +101,6 @@ class MarginProblem(_AxisProblem):
         if not np.isfinite(matrix).all():
             return float("inf")
         return float(np.linalg.eigvals(matrix).real.max(initial=-np.inf))
-
-    def _slope(self, values: Array, omega: float) -> Array:
-        """Derivative of the real part of the pole next to ``j omega`` by each entry."""
-        delta = centre_matrix(self.blocks, values)
-        poles, right = np.linalg.eig(self._perturbed(values))
-        k = int(np.argmin(np.abs(poles - 1j * omega)))
-        left = np.linalg.solve(right.T + 1e-13 * np.eye(len(poles)), np.eye(len(poles))[k])
-        z = np.linalg.solve(np.eye(self.model.n_outputs) - self.model.D @ delta, self.model.C @ right[:, k])
-        back = np.eye(self.model.n_inputs) - delta @ self.model.D
-        w = np.linalg.solve(back.T, self.model.B.T @ left)
-        gains = [
-            (w[sw] * z[sz]).sum().real if b.interval else 0.0
-            for b, (sw, sz) in zip(self.blocks, block_slices(self.blocks), strict=True)
-        ]
-        return np.array(gains)
 
     def _crossing(self, values: Array) -> Improved | None:
         """The smallest multiple of these entries, by bisection, at which a pole is on or right of the axis."""

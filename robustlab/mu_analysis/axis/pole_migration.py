@@ -30,7 +30,14 @@ from robustlab.mu_analysis.tuning import TUNING
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
-__all__ = ["Destabilising", "first_crossing", "perturbed_state_matrix", "search_work", "smallest_destabilising"]
+__all__ = [
+    "Destabilising",
+    "descended",
+    "first_crossing",
+    "perturbed_state_matrix",
+    "search_work",
+    "smallest_destabilising",
+]
 
 
 @dataclass(frozen=True)
@@ -279,7 +286,7 @@ def _migrated(
         [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
     )
     chosen = pool[_distinct(pool, norm, TUNING.crossings + len(given))]
-    lower = _descended(model, layout, chosen)
+    lower = descended(model, layout, chosen)
     return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
 
 
@@ -372,7 +379,7 @@ def _migrate(
     return best, best_norm
 
 
-def _descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> ComplexArray:
+def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> ComplexArray:
     """Deltas with a pole on the axis, moved to smaller ones along the axis as far as the norm falls.
 
     Part of the way to the Delta of least norm of the linearised problem, then back to the axis by size: where several

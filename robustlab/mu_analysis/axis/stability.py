@@ -24,6 +24,7 @@ from robustlab.mu_analysis.axis.axis_problems import MarginProblem
 from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
     Destabilising,
     first_crossing,
@@ -195,10 +196,31 @@ def _bounds(
         middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
         cover(again, np.append(first, np.unique(middles)), budget, accuracy)
         found = again if again.level < found.level else found
-    some_real = any(b.interval for b in blocks)
-    if some_real and 0 < found.attained * (1 + tolerance) < found.level:
+    if not any(b.interval for b in blocks):
+        return found
+    if _apart(found, tolerance):  # most gaps are closed soon
+        first = budget.apart(tuning.first_branches * max(budget.left, 0.0))
+        _branch_and_bound(found, tolerance, first)
+        if first.struck:
+            budget.strike()
+    if _apart(found, tolerance) and not budget.over:
+        _led_to_the_axis(found, budget, seed)
+    if _apart(found, tolerance):
         _branch_and_bound(found, tolerance, budget)
     return found
+
+
+def _apart(found: _Found, tolerance: float) -> bool:
+    """Whether a Delta is known and what is proved of all is farther from it than asked for."""
+    return 0 < found.attained * (1 + tolerance) < found.level
+
+
+def _led_to_the_axis(found: _Found, budget: Budget, seed: int) -> None:
+    """A smaller Delta where the gap may be that of the search: only modes that meet inside the box tell of it."""
+    if found.worst is not None and all(b.interval for b in found.blocks):
+        part = budget.share(found.tuning.ascent_share)
+        better = smaller_destabilising(found.model, found.blocks, found.worst, part, seed, found.tuning)
+        found.worst = _as_seen(found.model, better)
 
 
 def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:

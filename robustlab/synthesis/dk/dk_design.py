@@ -11,6 +11,7 @@ from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis
+from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
@@ -74,6 +75,13 @@ class DKSynthesis(Tabular, Synthesis):
         smaller bound. Frequencies are those of the loop mapped to continuous time where it is discrete.
     history
         Every iterate.
+    start_mu
+        Largest mu, at single frequencies, of the first controller: that of H-infinity synthesis, or K0.
+    lower_bound
+        What mu no stabilising controller gets below, and how that is known; see `robustlab.synthesis.dk.mu_floor`.
+    why
+        One sentence: what was gained over ``start_mu``, and what ends the way down: the limit of every controller, a
+        structure that leaves D nothing to change, scalings worth nothing at the peak, or nothing that is proved.
     parameters
         Of a controller of given structure: its parameters by name; ``K0`` of another design.
     """
@@ -86,6 +94,9 @@ class DKSynthesis(Tabular, Synthesis):
     scaled_level: float
     pieces: tuple[Piece, ...]
     history: tuple[DKStep, ...]
+    start_mu: float
+    lower_bound: GammaBound
+    why: str
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def proved_again(self) -> float:
@@ -109,6 +120,8 @@ class DKSynthesis(Tabular, Synthesis):
         return [
             rows[0],
             ("peak of mu, lower bound", text),
+            ("no controller below", f"{self.lower_bound.value:.6g}, {self.lower_bound.known}"),
+            ("why not less", self.why),
             *rows[1:5],
             ("orders of the scalings", orders or "constant"),
             ("iterates", f"{len(self.history)}, from {self.history[0].gamma:.6g}"),
@@ -132,5 +145,8 @@ class DKSynthesis(Tabular, Synthesis):
             "scalings": self.scalings.to_json(),
             "intervals": [(p.low, p.high, p.beta) for p in self.pieces],
             "history": list(self.history),
+            "start_mu": self.start_mu,
+            "lower_bound": self.lower_bound.to_json(),
+            "why": self.why,
             "parameters": dict(self.parameters),
         }

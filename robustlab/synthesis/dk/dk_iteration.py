@@ -29,6 +29,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     proved_level,
     unit_scalings,
 )
+from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
 from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.dk.structured_problem import StructuredProblem
@@ -223,6 +224,7 @@ class _Search:
         self.curve: MuCurve | None = None
         self.curved: Iterate | None = None  # whose curve that is
         self.warm: DynamicScalings | None = None
+        self.start_mu = float("nan")  # largest mu at single frequencies of the first iterate
 
     def _until(self, end: float) -> Budget:
         """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
@@ -377,7 +379,16 @@ class _Search:
         if self.curve is None or self.curved is not iterate:
             self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget, tuning=self.tuning)
             self.curved = iterate
+            if iterate is self.iterates[0]:
+                self.start_mu = self._mu_of_start(self.curve)
         return self.curve
+
+    def _mu_of_start(self, curve: MuCurve) -> float:
+        """The peak; where blocks are real, that of their mu at the frequencies where complex mu is largest."""
+        if not self.mixed:
+            return curve.peak
+        top = np.sort(curve.omega[np.argsort(-curve.levels)[: self.tuning.start_points]])
+        return mu_curve(self.iterates[0].loop, self.real, Budget(0.0), top, self.tuning).peak
 
     def _band(self) -> tuple[float, float]:
         """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
@@ -429,6 +440,11 @@ class _Search:
         frequency = omega
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
+        smallest = min(gamma, self.best.level)
+        floor = mu_floor(self.problem.bare, blocks, smallest, delta, loop.dt)
+        start_mu = self.start_mu if np.isfinite(self.start_mu) else self.iterates[0].level
+        alone = floor.nominal_level(self.budget.apart(self.tuning.alone_share * self.whole), self.tuning)
+        why = why_not_less(smallest, start_mu, self.iterates[0].level, floor.bound.value, alone, blocks)
         heard, doubt = self.problem.heard(chosen, loop, norm, cover.pieces if proved else ())
         doubts = _doubts(stable, None if proved else norm) + [doubt] * bool(doubt)
         status, reason = told(
@@ -454,6 +470,9 @@ class _Search:
             scaled_level=chosen.level,
             pieces=tuple(cover.pieces) if proved else (),
             history=tuple(self.history),
+            start_mu=start_mu,
+            lower_bound=floor.bound,
+            why=why,
             parameters=self.problem.values(chosen) if isinstance(self.problem, StructuredProblem) else {},
         )
 

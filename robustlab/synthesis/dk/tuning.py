@@ -38,6 +38,8 @@ class DKTuning:
     last_curves: float = 1.5  # work kept for the end, in curves of mu ...
     curve_points: int = 112  # ... of so many frequencies
     proof_accuracy: float = 1e-3  # of the proof by intervals; smaller: more intervals
+    alone_share: float = 0.02  # of the work for the level of one block of one member alone
+    start_points: int = 16  # frequencies of the first loop at which mu of real blocks is computed
     # --- mu at single frequencies, and D(s) fitted to it (scalings_fit) ---
     first_points: int = 40  # frequencies before any is added
     rounds: int = 3  # rounds of refinement ...

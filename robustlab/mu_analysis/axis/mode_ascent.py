@@ -1,0 +1,215 @@
+r"""Smaller destabilising members, by driving one mode after the other to the axis inside a box of real parameters.
+
+.. math:: \max_{|\delta_i| \le s} \; \mathrm{Re} \, \lambda_k (A + B \Delta (I - D \Delta)^{-1} C)
+
+Where modes are lightly damped, two of them that meet somewhere inside the box may exchange their damping there, and
+nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here every mode is
+followed from several points of the box, by quasi-Newton steps with its exact derivative, in a box slightly smaller
+than the smallest member known. The mode is told by its frequency, for the one of largest real part is nearly always the
+slowest, whatever the others do. What is found is made smaller as far as that mode leads, and ends on the axis exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import Array, ComplexArray
+from robustlab.budget import Budget, dense
+from robustlab.mu_analysis.axis.pole_migration import (
+    Destabilising,
+    descended,
+    first_crossing,
+    perturbed_state_matrix,
+)
+from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, lowest
+from robustlab.mu_analysis.matrix.delta_layout import delta_layout
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, block_slices
+
+__all__ = ["Mode", "mode_next_to", "smaller_destabilising"]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A pole of a member, and the derivative of its real part by each real block (n_blocks,); complex blocks: 0."""
+
+    pole: complex
+    slopes: Array
+
+
+def mode_next_to(model: StateSpaceModel, blocks: Sequence[Block], values: Array, aim: complex) -> Mode | None:
+    """The mode of the member with these entries (n_blocks,) whose pole is next to ``aim``; None: ill-posed."""
+    delta = centre_matrix(blocks, values)
+    a = np.real(perturbed_state_matrix(model, delta.astype(complex)))
+    if not np.isfinite(a).all():
+        return None
+    poles, right = np.linalg.eig(a)
+    k = int(np.argmin(np.abs(poles - aim)))
+    left = np.linalg.solve(right.T + 1e-13 * np.eye(len(poles)), np.eye(len(poles))[k])
+    z, w = model.C @ right[:, k], model.B.T @ left
+    if model.D.any():
+        z = np.linalg.solve(np.eye(model.n_outputs) - model.D @ delta, z)
+        w = np.linalg.solve(np.eye(model.n_inputs) - (delta @ model.D).T, w)
+    slopes = [
+        (w[sw] * z[sz]).sum().real if b.interval else 0.0
+        for b, (sw, sz) in zip(blocks, block_slices(blocks), strict=True)
+    ]
+    return Mode(complex(poles[k]), np.array(slopes))
+
+
+def smaller_destabilising(
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    worst: Destabilising,
+    budget: Budget,
+    seed: int = 0,
+    tuning: MuTuning = TUNING,
+) -> Destabilising:
+    """A destabilising Delta of real blocks alone that is smaller than ``worst``, or ``worst`` where none was found.
+
+    Parameters
+    ----------
+    model
+        Stable continuous model with Delta channels (p, q).
+    blocks
+        Real scalars, repeated or not; sizes are shares of each side of their ranges.
+    budget
+        Where it is over, the search ends with what it has.
+    seed
+        Seed of the points where ascents begin.
+    """
+    return _Search(model, tuple(blocks), worst, budget, tuning).run(seed)
+
+
+class _Search:
+    """The smallest member so far, and the box that the next one is sought in."""
+
+    def __init__(
+        self,
+        model: StateSpaceModel,
+        blocks: tuple[Block, ...],
+        worst: Destabilising,
+        budget: Budget,
+        tuning: MuTuning,
+    ) -> None:
+        self.model, self.blocks, self.budget, self.tuning = model, blocks, budget, tuning
+        self.best, self.low = worst, lowest(blocks)
+        self.size = gauge(blocks, block_entries(blocks, worst.delta))
+        nominal = model.poles()
+        self.frequencies = np.sort(nominal.imag[nominal.imag > 0])
+
+    def run(self, seed: int) -> Destabilising:
+        """Mode by mode, until as many starts in a row as all modes have together lead to nothing smaller."""
+        rng = np.random.default_rng(seed)
+        failed, k, modes = 0, 0, len(self.frequencies)
+        if np.isfinite(self.best.pole):
+            self._follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
+        while failed < self.tuning.ascent_starts * modes and self._may_go_on():
+            size = self.size * self.tuning.ascent_reach
+            mode, before = k % modes, self.size
+            found = self._ascended(self._start(rng, size, mode, k // modes), size, mode)
+            if found is not None:
+                self._follow(found)
+            k, failed = k + 1, 0 if self.size < before * (1 - self.tuning.ascent_gain) else failed + 1
+        return self.best
+
+    def _may_go_on(self) -> bool:
+        """Work is left. That it may end here is no news, for the search ends somewhere; a clock that ended it is."""
+        return self.budget.left > 0 and not (self.budget.seconds_left <= 0 and self.budget.over)
+
+    def _start(self, rng: np.random.Generator, size: float, mode: int, turn: int) -> Array:
+        """Where an ascent begins: on the nominal mode's own way out, then at random corners and points in turn."""
+        if turn == 0:
+            now = mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), 1j * self.frequencies[mode])
+            slopes = np.zeros(len(self.blocks)) if now is None else now.slopes
+            return self.tuning.ascent_first * size * np.where(slopes < 0, self.low, 1.0)
+        share = rng.random(len(self.blocks))
+        share = np.round(share) if turn % 2 else share
+        return size * (self.low + (1 - self.low) * share)
+
+    def _inside(self, values: Array, size: float) -> Array:
+        """The nearest point of the box of this size."""
+        return np.clip(values, size * self.low, size)
+
+    def _ascended(self, start: Array, size: float, mode: int) -> Array | None:
+        """The member that an ascent of so manieth mode of the start ends at, where it is not stable."""
+        poles = self._poles(start)
+        upper = np.sort(poles.imag[poles.imag > 0]) if np.isfinite(poles).all() else np.zeros(0)
+        if not len(upper):
+            return None
+        return self._ascent(start, size, 1j * float(upper[min(mode, len(upper) - 1)]))
+
+    def _ascent(self, start: Array, size: float, aim: complex) -> Array | None:
+        """Quasi-Newton steps inside the box; the pole next to the imaginary aim is followed by its frequency."""
+        from scipy.optimize import minimize
+
+        first = mode_next_to(self.model, self.blocks, start, aim)
+        if first is None:
+            return None
+        unit = max(abs(first.pole.real), 1e-9 * abs(first.pole))
+        place = aim
+
+        def damping(point: Array) -> tuple[float, Array]:
+            nonlocal place
+            self.budget.spend(dense(self.model.n_states))
+            now = mode_next_to(self.model, self.blocks, point * size, place)
+            if now is None:  # as bad as it gets: the line search turns back
+                return 1e3, np.zeros(len(point))
+            place = 1j * now.pole.imag
+            return -now.pole.real / unit, -now.slopes * size / unit
+
+        bounds = [(float(low), 1.0) for low in self.low]
+        found = minimize(
+            damping,
+            start / size,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": self.tuning.ascents_of_mode},
+        )
+        return found.x * size if found.fun < 0 else None
+
+    def _follow(self, values: Array) -> None:
+        """Ever smaller members along the mode that was led across the axis, then to the axis exactly."""
+        step = self.tuning.ascent_step
+        values = self._at_crossing(values)
+        while self._may_go_on():
+            size = gauge(self.blocks, values)
+            poles = self._poles(values)
+            aim = 1j * abs(float(poles[poles.real.argmax()].imag))
+            smaller = size * (1 - step)
+            found = self._ascent(self._inside(values, smaller), smaller, aim)
+            if found is not None:
+                values = self._at_crossing(found)
+            elif step == self.tuning.ascent_step and size < self.size / (1 - step):
+                step = self.tuning.ascent_last_step
+            else:
+                break
+        if gauge(self.blocks, values) > self.size * (1 + self.tuning.ascent_last_step):
+            return
+        delta = centre_matrix(self.blocks, values).astype(complex)
+        for candidate in (descended(self.model, delta_layout(self.blocks), delta[None])[0], delta):
+            crossing = first_crossing(self.model, self.blocks, candidate)
+            reached = np.inf if crossing is None else gauge(self.blocks, block_entries(self.blocks, crossing.delta))
+            if crossing is not None and reached < self.size:
+                self.best, self.size = crossing, reached
+                break
+
+    def _at_crossing(self, values: Array) -> Array:
+        """The part of an unstable member, up to the whole, at which a pole crosses, by bisection."""
+        stable, unstable = 0.0, 1.0
+        for _ in range(self.tuning.ascent_halvings):
+            middle = (stable + unstable) / 2
+            beyond = not (self._poles(middle * values).real < 0).all()
+            stable, unstable = (stable, middle) if beyond else (middle, unstable)
+        return unstable * values
+
+    def _poles(self, values: Array) -> ComplexArray:
+        """Poles of a member; one at infinity where it is ill-posed."""
+        self.budget.spend(dense(self.model.n_states))
+        a = np.real(perturbed_state_matrix(self.model, centre_matrix(self.blocks, values).astype(complex)))
+        return np.linalg.eigvals(a).astype(complex) if np.isfinite(a).all() else np.array([complex(np.inf)])

@@ -1,0 +1,170 @@
+r"""What mu no controller can get below, and why a search ended where it did.
+
+The blocks of Delta may be zero but for one, and a real one may be any constant. So for every full block i, and every
+constant value of the real blocks,
+
+.. math:: \beta = \sup_\omega \mu(F_l(P, K)) \ge \min(\beta_0, \| T_{ii}(\delta) \|_\infty),
+    \qquad |\delta| \le 1 / \beta_0
+
+for if beta were smaller than both, that member's gain, its size being at most ``1 / beta``, would be at most beta. The
+norm of one member has Parrott's bound (`robustlab.synthesis.problem.gamma_bounds`), which holds for every controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.budget import Budget
+from robustlab.mu_analysis.matrix.box import centre_matrix
+from robustlab.synthesis.dk.dynamic_scalings import unit_scalings
+from robustlab.synthesis.dk.robust_problem import RobustProblem
+from robustlab.synthesis.dk.tuning import TUNING, DKTuning
+from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
+from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
+
+__all__ = ["MuFloor", "mu_floor", "why_not_less"]
+
+# Closer than this to a limit, or to what the search began with, counts as there.
+NEAR = 0.01
+
+
+@dataclass(frozen=True)
+class MuFloor:
+    """A proved bound for every controller, and where H-infinity synthesis alone stands for the same channels.
+
+    Attributes
+    ----------
+    bound
+        No stabilising controller has a smaller peak of mu.
+    channels
+        The plant with the channels of that block and member alone; None where nothing bounds mu.
+    """
+
+    bound: GammaBound
+    channels: PlantMatrices | None
+
+    def nominal_level(self, budget: Budget, tuning: DKTuning = TUNING) -> float:
+        """The smallest level of the Riccati equations for ``channels``: what these alone need, an estimate.
+
+        NaN where that plant is singular, or where the budget was over before.
+        """
+        if self.channels is None or not self.bound.value > 0:
+            return float("nan")
+        block = FullBlock("all", self.channels.B1.shape[1], self.channels.C1.shape[0])
+        scalings = unit_scalings((block,))
+        search = RobustProblem(self.channels.plant(), budget, tuning).search(scalings)
+        level = search.smallest(scalings.parameters(), self.bound.value, 1e-4)
+        return float("nan") if level is None else float(level.beta)
+
+
+def mu_floor(
+    plant: PlantMatrices, blocks: Sequence[Block], gamma: float, delta: Mapping[str, Any], dt: float = 0.0
+) -> MuFloor:
+    """A lower bound, at most ``gamma``, of the peak of mu under every stabilising controller.
+
+    Parameters
+    ----------
+    plant
+        Continuous plant without D22, whose w and z are the channels of the blocks.
+    blocks
+        The structure; members are those of its real scalars.
+    gamma
+        Size ``1 / gamma`` of the set that members are taken from: the level that a design has reached.
+    delta
+        Where the search for the worst member begins: values by block name (of real blocks), scaled to that size.
+    dt
+        Sample time in s of the discrete plant whose image ``plant`` is.
+    """
+    real = np.array([b.interval is not None for b in blocks])
+    start = np.array([float(delta.get(b.name, 0.0)) if r else 0.0 for b, r in zip(blocks, real, strict=True)])
+    best = _of_member(plant, blocks, np.zeros(len(blocks)), dt)
+    if not gamma > 0:
+        return MuFloor(replace(best.bound, value=0.0), None)
+    largest = float(np.abs(start).max(initial=0.0))
+    member = start / (gamma * largest) if largest else start
+    found = _of_member(plant, blocks, member, dt)
+    for k in np.flatnonzero(real):  # one sweep over the corners next to it
+        for value in (1 / gamma, -1 / gamma):
+            other = member.copy()
+            other[k] = value
+            tried = _of_member(plant, blocks, other, dt)
+            if tried.bound.value > found.bound.value:
+                member, found = other, tried
+    if found.bound.value > best.bound.value:
+        values = ", ".join(f"{b.name} {v:+.3g}" for b, v in zip(blocks, member, strict=True) if v)
+        best = replace(found, bound=replace(found.bound, known=f"{found.bound.known}, of the member {values} alone"))
+    return replace(best, bound=replace(best.bound, value=min(best.bound.value, gamma)))
+
+
+def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt: float) -> MuFloor:
+    """The largest bound of the blocks' own channels, the real blocks having these values."""
+    best = MuFloor(GammaBound(0.0, "no block's own channels keep mu from zero", True), None)
+    p = _closed(plant, centre_matrix(blocks, values)) if values.any() else plant
+    if p is None:
+        return best
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        if block.interval or (block.d_order > 1 and block.rows > 1):
+            continue  # their own mu is no norm
+        part = replace(p, B1=p.B1[:, w], D21=p.D21[:, w], C1=p.C1[z], D12=p.D12[z], D11=p.D11[z, w])
+        bound = pointwise_bound(part, [paths_first(part), equilibrated(part)], dt)
+        if bound.value > best.bound.value:
+            best = MuFloor(replace(bound, known=f"{block.name!r} alone, {bound.known}"), part)
+    return best
+
+
+def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
+    """The plant with w + delta z in place of w, without the D22 that this brings; None: ill-posed."""
+    loop = np.eye(len(p.C1)) - p.D11 @ delta
+    if np.linalg.cond(loop) > 1e10:
+        return None
+    through = delta @ np.linalg.inv(loop)
+    inside = np.eye(p.B1.shape[1]) + through @ p.D11
+    return PlantMatrices(
+        A=p.A + p.B1 @ through @ p.C1,
+        B1=p.B1 @ inside,
+        B2=p.B2 + p.B1 @ through @ p.D12,
+        C1=np.linalg.solve(loop, p.C1),
+        C2=p.C2 + p.D21 @ through @ p.C1,
+        D11=np.linalg.solve(loop, p.D11),
+        D12=np.linalg.solve(loop, p.D12),
+        D21=p.D21 @ inside,
+    )
+
+
+def why_not_less(
+    smallest: float, start_mu: float, first_level: float, floor: float, alone: float, blocks: Sequence[Block]
+) -> str:
+    """One sentence: what was gained over the first controller, and what ends the way down.
+
+    Parameters
+    ----------
+    smallest
+        The smallest peak of mu that was proved.
+    start_mu
+        Peak of mu, at single frequencies, of the controller that the search began with.
+    first_level
+        What the scalings that it began with prove for that controller: the norm of its loop where they are one.
+    floor, alone
+        What no controller gets below, and what H-infinity synthesis of the same channels alone reaches (`MuFloor`).
+    """
+    gained = 1 - smallest / start_mu if start_mu > 0 else 0.0
+    come = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"
+    come += f" ({gained:.1%} less)" if gained > NEAR else ": D-K gains nothing over it"
+    if smallest <= floor * (1 + NEAR):
+        return f"{come}; it is at the limit of every controller"
+    room = f"any controller has at least {floor:.4g}"
+    if len(blocks) == 1 and not blocks[0].interval and blocks[0].d_order == 1:
+        return f"{come}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {room}"
+    if smallest <= alone * (1 + NEAR):
+        return f"{come}; H-infinity synthesis for one block of one member alone needs {alone:.4g} (an estimate), {room}"
+    if gained <= NEAR and first_level <= start_mu * (1 + NEAR):
+        return f"{come}; at its peak the scalings are worth nothing, for its norm is {first_level:.4g}; {room}"
+    needs = "" if np.isnan(alone) else f" (H-infinity synthesis for one block of one member alone: {alone:.4g})"
+    return f"{come}; {room}{needs}, and what lies between is not decided: the search is local"

@@ -1,0 +1,86 @@
+"""What no controller gets below: closed forms, controllers that try, and members of the set."""
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.budget import Budget
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
+
+
+def servo(spread: float = 0.5) -> GeneralizedPlant:
+    """z = d + G u with G = 1 / ((1 + spread delta) + s), penalised u, noisy y; delta real, one performance block."""
+    B = [[-spread, 1.0, 0.0, 1.0]]
+    C = [[1.0], [1.0], [0.0], [1.0]]
+    D = [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.4], [0, 0, 0.3, 0]]
+    return GeneralizedPlant(StateSpaceModel([[-1.0]], B, C, D), 1, 1)
+
+
+BLOCKS = [RealScalar("k"), FullBlock("p", 2, 2)]
+
+
+@pytest.mark.parametrize("gain", [0.0, -0.3, -1.0, -3.0, -10.0])
+def test_no_controller_that_was_tried_is_below_the_floor(gain):
+    """Static gains: sigma_max of the performance channels of members at size 1 / gamma on a dense grid."""
+    plant = servo()
+    K = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[gain]])
+    proved = 1 / rl.robust_stability(rl.UncertainModel(plant.close(K), BLOCKS)).lower
+    floor = mu_floor(plant.matrices(), BLOCKS, proved, {"k": 1.0}).bound
+    assert 0 < floor.value <= proved
+    omega = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 2000)])
+    worst = 0.0
+    for k in (-1.0, 0.0, 1.0):
+        loop = plant.model
+        A = loop.A + loop.B[:, :1] * (k / proved) @ loop.C[:1]
+        member = GeneralizedPlant(StateSpaceModel(A, loop.B[:, 1:], loop.C[1:], loop.D[1:, 1:]), 1, 1).close(K)
+        response = frequency_response(member, omega)
+        worst = max(worst, float(np.linalg.norm(response, 2, axis=(1, 2)).max()))
+    assert floor.value <= worst * (1 + 1e-6)
+
+
+def test_a_worse_member_raises_the_floor():
+    plant = servo(0.8).matrices()
+    nominal = mu_floor(plant, [RealScalar("k"), FullBlock("p", 2, 2)], 1e9, {}).bound
+    floor = mu_floor(plant, [RealScalar("k"), FullBlock("p", 2, 2)], 1.0, {"k": -1.0}).bound
+    assert floor.value > 1.05 * nominal.value
+    assert "of the member k -1" in floor.known
+
+
+def test_a_disturbance_that_no_control_reaches_is_the_limit():
+    """z = [d / (s + 1); 0.01 u]: the control moves nothing of d, so mu is at least one, and one controller has it."""
+    A, B = [[-1.0]], [[0.0, 1.0, 0.0, 0.0]]
+    C = [[0.0], [1.0], [0.0], [1.0]]
+    D = [[0, 0, 0, 0.1], [0, 0, 0, 0], [0, 0, 0, 0.01], [0.1, 0, 0.1, 0]]
+    design = rl.dk(StateSpaceModel(A, B, C, D), [ComplexScalar("g"), FullBlock("p", 2, 2)], 1, 1, effort=0.05)
+    assert design.lower_bound.value == pytest.approx(1.0, rel=1e-6)
+    assert design.gamma <= 1.01
+    assert design.why.endswith("it is at the limit of every controller")
+    assert ("why not less", design.why) in design.facts()
+
+
+def test_one_full_block_leaves_d_nothing_to_change():
+    design = rl.dk(servo(), [FullBlock("all", 3, 3)], 1, 1, effort=0.05)
+    assert "D has nothing to change" in design.why or design.why.endswith("the limit of every controller")
+    assert (
+        design.lower_bound.value <= design.gamma <= design.start_mu * 1.011
+    )  # 1 % is given for an order or slower poles
+
+
+def test_one_block_alone_needs_what_hinf_synthesis_finds():
+    plant = servo()
+    floor = mu_floor(plant.matrices(), [FullBlock("all", 3, 3)], 10.0, {})
+    best = rl.hinf(plant, gamma_rel=1.0)
+    assert floor.nominal_level(Budget(1e7)) == pytest.approx(best.gamma, rel=2e-3)
+    assert floor.bound.value <= best.gamma
+
+
+def test_words_for_what_is_known():
+    two = [FullBlock("u", 1, 1), FullBlock("p", 1, 1)]
+    assert "60.0% less" in why_not_less(0.4, 1.0, 1.0, 0.4, 0.4, two)
+    assert "scalings are worth nothing" in why_not_less(0.5, 0.5, 0.5, 0.4, 0.45, two)
+    assert "one member alone needs 0.5" in why_not_less(0.5, 0.5, 0.5, 0.4, 0.5, two)
+    assert "not decided" in why_not_less(0.5, 0.5, 0.9, 0.4, np.nan, two)
