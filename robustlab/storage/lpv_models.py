@@ -101,7 +101,9 @@ def _signals(group: Tree, side: str, problems: Problems) -> list[Signal]:
 
 
 def _model(arrays: dict[str, Any], columns: dict[str, Any], sides: list[list[Signal]], tree: Tree) -> LPVModel:
-    ends = np.cumsum(columns["count"])
+    ends, given = np.cumsum(columns["count"]), len(columns["points"])
+    if not len(ends) or ends[-1] != given:
+        raise InputError("parameters", f"{given} points", f"{sum(columns['count'])}, as count says")
     points = np.split(np.asarray(columns["points"], float), ends[:-1])
     parameters = tuple(
         SchedulingParameter(name, tuple(values), rate, unit)

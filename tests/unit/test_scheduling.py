@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
 import shown_objects
@@ -208,6 +209,16 @@ def test_frozen_members_between_the_points_of_a_rational_set_stay_below():
         assert rl.hinf_norm(source.evaluate(delta)).upper <= found.upper
 
 
+def test_what_was_only_sampled_is_not_called_certified():
+    """1 / a is no polynomial: between the points a linear model is 0.05 off at most."""
+    family = rl.lpv_model(lambda a: lag(1.0 / a), {"a": [0.5, 0.75, 1.0]}, samples=20)
+    found = rl.lpv_gain(family)
+    assert found.status is Status.CONVERGED
+    assert "samples" in found.scope
+    assert found.recheck()
+    assert max(rl.hinf_norm(lag(1.0 / a)).upper for a in (0.6, 0.9)) <= found.upper
+
+
 def test_a_certificate_that_is_wrong_is_refused():
     found = rl.lpv_gain(lags())
     posed = Inequality(found.model, False)
@@ -320,6 +331,15 @@ def test_models_and_controllers_come_back_from_files(tmp_path):
     assert controller.status is Status.CERTIFIED
     rl.save(tmp_path / "g.h5", shown_objects.scheduled().gain)
     assert rl.load(tmp_path / "g.h5").type == "LPVGain"
+
+
+def test_a_damaged_file_is_refused_by_name(tmp_path):
+    rl.save(tmp_path / "m.h5", lags())
+    with h5py.File(tmp_path / "m.h5", "a") as file:
+        del file.attrs["content_sha256"]
+        file["parameters/count"][...] = 3
+    with pytest.warns(UserWarning, match="content_sha256"), pytest.raises(InputError, match="no LPV model"):
+        rl.load(tmp_path / "m.h5")
 
 
 @pytest.mark.parametrize(
