@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from robustlab.uncertainty.lft import UncertainModel
 
     Stored = StateSpaceModel | UncertainModel | DelayedModel | Controller | Record | Result | Plant
+else:
+    Stored = Any  # what reads the signatures while the program runs
 
 
 @dataclass(frozen=True)
