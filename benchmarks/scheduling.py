@@ -159,7 +159,8 @@ def missile() -> None:
     """Pitch axis of a missile: alpha' = -Z alpha + q, q' = -M alpha + delta, Z in 0.5..4, M in 0..106, both measured.
 
     W1 = 2.01 / (s + 0.201) on the error of the acceleration, W2 = (9.678 s^3 + 0.029 s^2) / (s^3 + 1.206e4 s^2 +
-    1.136e7 s + 1.066e10) on the fin. The rate is measured without noise: the problem is singular.
+    1.136e7 s + 1.066e10) on the fin. The rate is measured without noise: the problem is singular. The
+    numbers were written from memory of a published example; none of its results is claimed.
     """
 
     def vertex(Z: float, M: float) -> rl.StateSpaceModel:

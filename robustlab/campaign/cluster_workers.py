@@ -40,11 +40,18 @@ def compute(key: str, payload: bytes, request: str) -> bytes:
     key
         Hash of the campaign, so that a worker builds its evaluator once.
     payload
-        `Payload` as bytes.
+        `Payload` as bytes; empty for a worker that had it before.
     request
         `Piece` as JSON.
+
+    Returns
+    -------
+    bytes
+        The answer; empty where the payload is needed once more.
     """
     if key not in _here:
+        if not payload:
+            return b""
         _here.clear()
         _here[key] = evaluator_of(Payload.from_bytes(payload))
     return perform(_here[key], json.loads(request))
@@ -85,6 +92,8 @@ class ClusterWorkers:
             ) from None
         self._events: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._known: set[str] = set()
+        # Those who were sent the payload: with every piece it would be copied, and Dask keeps some of the copies.
+        self._told: set[str] = set()
         self._pieces: dict[str, tuple[Piece, Any, float]] = {}
         self._watched = 0.0
         self._seen = time.monotonic()
@@ -100,17 +109,20 @@ class ClusterWorkers:
 
     def start(self, piece: Piece) -> None:
         """See `robustlab.campaign.work.Workers`."""
-        worker = min(self._known - self._pieces.keys())
+        self._give(min(self._known - self._pieces.keys()), piece)
+
+    def _give(self, worker: str, piece: Piece) -> None:
         future = self._client.submit(
             compute,
             self._key,
-            self._payload,
+            b"" if worker in self._told else self._payload,
             json.dumps(piece.to_json()),
             workers=[worker],
             allow_other_workers=False,
             pure=False,
             retries=0,
         )
+        self._told.add(worker)
         self._pieces[worker] = (piece, future, time.monotonic())
         future.add_done_callback(lambda done: self._events.put((worker, done)))
 
@@ -133,7 +145,11 @@ class ClusterWorkers:
         piece, _, started = self._pieces.pop(worker)
         seconds = time.monotonic() - started
         if future.status == "finished":
-            return [Outcome(piece, future.result(), seconds)]
+            if answer := future.result():
+                return [Outcome(piece, answer, seconds)]
+            self._told.discard(worker)  # it is a new process, or has worked for somebody else
+            self._give(worker, piece)
+            return []
         error = future.exception() if future.status == "error" else None
         if error is None or type(error).__name__ == "KilledWorker":
             return [Outcome(piece, _ended(piece, seconds), seconds)]
@@ -153,6 +169,7 @@ class ClusterWorkers:
         if self._client.status not in ("running", "connecting"):
             raise EnvironmentFault(f"--cluster {self.address}", "the scheduler is gone")
         self._known &= there
+        self._told &= there
         self._known |= self._checked(there - self._known)
         if self._known:
             self._seen = time.monotonic()

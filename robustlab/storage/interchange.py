@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
     Models = StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | LPVModel
     Stored = Models | Controller | LPVController | Record | Result | Plant
+else:
+    Stored = Any  # what reads the signatures while the program runs
 
 
 @dataclass(frozen=True)

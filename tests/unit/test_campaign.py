@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, read_campaign, replay_sample, runs
+from robustlab.campaign import CampaignSettings, cluster_workers, read_campaign, replay_sample, runs
 from robustlab.campaign.dispatch import compute_missing
 from robustlab.campaign.evaluation import TILE, Evaluator, Rows, decode_delta, delta_width, encode_delta
 from robustlab.campaign.local_workers import LocalWorkers
@@ -535,3 +535,15 @@ def test_every_metric_of_the_search_is_one_of_campaigns(tmp_path, metric):
     values = [evaluator.sense * row.value for row in store.samples()]
     assert evaluator.sense * worst.value == max(values)
     store.close()
+
+
+def test_a_dask_worker_that_has_not_the_model_asks_for_it(motor):
+    """A piece brings no model to a worker that had it: one that was started anew says so, and gets it."""
+    payload = Payload(Identity.of(motor, settings_of(64)), model_to_bytes(motor)).to_bytes()
+    request = json.dumps(Piece(0, 64, 60.0).to_json())
+    cluster_workers._here.clear()
+    assert cluster_workers.compute("a", b"", request) == b""
+    first, again = cluster_workers.compute("a", payload, request), cluster_workers.compute("a", b"", request)
+    assert Rows.from_bytes(first).values.tolist() == Rows.from_bytes(again).values.tolist()
+    assert len(Rows.from_bytes(first)) == 64
+    assert cluster_workers.compute("b", b"", request) == b""

@@ -20,7 +20,7 @@ def model(seed, n, damping, spread):
     return np.linalg.solve(T, A @ T), rng.standard_normal((n, 2)), rng.standard_normal((3, n)), np.zeros((3, 2))
 
 
-def exact_gain(A, B, C, D, s):
+def exact_response(A, B, C, D, s):
     """By Gauss-Jordan elimination in whole fractions, rounded once."""
     n, m = B.shape
     rows = [[(Fraction(-x), Fraction(0)) for x in row] for row in A.tolist()]
@@ -44,7 +44,7 @@ def exact_gain(A, B, C, D, s):
             for row in C.tolist()
         ]
     )
-    return float(np.linalg.norm(G + D, 2))
+    return G + D
 
 
 def times(x, y):
@@ -70,9 +70,11 @@ def test_the_error_is_within_its_bound(damping, spread):
         if modes is None:
             continue
         points = 1j * np.concatenate([[0.0, 1.0, 300.0], np.abs(modes.poles.imag), np.abs(modes.poles)])
-        gain, error, reach = modes.gains(points)
-        for s, found, bound, states in zip(points, gain, error, reach, strict=True):
-            assert abs(found - exact_gain(*matrices, s)) <= bound + 1e-14 * found
+        (gain, error, reach), entries = modes.gains(points), modes.entries(points)
+        for s, found, bound, states, each, each_bound in zip(points, gain, error, reach, *entries, strict=True):
+            exact = exact_response(*matrices, s)
+            assert abs(found - np.linalg.norm(exact, 2)) <= bound + 1e-14 * found
+            assert np.isinf(each_bound).all() or (np.abs(each - exact) <= each_bound + 1e-15 * np.abs(exact)).all()
             A, B = matrices[:2]
             assert np.linalg.norm(np.linalg.solve(s * np.eye(4) - A, B)) <= 1.01 * states or bound == np.inf
 
@@ -100,8 +102,10 @@ def characteristic(A):
 
 
 def test_an_ordinary_model_has_small_bounds():
-    gain, error, _ = ModalResponse.of(*model(0, 6, 0.1, 0)).gains(1j * np.geomspace(0.01, 100, 50))
+    modes, points = ModalResponse.of(*model(0, 6, 0.1, 0)), 1j * np.geomspace(0.01, 100, 50)
+    gain, error, _ = modes.gains(points)
     assert (error <= 1e-9 * gain.max()).all()
+    assert (modes.entries(points)[1] <= 1e-9 * gain.max()).all()
 
 
 def test_modes_that_do_not_span_are_told():

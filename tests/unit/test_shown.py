@@ -44,7 +44,7 @@ NUMBERS = {
 def public_classes() -> set[type]:
     """The classes among the public names, and those that public functions return."""
     found = set()
-    for name in set(rl.__all__) - {"load"}:  # which returns what others made, and imports its types when it needs them
+    for name in rl.__all__:
         thing = getattr(rl, name)
         answers = [thing] if inspect.isclass(thing) else [typing.get_type_hints(thing).get("return")]
         for answer in answers:
