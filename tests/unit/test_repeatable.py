@@ -167,7 +167,8 @@ def test_more_effort_proves_more_and_says_what_is_left():
     assert [m.status.value for m in margins] == ["inconclusive", "certified", "certified"]
     assert margins[0].lower == 0 < margins[1].lower < margins[2].lower
     assert [USED_UP in m.notes for m in margins] == [True, True, False]
-    assert len({m.upper for m in margins}) == 1
+    # Other efforts may find the same destabilising parameters by another way, and so with other last bits.
+    assert [m.upper for m in margins] == pytest.approx([margins[0].upper] * 3, rel=1e-12)
 
 
 @pytest.mark.parametrize("options", [{"effort": 0.0}, {"effort": np.inf}, {"effort": np.nan}, {"time_limit": -1.0}])
