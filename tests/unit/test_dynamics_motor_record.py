@@ -57,3 +57,16 @@ def test_it_excites_and_disagrees(record):
     model = rl.simulate(rl.plant("dc-motor"), t, u)
     gap = np.abs(model["phi"] - phi).max() / np.ptp(phi)
     assert 0.05 < gap < 0.5  # the nominal model is visibly wrong, and visibly a model of this machine
+
+
+@pytest.mark.slow  # 30 s
+def test_what_is_hidden_in_it_is_named():
+    """What its maker says: a driver that loses 0.6 V, and dry friction of 6 mN m with presliding, which remains."""
+    record = rl.Record.read(FOLDER / "motor_record.csv", inputs=["u"], outputs=["phi", "i"])
+    found = rl.discover(rl.plant("dc-motor"), record)
+    assert (found.verdict, found.complete) == ("named", False)
+    values = {e.name: {v.name: v.value for v in e.parameters} for e in found.effects}
+    assert set(values) == {"input-dead-zone", "stribeck-friction"}
+    assert values["input-dead-zone"]["d"] == pytest.approx(0.6, rel=0.02)
+    assert values["stribeck-friction"]["Fc"] == pytest.approx(6.0e-3, rel=0.03)
+    assert found.free_run["phi"].updated < 0.01 * found.free_run["phi"].refitted

@@ -5,6 +5,7 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
+from slicot_examples import model_of_ab09ad
 
 import robustlab as rl
 from robustlab.matrix_equations import lyapunov, lyapunov_factor
@@ -35,20 +36,7 @@ def test_hankel_values_of_two_lags_in_closed_form():
 
 def test_hankel_values_of_slicots_documented_example():
     # The example in the documentation of AB09AD (SLICOT 5.0): its Hankel singular values, printed to four digits.
-    A = np.array([
-        [-0.04165, 0.0000, 4.9200, -4.9200, 0.0000, 0.0000, 0.0000],
-        [-5.2100, -12.500, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000],
-        [0.0000, 3.3300, -3.3300, 0.0000, 0.0000, 0.0000, 0.0000],
-        [0.5450, 0.0000, 0.0000, 0.0000, -0.5450, 0.0000, 0.0000],
-        [0.0000, 0.0000, 0.0000, 4.9200, -0.04165, 0.0000, 4.9200],
-        [0.0000, 0.0000, 0.0000, 0.0000, -5.2100, -12.500, 0.0000],
-        [0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 3.3300, -3.3300],
-    ])  # fmt: skip
-    B = np.zeros((7, 2))
-    B[1, 0] = B[5, 1] = 12.5
-    C = np.zeros((3, 7))
-    C[0, 0] = C[1, 3] = C[2, 4] = 1.0
-    values = rl.hankel_singular_values(rl.StateSpaceModel(A, B, C, np.zeros((3, 2))))
+    values = rl.hankel_singular_values(model_of_ab09ad())
     np.testing.assert_allclose(values, [2.5139, 2.0846, 1.9178, 0.7666, 0.5473, 0.0253, 0.0246], atol=6e-5)
 
 

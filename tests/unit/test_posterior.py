@@ -1,6 +1,7 @@
 """Probabilities of sets: they sum to one, twins share them, what says nothing or fails on held-out data has none."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,3 +160,15 @@ def test_told_evidence_is_that_of_the_probabilities(weighed):
     shares = np.array([w.probability for w in posterior.sets])
     told = np.exp([w.evidence - posterior.best.evidence for w in posterior.sets])
     assert told == pytest.approx(shares / shares[0], abs=0.05)
+
+
+def test_a_random_force_beyond_that_of_a_machine_weighs_nothing_where_another_set_needs_less():
+    def weight(share):
+        return SimpleNamespace(random_share=share)
+
+    of_a_machine = posterior_module._as_machines_have
+    named, empty = frozenset({"coulomb-friction @ omega"}), frozenset()
+    weights = {named: weight(0.001), empty: weight(0.1)}
+    assert set(of_a_machine(weights, TUNING.most_random)) == {named}
+    alike = {named: weight(0.2), empty: weight(0.1)}  # neither is noise: they are weighed alike
+    assert of_a_machine(alike, TUNING.most_random) == alike

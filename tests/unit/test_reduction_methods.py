@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, logm, solve_continuous_are, solve_continuous_lyapunov
+from slicot_examples import model_of_ab09ad
 from unit.test_model_reduction import difference_on_grid, stable_model
 
 import robustlab as rl
@@ -14,24 +15,6 @@ from robustlab.result import Status
 from robustlab.synthesis.reduction import model_reduction
 from robustlab.synthesis.reduction.band_gramians import band_gramian_factors
 from robustlab.synthesis.reduction.relative_error import Spectrum
-
-
-def slicots_example() -> rl.StateSpaceModel:
-    """The model of the examples in the documentation of AB09CD and AB09HD (SLICOT 5.0)."""
-    A = np.array([
-        [-0.04165, 0.0000, 4.9200, -4.9200, 0.0000, 0.0000, 0.0000],
-        [-5.2100, -12.500, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000],
-        [0.0000, 3.3300, -3.3300, 0.0000, 0.0000, 0.0000, 0.0000],
-        [0.5450, 0.0000, 0.0000, 0.0000, -0.5450, 0.0000, 0.0000],
-        [0.0000, 0.0000, 0.0000, 4.9200, -0.04165, 0.0000, 4.9200],
-        [0.0000, 0.0000, 0.0000, 0.0000, -5.2100, -12.500, 0.0000],
-        [0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 3.3300, -3.3300],
-    ])  # fmt: skip
-    B = np.zeros((7, 2))
-    B[1, 0] = B[5, 1] = 12.5
-    C = np.zeros((3, 7))
-    C[0, 0] = C[1, 3] = C[2, 4] = 1.0
-    return rl.StateSpaceModel(A, B, C, np.zeros((3, 2)))
 
 
 def lag(pole: float, gain: float) -> rl.StateSpaceModel:
@@ -52,7 +35,7 @@ def test_the_nearest_constant_of_a_lag_in_closed_form():
 
 
 def test_slicots_published_hankel_norm_approximation():
-    found = rl.reduce_model(slicots_example(), 5, method="hankel")
+    found = rl.reduce_model(model_of_ab09ad(), 5, method="hankel")
     first = [[-0.5038, -5.3070, -3.2250], [1.8355, -0.5038, -2.6289], [0, 0, -1.5171]]
     A = block_diag(first, [[-1.2925, -9.0718], [0.5047, -1.2925]])
     B = [[-1.5343, 1.5343], [-0.3614, 0.3614], [-1.1096, 1.1096], [-4.5325, -4.5325], [-0.7396, -0.7396]]
@@ -146,7 +129,7 @@ def test_a_wrong_approximation_is_not_certified(monkeypatch):
 
 
 def test_slicots_published_stochastic_hankel_values():
-    found = rl.reduce_model(slicots_example(), 5, method="stochastic", floor=1.0)
+    found = rl.reduce_model(model_of_ab09ad(), 5, method="stochastic", floor=1.0)
     np.testing.assert_allclose(found.hankel, [0.8803, 0.8506, 0.8038, 0.4494, 0.3973, 0.0214, 0.0209], atol=6e-5)
     theirs = np.linalg.eigvals([
         [1.2729, 0.0000, 6.5947, 0.0000, -3.4229], [0.0000, 0.8169, 0.0000, 2.4821, 0.0000],
