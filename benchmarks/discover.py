@@ -251,7 +251,7 @@ def true_error(case: Any, found: Any) -> float:
     from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
     from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
     from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem, simulated_outputs
-    from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, white
+    from robustlab.identification.hypotheses.noise import first_noise, restarted
     from robustlab.identification.hypotheses.prepared_record import prepare
 
     measured, plant = case.held_out, linear_plant_of(case.plant, "bench")
@@ -264,7 +264,7 @@ def true_error(case: Any, found: Any) -> float:
     problem = Problem(plant, [prepared], nuisance_parameters(plant, stated_tolerances(plant, None)))
     noise, size = first_noise(problem), len(problem.nuisances)
     bare = Fit(Hypothesis(()), np.zeros(size), (), 0.0, np.zeros(0), np.eye(size), noise, 0)
-    rest = prepared.measured - simulated_outputs(problem, held_out_fit(problem, bare, white(noise)))[0]
+    rest = prepared.measured - simulated_outputs(problem, restarted(problem, bare))[0]
     outputs = [plant.outputs[k].name for k in prepared.columns]
     shares = [np.sqrt(np.mean(rest[:, :, j] ** 2)) / found.gaps[name].range for j, name in enumerate(outputs)]
     return float(100.0 * np.sqrt(np.mean(np.square(shares))))

@@ -15,7 +15,7 @@ GROUPS = {
     "worst-case": ("robustlab.cli.worst_case", "Search the worst member of an uncertain model."),
     "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
     "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
-    "iqc": ("robustlab.cli.iqc", "Proved gain with nonlinear and time-varying blocks; anti-windup."),
+    "iqc": ("robustlab.cli.iqc", "Proved gain with nonlinear and time-varying blocks."),
     "synth": ("robustlab.cli.synth", "Design a controller and verify its loop."),
     "lpv": ("robustlab.cli.lpv", "Gain scheduling: LPV models, gains, controllers."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),

@@ -14,7 +14,7 @@ from robustlab.cli.options import EffortOptions, OutputOptions, assignments, end
 from robustlab.errors import UsageError
 
 app = typer.Typer(
-    help="Proved gain with nonlinear and time-varying blocks; anti-windup.", no_args_is_help=True, add_completion=False
+    help="Proved gain with nonlinear and time-varying blocks.", no_args_is_help=True, add_completion=False
 )
 
 OrderOption = Annotated[int, typer.Option(help="Order of the multipliers' filters, 0..8.")]

@@ -17,8 +17,8 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
-from robustlab.identification.hypotheses.noise import clearly_larger, first_noise, least_squares, spans, window_errors
+from robustlab.identification.hypotheses.effect_fit import Fit, Problem, simulated_outputs
+from robustlab.identification.hypotheses.noise import clearly_larger, restarted, spans, window_errors
 from robustlab.identification.hypotheses.phase import in_phase
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.discovery_parts import Gap
@@ -53,7 +53,7 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[Prep
         Records that the fits were told by: of others an effect over time has phases of their own, found anew too.
     """
     own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
-    placed = {name: _placed(own[name], fit) for name, fit in models.items()}
+    placed = {name: restarted(own[name], fit) for name, fit in models.items()}
     outputs = {name: simulated_outputs(own[name], fit) for name, fit in placed.items()}
     runs = [_unbroken(record) for record in held.records]
     free = {
@@ -81,18 +81,6 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[Prep
     )
 
 
-def _placed(problem: Problem, fit: Fit) -> Fit:
-    """The fit with its starts found anew by least squares: what sensors tell of a start, every model is granted.
-
-    Errors count by the size that this model's errors have, not by that of the sensors' noise: where a model lacks
-    something, errors of 500 times the noise would drive a start hundreds of its standard deviations away.
-    """
-    start = replace(fit, starts=tuple(np.zeros((len(c), len(problem.plant.states))) for c in problem.chosen))
-    for _ in range(2):  # the size of the errors is itself better known from better starts
-        start = least_squares(problem, start, first_noise(problem), FitPlan(8, 0.5, fixed=True))
-    return start
-
-
 def _unbroken(record: PreparedRecord) -> PreparedRecord:
     """The longest stretch of a record whose windows follow each other without a gap, as one window."""
     starts, length = record.windows.starts, record.windows.length
@@ -107,7 +95,7 @@ def _free_run(held: Problem, runs: Sequence[PreparedRecord], fit: Fit) -> list[A
     """Outputs of one simulation over each run, (1, length, n_measured), from the state that its first window tells."""
     lengths = [r.windows.length for r in held.records]
     beginnings = [replace(r, windows=Windows(r.windows.starts, n)) for r, n in zip(runs, lengths, strict=True)]
-    start = _placed(held.on(beginnings), fit)
+    start = restarted(held.on(beginnings), fit)
     with np.errstate(all="ignore"):
         return simulated_outputs(held.on(runs), start)
 
