@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import queue
 import time
+from concurrent.futures import CancelledError
 from typing import Any
 
 from robustlab.campaign.evaluation import Evaluator
@@ -20,6 +21,8 @@ __all__ = ["ClusterWorkers"]
 
 CONNECT_SECONDS = 10.0
 WATCH_SECONDS = 1.0
+# An answer that a worker has is fetched in less; of one that died before, Dask waits for ever.
+FETCH_SECONDS = 20.0
 # A cluster without a single worker is given so long to get one.
 EMPTY_SECONDS = 60.0
 
@@ -145,7 +148,12 @@ class ClusterWorkers:
         piece, _, started = self._pieces.pop(worker)
         seconds = time.monotonic() - started
         if future.status == "finished":
-            if answer := future.result():
+            try:
+                answer = future.result(timeout=FETCH_SECONDS)
+            except (TimeoutError, CancelledError):  # it died with the answer
+                future.cancel()
+                return [Outcome(piece, _ended(piece, seconds), seconds)]
+            if answer:
                 return [Outcome(piece, answer, seconds)]
             self._told.discard(worker)  # it is a new process, or has worked for somebody else
             self._give(worker, piece)
