@@ -1,4 +1,5 @@
-"""The catalogue: every module of this folder that holds an ``EFFECT``. A new file is found without being named.
+"""The catalogue: what the modules of this folder hold as ``EFFECTS``, or one alone as ``EFFECT``. A new file is found
+without being named.
 
 An effect that lives elsewhere joins it by `add_effect`, for as long as the process runs.
 """
@@ -24,7 +25,7 @@ def catalogue() -> dict[str, Effect]:
     Raises
     ------
     InputError
-        Two files with one id.
+        Two effects with one id.
     """
     return dict(sorted({**_own(), **_ADDED}.items()))
 
@@ -52,13 +53,12 @@ def _own() -> dict[str, Effect]:
     """The effects of this folder."""
     found: dict[str, Effect] = {}
     for module in pkgutil.iter_modules(effects.__path__):
-        candidate = getattr(import_module(f"{effects.__name__}.{module.name}"), "EFFECT", None)
-        if candidate is None:
-            continue
-        if candidate.id in found:
-            where = f"effects/{module.name}.py"
-            raise InputError(where, f"the id {candidate.id!r}, which another file has", "its own id")
-        found[candidate.id] = candidate
+        held = vars(import_module(f"{effects.__name__}.{module.name}"))
+        for candidate in (*held.get("EFFECTS", ()), *([held["EFFECT"]] if "EFFECT" in held else ())):
+            if candidate.id in found:
+                where = f"effects/{module.name}.py"
+                raise InputError(where, f"the id {candidate.id!r}, which another effect has", "its own id")
+            found[candidate.id] = candidate
     return found
 
 
@@ -89,7 +89,7 @@ def effect_names() -> tuple[str, ...]:
     Raises
     ------
     InputError
-        Two files with one id.
+        Two effects with one id.
 
     Examples
     --------

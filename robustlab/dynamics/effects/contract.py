@@ -2,7 +2,7 @@ r"""What every effect is: a name, an equation, parameters with priors, and the w
 
 An effect enters in one or more of five ways: it scales parameters of the plant, changes or extends the linear
 equations, acts as a force law at a port, maps an input before the plant sees it, or maps an output before it is
-recorded. `Effect` gives each of them a method that does nothing; a file of this folder overrides those that apply.
+recorded. `Effect` gives each of them a method that does nothing; an effect overrides those that apply.
 
 Priors are given in units of the record's own magnitudes (`Scales`), since a friction torque that is large for one
 machine is nothing for another.
@@ -199,8 +199,8 @@ class Footprint:
 
 
 class Effect(ABC):
-    """One physical effect; the instance ``EFFECT`` of each file of this folder. All that is known of it stands here:
-    who looks for effects, fits them, builds sets of them or advises on experiments asks the effect.
+    """One physical effect; its file holds the instance in ``EFFECTS``. All that is known of it stands here: who looks
+    for effects, fits them, builds sets of them or advises on experiments asks the effect.
     """
 
     id: str  # name in the catalogue

@@ -2,7 +2,7 @@ r"""A driver with a dead zone inside a loop: what a controller commands is a sta
 
 .. math:: u' = u + f, \qquad f = -\max(-d, \min(d, u)), \qquad u = c^T x
 
-which is `robustlab.dynamics.effects.input_dead_zone`, as a force law at a port
+which is `robustlab.dynamics.effects.signal_effects.InputDeadZone`, as a force law at a port
 whose "velocity" is the command.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.effects.input_dead_zone import InputDeadZone
+from robustlab.dynamics.effects.signal_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.law_kernel import V, law
