@@ -42,27 +42,15 @@ POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """A state-space model of a descriptor form, with the evidence.
-
-    Attributes
-    ----------
-    model
-        The model.
-    index
-        0: E has an inverse; 1: algebraic equations; more: derivatives of the input, which do not show.
-    kept
-        Numbers of the given states that are the model's; None where its states are combinations of them.
-    n_given
-        Number of states given.
-    residual
-        Largest relative difference of the two transfer matrices at nine points s (z) off the imaginary axis (the unit
-        circle).
-    """
+    """A state-space model of a descriptor form, with the evidence."""
 
     model: StateSpaceModel
-    index: int
+    index: int  # 0: E has an inverse; 1: algebraic equations; more: derivatives of the input, which do not show
+    # numbers of the given states that are the model's; None where its states are combinations of them
     kept: tuple[int, ...] | None
-    n_given: int
+    n_given: int  # number of states given
+    # largest relative difference of the two transfer matrices at nine points s (z) off the imaginary axis (the unit
+    # circle)
     residual: float
 
     def __str__(self) -> str:

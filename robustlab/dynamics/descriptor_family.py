@@ -60,20 +60,11 @@ REMAINDER = "remainder"
 
 
 class TrimmedDescriptor(NamedTuple):
-    """A plant at an operating point, as a function of its parameters.
+    """A plant at an operating point, as a function of its parameters."""
 
-    Attributes
-    ----------
-    matrices
-        Values of all parameters -> N (n_x + n_y, 2 n_x + n_u).
-    held
-        What stays and what follows when the parameters change, in words.
-    free
-        Rows of N that may be multiplied by a function of the parameters, for which a simple one is looked for.
-    """
-
-    matrices: Callable[[Values], Array]
-    held: str
+    matrices: Callable[[Values], Array]  # values of all parameters -> N (n_x + n_y, 2 n_x + n_u)
+    held: str  # what stays and what follows when the parameters change, in words
+    # rows of N that may be multiplied by a function of the parameters, for which a simple one is looked for
     free: tuple[int, ...] = ()
 
 

@@ -103,30 +103,14 @@ class FrictionEvent(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StickSlip:
-    """Response of a plant with dry friction.
+    """Response of a plant with dry friction."""
 
-    Attributes
-    ----------
-    record
-        Inputs and outputs.
-    x
-        States, (n, n_x).
-    force
-        Friction force of each joint, (n, n_joints); while sticking, the one that holds it.
-    sliding
-        1, -1 or 0 (sticking) for each joint, (n, n_joints).
-    events
-        Every change between sticking and sliding, in order.
-    status
-        CONVERGED: every change was located to the clock's last bits.
-    """
-
-    record: Record
-    x: Array
-    force: Array
-    sliding: NDArray[np.int8]
-    events: tuple[FrictionEvent, ...]
-    status: Status = Status.CONVERGED
+    record: Record  # inputs and outputs
+    x: Array  # states, (n, n_x)
+    force: Array  # friction force of each joint, (n, n_joints); while sticking, the one that holds it
+    sliding: NDArray[np.int8]  # 1, -1 or 0 (sticking) for each joint, (n, n_joints)
+    events: tuple[FrictionEvent, ...]  # every change between sticking and sliding, in order
+    status: Status = Status.CONVERGED  # CONVERGED: every change was located to the clock's last bits
 
     def __post_init__(self) -> None:
         for array in (self.x, self.force, self.sliding):

@@ -57,20 +57,12 @@ class Descriptor:
 
 @dataclass(frozen=True, eq=False)
 class AffineEquations:
-    """Equations of a `LinearPlant` as numbers: ``M(p) = M_0 + sum_k p_k M_k`` for each of E, F, G, C, D.
+    """Equations of a `LinearPlant` as numbers: ``M(p) = M_0 + sum_k p_k M_k`` for each of E, F, G, C, D."""
 
-    Attributes
-    ----------
-    names
-        The parameters p_k.
-    coefficients
-        E, F, G, C, D -> array of shape (1 + number of parameters, rows, columns): M_0 first.
-    fixed
-        Parameters that acted otherwise than by such a sum, with the values at which M_0 was taken.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # the parameters p_k
+    # E, F, G, C, D -> array of shape (1 + number of parameters, rows, columns): M_0 first
     coefficients: Mapping[str, Array]
+    # parameters that acted otherwise than by such a sum, with the values at which M_0 was taken
     fixed: Mapping[str, float]
 
     def __call__(self, values: Mapping[str, float]) -> Descriptor:

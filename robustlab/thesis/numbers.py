@@ -57,36 +57,21 @@ RowStatus = Literal["R", "F", "P", "N"]
 
 @dataclass(frozen=True)
 class PublishedNumber:
-    """A published number and ours.
+    """A published number and ours."""
 
-    Attributes
-    ----------
-    key, quantity, where
-        Number of the item, what it is, and where it is printed.
-    published, ours
-        None where there is none.
-    unit
-        Of both and of the tolerance.
-    status
-        R, F, P or N, as in the module's description.
-    tolerance
-        Fair difference, as far as the printed digits and the text go; None where no agreement is to be expected.
-    why
-        The reading, or why it is not reproducible.
-    bound
-        "at most" and "at least": the thesis prints a limit, and ours has to keep to it.
-    """
-
+    # key, quantity, where: number of the item, what it is, and where it is printed
     key: str
     quantity: str
     where: str
+    # published, ours: none where there is none
     published: float | None
     ours: float | None
-    unit: str
-    status: RowStatus
+    unit: str  # of both and of the tolerance
+    status: RowStatus  # R, F, P or N, as in the module's description
+    # fair difference, as far as the printed digits and the text go; None where no agreement is to be expected
     tolerance: float | None = None
-    why: str = ""
-    bound: Bound = "equal"
+    why: str = ""  # the reading, or why it is not reproducible
+    bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit, and ours has to keep to it
 
     def __post_init__(self) -> None:
         if self.ours is not None:
@@ -113,27 +98,14 @@ class PublishedNumber:
 
 @dataclass(frozen=True, eq=False)
 class PublishedNumbers:
-    """All rows, and the runs that they were read from.
+    """All rows, and the runs that they were read from."""
 
-    Attributes
-    ----------
-    rows
-        Key -> row, in the order of the items.
-    sines
-        Sine runs of section 8.2.1 by their reading.
-    cases
-        Cases of section 10.3.1.
-    tracking
-        Runs of section 9.1.3: "thesis" and "rotors" with all signs of the sines +, "link-4" with the signs +++-+-.
-    status
-        CONVERGED: everything was computed.
-    """
-
-    rows: dict[str, PublishedNumber]
-    sines: dict[str, SineRun]
-    cases: tuple[Case, ...]
+    rows: dict[str, PublishedNumber]  # key -> row, in the order of the items
+    sines: dict[str, SineRun]  # sine runs of section 8.2.1 by their reading
+    cases: tuple[Case, ...]  # cases of section 10.3.1
+    # runs of section 9.1.3: "thesis" and "rotors" with all signs of the sines +, "link-4" with the signs +++-+-
     tracking: dict[str, TrajectoryFollowing]
-    status: Status = field(default=Status.CONVERGED)
+    status: Status = field(default=Status.CONVERGED)  # CONVERGED: everything was computed
 
     def with_status(self, status: str) -> list[PublishedNumber]:
         """Rows of the status R, F, P or N."""

@@ -41,25 +41,16 @@ ALL = (*BODIES, "platform_mass", "platform_x", "platform_y", "platform_z")
 
 @dataclass(frozen=True, eq=False)
 class SineRun:
-    """The platform from rest at home under the holding torque plus one sine of torque on all six motors.
+    """The platform from rest at home under the holding torque plus one sine of torque on all six motors."""
 
-    Attributes
-    ----------
-    amplitude, frequency
-        Of the sine in N m and Hz.
-    t
-        Times in s, (n,).
-    nonlinear, linear
-        Nut angles and rates (n, 12) of the machine, and of its linear model at home.
-    height, lengths
-        Height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m.
-    """
-
+    # amplitude, frequency: of the sine in N m and Hz
     amplitude: float
     frequency: float
-    t: Array
+    t: Array  # times in s, (n,)
+    # nonlinear, linear: nut angles and rates (n, 12) of the machine, and of its linear model at home
     nonlinear: Array
     linear: Array
+    # height, lengths: height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m
     height: Array
     lengths: Array
 
@@ -116,32 +107,21 @@ class Case:
     """A case of section 10.3.1: the nominal linear model, the perturbed one, and what holds them.
 
     Between the two lies one real parameter, Delta = delta I: nominal at 0, perturbed at +I, mirrored at -I.
-
-    Attributes
-    ----------
-    name, words
-        For example ``"2a"`` and what was changed.
-    published
-        The thesis' largest deviation in percent.
-    published_worst
-        The thesis' worst Delta: 1 for +I, -1 for -I.
-    held
-        Reading, chosen for each case: True where the torque stays what holds the nominal machine while gravity pulls at
-        the perturbed one, False where each machine is trimmed anew.
-    nominal, perturbed
-        Linear models.
-    released
-        Holding torque of the nominal machine minus that of the perturbed one in N m: the constant input that the
-        perturbed machine feels where the torque stays as it was.
     """
 
+    # name, words: for example ``"2a"`` and what was changed
     name: str
     words: str
-    published: float
-    published_worst: int
+    published: float  # the thesis' largest deviation in percent
+    published_worst: int  # the thesis' worst Delta: 1 for +I, -1 for -I
+    # reading, chosen for each case: True where the torque stays what holds the nominal machine while gravity pulls at
+    # the perturbed one, False where each machine is trimmed anew
     held: bool
+    # nominal, perturbed: linear models
     nominal: StateSpaceModel
     perturbed: StateSpaceModel
+    # holding torque of the nominal machine minus that of the perturbed one in N m: the constant input that the
+    # perturbed machine feels where the torque stays as it was
     released: float
 
     @property

@@ -121,38 +121,22 @@ class MotorLimits:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryFollowing:
-    """How a machine followed a trajectory.
+    """How a machine followed a trajectory."""
 
-    Attributes
-    ----------
-    t
-        Times in s, (n,).
-    reference, pose
-        Poses asked for and reached, (n, 6).
-    phi, torque, voltage, current
-        Of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega. Of a machine that takes
-        torques voltage and current are empty, (n, 0).
-    lengths
-        Of the actuators in m, (n, 6).
-    limits
-        What the motors may be asked for.
-    evaluations
-        How often the equations of motion were evaluated; 0 where nobody counted.
-    status
-        CONVERGED: integrated to the end with its local error held.
-    """
-
-    t: Array
+    t: Array  # times in s, (n,)
+    # reference, pose: poses asked for and reached, (n, 6)
     reference: Array
     pose: Array
+    # phi, torque, voltage, current: of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega.
+    # Of a machine that takes torques voltage and current are empty, (n, 0).
     phi: Array
     torque: Array
     voltage: Array
     current: Array
-    lengths: Array
-    limits: MotorLimits
-    evaluations: int
-    status: Status = Status.CONVERGED
+    lengths: Array  # of the actuators in m, (n, 6)
+    limits: MotorLimits  # what the motors may be asked for
+    evaluations: int  # how often the equations of motion were evaluated; 0 where nobody counted
+    status: Status = Status.CONVERGED  # CONVERGED: integrated to the end with its local error held
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

@@ -20,21 +20,13 @@ __all__ = ["EFFECTS"]
 
 
 class ParameterEffect(Effect):
-    """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`).
-
-    Attributes
-    ----------
-    spread
-        Standard deviation of log s.
-    quantity
-        What is scaled, in words.
-    """
+    """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`)."""
 
     site_kind = "parameter"
     gain_like = True
     scale = "s"
-    spread: float
-    quantity: str
+    spread: float  # standard deviation of log s
+    quantity: str  # what is scaled, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         """The factor s."""
@@ -104,20 +96,12 @@ class MotorEffect(ParameterEffect):
 
 
 class MisplacedEffect(ParameterEffect):
-    """Coordinates that are not what the plant says: each is shifted, zero or not.
-
-    Attributes
-    ----------
-    components
-        Names of the shifts; the plant has as many parameters of the effect's role.
-    unit
-        Of the shifts.
-    """
+    """Coordinates that are not what the plant says: each is shifted, zero or not."""
 
     gain_like = False
     scale = ""
-    components: tuple[str, ...]
-    unit: str
+    components: tuple[str, ...]  # names of the shifts; the plant has as many parameters of the effect's role
+    unit: str  # of the shifts
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         found = super().sites(plant, model)
@@ -143,17 +127,10 @@ class MisplacedEffect(ParameterEffect):
 class GroundedEffect(ParameterEffect):
     """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in
     the joint's position or velocity, whose coefficient is the parameter named `symbol`.
-
-    Attributes
-    ----------
-    symbol
-        Name of the coefficient at a joint.
-    of
-        What the force is proportional to: ``"position"`` or ``"velocity"``.
     """
 
-    symbol: str
-    of: str
+    symbol: str  # name of the coefficient at a joint
+    of: str  # what the force is proportional to: ``"position"`` or ``"velocity"``
 
     def at_joint(self, scales: Scales) -> EffectParameter:
         """The coefficient at a joint, with its prior."""

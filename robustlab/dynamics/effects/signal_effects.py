@@ -19,20 +19,12 @@ __all__ = ["EFFECTS", "SignalGain"]
 
 
 class SignalGain(Effect):
-    """The signal times s.
-
-    Attributes
-    ----------
-    spread
-        Standard deviation of log s.
-    meaning
-        Of s, in words.
-    """
+    """The signal times s."""
 
     gain_like = True
     scale = "s"
-    spread: float
-    meaning: str
+    spread: float  # standard deviation of log s
+    meaning: str  # of s, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         """The gain s."""

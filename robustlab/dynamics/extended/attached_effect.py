@@ -29,19 +29,6 @@ ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 class AttachedEffect:
     """One effect of a plant.
 
-    Attributes
-    ----------
-    effect
-        Of the catalogue.
-    site
-        Where it sits.
-    values
-        Name -> value of each of its parameters.
-    std
-        Name -> standard deviation, for those that a fit has determined.
-    source
-        Where the values come from: a record, a fit, a data sheet.
-
     Raises
     ------
     InputError
@@ -49,11 +36,12 @@ class AttachedEffect:
         standard deviation.
     """
 
-    effect: Effect
-    site: Site
-    values: Mapping[str, float]
+    effect: Effect  # of the catalogue
+    site: Site  # where it sits
+    values: Mapping[str, float]  # name -> value of each of its parameters
+    # name -> standard deviation, for those that a fit has determined
     std: Mapping[str, float] = field(default_factory=dict)
-    source: str = ""
+    source: str = ""  # where the values come from: a record, a fit, a data sheet
 
     def __post_init__(self) -> None:
         where = f"effect {self.effect.id}"

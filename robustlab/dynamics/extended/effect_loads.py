@@ -38,23 +38,13 @@ __all__ = ["EffectLoads", "effect_loads", "loaded_model", "resting_start"]
 
 @dataclass(frozen=True, eq=False)
 class EffectLoads:
-    """A plant as a linear set with loads.
+    """A plant as a linear set with loads."""
 
-    Attributes
-    ----------
-    plant
-        What it was made of.
-    model
-        Its inputs are the loads, each over its bound, so that they are at most one, then the plant's.
-    loads
-        Name of the input, bound, unit and origin of each load.
-    acts
-        For each load its effect, and the port or the number of the input where it acts.
-    """
-
-    plant: LinearPlant | ExtendedPlant
+    plant: LinearPlant | ExtendedPlant  # what it was made of
+    # its inputs are the loads, each over its bound, so that they are at most one, then the plant's
     model: UncertainModel
-    loads: tuple[NoiseInput, ...]
+    loads: tuple[NoiseInput, ...]  # name of the input, bound, unit and origin of each load
+    # for each load its effect, and the port or the number of the input where it acts
     acts: tuple[tuple[AttachedEffect, Port | int], ...] = ()
 
     def along(self, record: Record) -> Record:

@@ -98,22 +98,13 @@ class ForceSector:
 
 @dataclass(frozen=True)
 class NoiseInput:
-    """An input of the set that stands for a bounded error: its signal is at most one.
+    """An input of the set that stands for a bounded error: its signal is at most one."""
 
-    Attributes
-    ----------
-    name
-        Of the input.
-    bound, unit
-        What one stands for.
-    origin
-        Where it comes from.
-    """
-
-    name: str
+    name: str  # of the input
+    # bound, unit: what one stands for
     bound: float
     unit: str
-    origin: str
+    origin: str  # where it comes from
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
@@ -122,22 +113,14 @@ class NoiseInput:
 
 @dataclass(frozen=True, eq=False)
 class ForceParts:
-    """What stands in for all laws of a plant.
+    """What stands in for all laws of a plant."""
 
-    Attributes
-    ----------
-    sectors, bounded
-        The gains; the bounded forces as inputs, each with its port.
-    stand_in
-        Index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope.
-    left_out
-        Effect at its place -> why only its slope at the point is in the model.
-    """
-
+    # sectors, bounded: the gains; the bounded forces as inputs, each with its port
     sectors: tuple[ForceSector, ...]
     bounded: tuple[tuple[NoiseInput, Port], ...]
+    # index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope
     stand_in: Mapping[int, Array]
-    left_out: Mapping[str, str]
+    left_out: Mapping[str, str]  # effect at its place -> why only its slope at the point is in the model
 
 
 def force_parts(

@@ -47,18 +47,12 @@ GAUSS = 0.5 / 3.0**0.5  # places of the Gauss points before and behind the middl
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What drives a plant in steps of h seconds from the time t0.
+    """What drives a plant in steps of h seconds from the time t0."""
 
-    Attributes
-    ----------
-    mean, rise
-        The inputs as the plant sees them in each step, ``mean + rise (2 tau/h - 1)``, (n, n_u) each.
-    h, t0
-        In s.
-    """
-
+    # mean, rise: the inputs as the plant sees them in each step, ``mean + rise (2 tau/h - 1)``, (n, n_u) each
     mean: Array
     rise: Array
+    # h, t0: in s
     h: float
     t0: float
 

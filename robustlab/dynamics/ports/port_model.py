@@ -54,32 +54,18 @@ ASSUMED = "read off the matrices of the model"
 
 @dataclass(frozen=True, eq=False)
 class Port:
-    """One place where a force acts.
+    """One place where a force acts."""
 
-    Attributes
-    ----------
-    name
-        State whose velocity (or current) it is.
-    kind
-        ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint).
-    unit, speed_unit, position_unit
-        Of the force, of the velocity or current, of the position (empty without one).
-    force
-        b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force.
-    velocity
-        c, shape (n_x,).
-    position
-        p, shape (n_x,), or None where no state integrates the velocity.
-    """
-
-    name: str
+    name: str  # state whose velocity (or current) it is
+    # ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint)
     kind: Literal["joint", "current", "relative"]
+    # unit, speed_unit, position_unit: of the force, of the velocity or current, of the position (empty without one)
     unit: str
     speed_unit: str
     position_unit: str
-    force: Array
-    velocity: Array
-    position: Array | None
+    force: Array  # b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force
+    velocity: Array  # c, shape (n_x,)
+    position: Array | None  # p, shape (n_x,), or None where no state integrates the velocity
 
     @property
     def inertia(self) -> Array:
@@ -111,26 +97,17 @@ def _padded(array: Array, extra: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PortModel:
-    """Matrices and ports of a linear plant, or of a nonlinear one along a motion, at given parameter values.
+    """Matrices and ports of a linear plant, or of a nonlinear one along a motion, at given parameter values."""
 
-    Attributes
-    ----------
-    A, B, C, D
-        Shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion each has a leading axis of m points, and
-        so have the ports' forces; B then has further columns, the unit matrix of the plant's own states, by which
-        rates enter.
-    ports
-        Name -> `Port`.
-    own
-        Number of leading states that belong to the plant itself; effects append theirs.
-    """
-
+    # A, B, C, D: shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion each has a leading axis of m
+    # points, and so have the ports' forces; B then has further columns, the unit matrix of the plant's own states, by
+    # which rates enter.
     A: Array
     B: Array
     C: Array
     D: Array
-    ports: Mapping[str, Port]
-    own: int
+    ports: Mapping[str, Port]  # name -> `Port`
+    own: int  # number of leading states that belong to the plant itself; effects append theirs
 
     def with_state_feedback(self, port: Port, row: Array) -> PortModel:
         """The model with the force ``row @ x`` at the port: ``A + b row``."""

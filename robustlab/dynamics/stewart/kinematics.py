@@ -152,31 +152,17 @@ def twist(pose: ArrayLike, rates: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DirectPoses:
-    """Poses found by Newton's method, each with its certificate; arrays of n rows.
+    """Poses found by Newton's method, each with its certificate; arrays of n rows."""
 
-    Attributes
-    ----------
-    poses
-        Shape (n, 6).
-    lengths
-        Actuator lengths that were asked for, (n, 6).
-    proved
-        True where the Newton-Kantorovich theorem proves one pose within ``radius`` of the one given.
-    h, radius
-        Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m.
-    residual
-        Euclidean norm of the lengths' errors in m.
-    iterations
-        Newton steps; -1 where the Jacobian was singular.
-    """
-
-    poses: Array
-    lengths: Array
+    poses: Array  # shape (n, 6)
+    lengths: Array  # actuator lengths that were asked for, (n, 6)
+    # true where the Newton-Kantorovich theorem proves one pose within ``radius`` of the one given
     proved: NDArray[np.bool_]
+    # h, radius: Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m
     h: Array
     radius: Array
-    residual: Array
-    iterations: NDArray[np.int64]
+    residual: Array  # euclidean norm of the lengths' errors in m
+    iterations: NDArray[np.int64]  # Newton steps; -1 where the Jacobian was singular
 
     @property
     def pose(self) -> Array:

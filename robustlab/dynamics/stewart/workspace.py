@@ -103,21 +103,13 @@ def workspace_grid(geometry: Geometry, points: int = 5, reach: ArrayLike = REACH
 
 @dataclass(frozen=True, eq=False)
 class ConditionMap:
-    """Condition of the Jacobian over two coordinates of the pose; NaN out of the workspace.
+    """Condition of the Jacobian over two coordinates of the pose; NaN out of the workspace."""
 
-    Attributes
-    ----------
-    names
-        The two coordinates, of tx ty tz ax ay az.
-    first, second
-        Their values, (n1,), (n2,).
-    condition, smallest
-        Condition number and smallest singular value, (n1, n2).
-    """
-
-    names: tuple[str, str]
+    names: tuple[str, str]  # the two coordinates, of tx ty tz ax ay az
+    # first, second: their values, (n1,), (n2,)
     first: Array
     second: Array
+    # condition, smallest: condition number and smallest singular value, (n1, n2)
     condition: Array
     smallest: Array
 

@@ -26,22 +26,13 @@ __all__ = ["Equations", "SymbolicPlant"]
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Equations of a plant as tapes of (x, u, p): states, inputs, parameters, each in the plant's order.
+    """Equations of a plant as tapes of (x, u, p): states, inputs, parameters, each in the plant's order."""
 
-    Attributes
-    ----------
-    rates, outputs
-        To f (n_x,) and h (n_y,).
-    models
-        To f, h, A, B, C, D and push of `robustlab.dynamics.plant_contract.LocalModels`, each row by row.
-    places
-        Where forces act, in the order of push.
-    """
-
+    # rates, outputs: to f (n_x,) and h (n_y,)
     rates: Tape
     outputs: Tape
-    models: Tape
-    places: tuple[PortPlace, ...]
+    models: Tape  # to f, h, A, B, C, D and push of `robustlab.dynamics.plant_contract.LocalModels`, each row by row
+    places: tuple[PortPlace, ...]  # where forces act, in the order of push
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -40,21 +40,6 @@ Source = tuple[str, int]  # "input", "constant" or "result", and its number
 class Tape:
     """A function from n_in numbers to n_out numbers.
 
-    Attributes
-    ----------
-    n_in
-        Number of inputs.
-    operations, left, right
-        Of each operation its number in `OPERATIONS` and the places of its two arguments (of one argument, twice the
-        same), shape (n,). Place k < n_in is input k, then come the constants, then the results in their order.
-    constants
-        Finite numbers, shape (n_c,).
-    outputs
-        Places of the outputs, shape (n_out,).
-    n_still
-        So many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
-        these alone that stand first are done once.
-
     Raises
     ------
     InputError
@@ -70,12 +55,17 @@ class Tape:
            [ 6.]])
     """
 
-    n_in: int
+    n_in: int  # number of inputs
+    # operations, left, right: of each operation its number in `OPERATIONS` and the places of its two arguments (of one
+    # argument, twice the same), shape (n,). Place k < n_in is input k, then come the constants, then the results in
+    # their order.
     operations: Places
     left: Places
     right: Places
-    constants: Array
-    outputs: Places
+    constants: Array  # finite numbers, shape (n_c,)
+    outputs: Places  # places of the outputs, shape (n_out,)
+    # so many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
+    # these alone that stand first are done once.
     n_still: int = 0
 
     def __post_init__(self) -> None:

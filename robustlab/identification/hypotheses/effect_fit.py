@@ -133,34 +133,18 @@ class NoiseModel:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """One fitted hypothesis.
+    """One fitted hypothesis."""
 
-    Attributes
-    ----------
-    hypothesis
-        What was fitted.
-    z
-        Standardised parameters: nuisances, then those of each effect.
-    starts
-        Standardised shifts of the window starts, one array (n_windows, n_x) a record.
-    cost
-        V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row.
-    hessian
-        Of V / 2 over z, starts eliminated, prior included.
-    noise
-        The noise model that V was measured with.
-    covariance
-        Of z from the scatter of the windows' gradients (sandwich), where it was asked for.
-    """
-
-    hypothesis: Hypothesis
-    z: Array
-    starts: tuple[Array, ...]
+    hypothesis: Hypothesis  # what was fitted
+    z: Array  # standardised parameters: nuisances, then those of each effect
+    starts: tuple[Array, ...]  # standardised shifts of the window starts, one array (n_windows, n_x) a record
+    # V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row
     cost: float
     window_cost: Array
-    hessian: Array
-    noise: NoiseModel
+    hessian: Array  # of V / 2 over z, starts eliminated, prior included
+    noise: NoiseModel  # the noise model that V was measured with
     evaluations: int
+    # of z from the scatter of the windows' gradients (sandwich), where it was asked for
     covariance: Array | None = None
 
     @property
@@ -180,29 +164,15 @@ class Fit:
 
 @dataclass(frozen=True)
 class FitPlan:
-    """When a fit ends, and what is wanted of it.
+    """When a fit ends, and what is wanted of it."""
 
-    Attributes
-    ----------
-    iterations
-        At most.
-    tolerance
-        Fall of V, reached or to be expected, below which it ends.
-    fixed
-        The parameters stay and only the window starts are fitted: a prediction of data that the fit did not see.
-    robust
-        With the sandwich covariance.
-    draft
-        The Hessian may be that of the point before: the cost is compared, or it is fitted further.
-    ceiling
-        It is given up after its first step where twice the fall that can be expected does not bring V below this.
-    """
-
-    iterations: int = 12
-    tolerance: float = 0.05
+    iterations: int = 12  # at most
+    tolerance: float = 0.05  # fall of V, reached or to be expected, below which it ends
+    # the parameters stay and only the window starts are fitted: a prediction of data that the fit did not see
     fixed: bool = False
-    robust: bool = False
-    draft: bool = False
+    robust: bool = False  # with the sandwich covariance
+    draft: bool = False  # the Hessian may be that of the point before: the cost is compared, or it is fitted further
+    # it is given up after its first step where twice the fall that can be expected does not bring V below this
     ceiling: float = np.inf
 
 

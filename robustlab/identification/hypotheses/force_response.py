@@ -67,18 +67,11 @@ class _RecordedForce(Effect):
 
 @dataclass(frozen=True, eq=False)
 class PortMotion:
-    """Along one record.
+    """Along one record."""
 
-    Attributes
-    ----------
-    force
-        RMS of the force that moves the port; ``unit`` is its unit.
-    speed, position
-        Of the port, (n,), None where not told; with their units.
-    """
-
-    force: float
+    force: float  # RMS of the force that moves the port; ``unit`` is its unit
     unit: str
+    # speed, position: of the port, (n,), None where not told; with their units
     speed: Array | None = None
     position: Array | None = None
     speed_unit: str = ""
@@ -87,34 +80,16 @@ class PortMotion:
 
 @dataclass(frozen=True, eq=False)
 class ForceResponse:
-    """One record's windows.
+    """One record's windows."""
 
-    Attributes
-    ----------
-    gram
-        G, (n_windows, n, n) with n = n_pulses + n_z + n_x + 1.
-    points
-        Number of known points of each window, (n_windows,).
-    edges
-        First sample of each segment within a window, and the end, (n_segments + 1,).
-    samples
-        Index of each sample of the windows, (n_windows, length).
-    xi
-        Starts at the fit, (n_windows, n_x).
-    ports
-        Motion of each port.
-    port
-        The one that curves are drawn at.
-    """
-
-    gram: Array
-    points: Indices
-    edges: Indices
-    samples: Indices
-    xi: Array
+    gram: Array  # G, (n_windows, n, n) with n = n_pulses + n_z + n_x + 1
+    points: Indices  # number of known points of each window, (n_windows,)
+    edges: Indices  # first sample of each segment within a window, and the end, (n_segments + 1,)
+    samples: Indices  # index of each sample of the windows, (n_windows, length)
+    xi: Array  # starts at the fit, (n_windows, n_x)
     record: PreparedRecord
-    ports: tuple[PortMotion, ...]
-    port: int = 0
+    ports: tuple[PortMotion, ...]  # motion of each port
+    port: int = 0  # the one that curves are drawn at
 
     @property
     def segments(self) -> int:

@@ -39,17 +39,11 @@ EDGE = 20  # samples at which a motion is asked for its plant's output rows
 
 @dataclass(frozen=True, eq=False)
 class SmoothedMotion:
-    """A record's states and forces.
+    """A record's states and forces."""
 
-    Attributes
-    ----------
-    smoothed
-        As the smoother of a linear plant gives them; forces ``d`` at the joints, in the order of the plant's places.
-    told, constant
-        As in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`.
-    """
-
+    # as the smoother of a linear plant gives them; forces ``d`` at the joints, in the order of the plant's places
     smoothed: SmoothedRecord
+    # told, constant: as in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`
     told: Array
     constant: Array
 

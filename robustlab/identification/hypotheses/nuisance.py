@@ -13,27 +13,16 @@ __all__ = ["Nuisance"]
 class Nuisance:
     """What every hypothesis refits: nominal parameters that a common factor of their references scales
     (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
-
-    Attributes
-    ----------
-    label, names
-        Of the group, and its parameters.
-    spread
-        Standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s.
-    additive
-        The nominal value is 0: the factor is the value in its unit.
-    never_negative
-        Physics forbids negative values, as of a friction: an additive factor stops at 0.
-    input
-        Input whose clock may be shifted against the outputs'; empty for parameters.
     """
 
+    # label, names: of the group, and its parameters
     label: str
     names: tuple[str, ...]
+    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
     spread: float
-    additive: bool = False
-    never_negative: bool = False
-    input: str = ""
+    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
+    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
+    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
 
     def factor(self, z: float) -> float:
         """Factor of the standardised z: 1 at z = 0, or 0 where additive."""

@@ -31,55 +31,30 @@ CONTENT = 0.99  # share of an output's power up to which its frequencies count a
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecord:
-    """One record, cut into windows.
+    """One record, cut into windows."""
 
-    Attributes
-    ----------
-    record
-        On a uniform clock.
-    u, y
-        Inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample.
-    columns
-        Index of each measured output among the plant's outputs.
-    windows
-        All windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is
-        a guess.
-    x0, x0_std
-        Smoothed states at the window starts and the standard deviation that a fit may move them by,
-        (n_windows, n_x).
-    smoothed
-        What the smoother found along the record.
-    told
-        Share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records.
-    constant
-        What one unit more of each output at all samples is in the smoothed states, (n_measured, n, n_x).
-    push
-        Directions of the unknown forces, (n_x, n_forces).
-    thin
-        Samples averaged into one point of the error.
-    resolution
-        Smallest step of each measured output, (n_measured,); 0 where it has none.
-    motion
-        Of a nonlinear plant: the states about which it is linear, (n, n_x); None for a linear one.
-    begun
-        Time in s by which it began later than a record whose time an effect counts by (`in_phase`).
-    """
-
-    record: Record
+    record: Record  # on a uniform clock
+    # u, y: inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample
     u: Array
     y: Array
-    columns: tuple[int, ...]
+    columns: tuple[int, ...]  # index of each measured output among the plant's outputs
+    # all windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is a
+    # guess
     windows: Windows
+    # x0, x0_std: smoothed states at the window starts and the standard deviation that a fit may move them by,
+    # (n_windows, n_x)
     x0: Array
     x0_std: Array
-    smoothed: SmoothedRecord
+    smoothed: SmoothedRecord  # what the smoother found along the record
+    # share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records
     told: Array
-    constant: Array
-    push: Array
-    thin: int
-    resolution: Array
+    constant: Array  # what one unit more of each output at all samples is in the smoothed states, (n_measured, n, n_x)
+    push: Array  # directions of the unknown forces, (n_x, n_forces)
+    thin: int  # samples averaged into one point of the error
+    resolution: Array  # smallest step of each measured output, (n_measured,); 0 where it has none
+    # of a nonlinear plant: the states about which it is linear, (n, n_x); None for a linear one
     motion: Array | None = None
-    begun: float = 0.0
+    begun: float = 0.0  # time in s by which it began later than a record whose time an effect counts by (`in_phase`)
 
     @property
     def count(self) -> int:

@@ -48,44 +48,28 @@ STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves
 
 @dataclass(frozen=True, eq=False)
 class UnnamedEvidence:
-    """An unnamed force on top of a hypothesis, against the hypothesis alone.
+    """An unnamed force on top of a hypothesis, against the hypothesis alone."""
 
-    Attributes
-    ----------
-    port, over, coordinate, dry
-        Where it acts, what it follows (of an input: which); ``dry`` where it turns round with the direction of motion.
-    evidence
-        Gain in log evidence, in nats; what was searched is paid for, the prior of an unnamed force is not.
-    cross_validated
-        Gain in log predictive density, window by window, with the curve told by all the others.
-    fall
-        By how much the cost falls, at the noise of the hypothesis with the force.
-    share
-        Of what the hypothesis leaves beyond that noise, which share goes; 0..1.
-    rms
-        Of the force along the records.
-    x, force, std
-        The curve: coordinate, force and its standard deviation; of a line over one period.
-    unit, coordinate_unit
-        Of the force and of the coordinate.
-    period, amplitude, amplitude_std
-        Of a line; NaN for a curve. ``period`` in ``coordinate_unit``.
-    """
-
+    # port, over, coordinate, dry: where it acts, what it follows (of an input: which); ``dry`` where it turns round
+    # with the direction of motion
     port: str
     over: Over
     coordinate: str
     dry: bool
+    # gain in log evidence, in nats; what was searched is paid for, the prior of an unnamed force is not
     evidence: float
-    cross_validated: float
-    fall: float
-    share: float
-    rms: float
+    cross_validated: float  # gain in log predictive density, window by window, with the curve told by all the others
+    fall: float  # by how much the cost falls, at the noise of the hypothesis with the force
+    share: float  # of what the hypothesis leaves beyond that noise, which share goes; 0..1
+    rms: float  # of the force along the records
+    # x, force, std: the curve: coordinate, force and its standard deviation; of a line over one period
     x: Array
     force: Array
     std: Array
+    # unit, coordinate_unit: of the force and of the coordinate
     unit: str
     coordinate_unit: str
+    # period, amplitude, amplitude_std: of a line; NaN for a curve. ``period`` in ``coordinate_unit``.
     period: float = float("nan")
     amplitude: float = float("nan")
     amplitude_std: float = float("nan")
@@ -98,21 +82,14 @@ class UnnamedEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Unnamed:
-    """What a hypothesis leaves.
+    """What a hypothesis leaves."""
 
-    Attributes
-    ----------
-    forces
-        Best first.
-    noise_ratio
-        RMS error of the fit, starts and parameters at their best, over what the sensors' noise and the machine's random
-        force make of it; the random force is what no unnamed force explains.
-    random_force, random_share, bandwidth
-        Its RMS in the unit of the port and over that of the force that moves the port, and its bandwidth in Hz.
-    """
-
-    forces: tuple[UnnamedEvidence, ...]
+    forces: tuple[UnnamedEvidence, ...]  # best first
+    # RMS error of the fit, starts and parameters at their best, over what the sensors' noise and the machine's random
+    # force make of it; the random force is what no unnamed force explains
     noise_ratio: float
+    # random_force, random_share, bandwidth: its RMS in the unit of the port and over that of the force that moves the
+    # port, and its bandwidth in Hz
     random_force: float
     random_share: float
     bandwidth: float

@@ -65,26 +65,18 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class LeftOver:
-    """The residual force at the first joint (or the first input) with the named effects in the model.
+    """The residual force at the first joint (or the first input) with the named effects in the model."""
 
-    Attributes
-    ----------
-    port, unit
-        The joint and the unit of the force.
-    force, std, coordinates, blocks
-        Samples over all records, (n,); coordinates by name; block label of each sample.
-    structure
-        Whether anything systematic remains.
-    """
-
+    # port, unit: the joint and the unit of the force
     port: str
     unit: str
     units: dict[str, str]
+    # force, std, coordinates, blocks: samples over all records, (n,); coordinates by name; block label of each sample
     force: Array
     std: Array
     coordinates: dict[str, Array]
     blocks: NDArray[np.int_]
-    structure: StructureTest
+    structure: StructureTest  # whether anything systematic remains
 
     def curves(self) -> ResidualForce:
         """The force over each coordinate."""

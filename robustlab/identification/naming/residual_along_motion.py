@@ -27,25 +27,14 @@ __all__ = ["JointResiduals", "joint_residuals"]
 
 @dataclass(frozen=True, eq=False)
 class JointResiduals:
-    """Forces left along one record at all joints.
+    """Forces left along one record at all joints."""
 
-    Attributes
-    ----------
-    ports
-        Of the joints, in the order of the columns.
-    force, std
-        (n, n_joints).
-    x
-        The motion, (n, n_x).
-    used
-        Samples of the record, (n,).
-    """
-
-    ports: tuple[Port, ...]
+    ports: tuple[Port, ...]  # of the joints, in the order of the columns
+    # force, std: (n, n_joints)
     force: Array
     std: Array
-    x: Array
-    used: Indices
+    x: Array  # the motion, (n, n_x)
+    used: Indices  # samples of the record, (n,)
 
 
 def joint_residuals(problem: Problem, fit: Fit, k: int, simulator: Simulator, least: float) -> JointResiduals | None:

@@ -58,23 +58,12 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Visited:
-    """A set of effects as it was fitted.
+    """A set of effects as it was fitted."""
 
-    Attributes
-    ----------
-    fit
-        Under the noise model of the search.
-    prior
-        Log prior of the set.
-    held_out
-        Log-likelihood of the held-out windows, parameters as fitted, up to a constant common to all sets.
-    allowed
-        False where it may not be the answer: a parameter within its tolerance, a ripple of which too little is seen.
-    """
-
-    fit: Fit
-    prior: float
-    held_out: float
+    fit: Fit  # under the noise model of the search
+    prior: float  # log prior of the set
+    held_out: float  # log-likelihood of the held-out windows, parameters as fitted, up to a constant common to all sets
+    # false where it may not be the answer: a parameter within its tolerance, a ripple of which too little is seen
     allowed: bool
 
     @property
@@ -90,30 +79,15 @@ class Visited:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What the search ended with.
+    """What the search ended with."""
 
-    Attributes
-    ----------
-    sets
-        All that were judged, the most probable first.
-    empty
-        The set without any effect, the nominal model within its tolerances.
-    noise
-        The noise model under which all were judged.
-    expanded
-        Number of sets that were expanded; ``settled`` is False where the budget of them ended the search.
-    interrupted
-        True where the user ended it.
-    problem, held
-        As they were given, with the clock under which all was simulated.
-    """
-
-    sets: tuple[Visited, ...]
-    empty: Visited
-    noise: NoiseModel
-    expanded: int
+    sets: tuple[Visited, ...]  # all that were judged, the most probable first
+    empty: Visited  # the set without any effect, the nominal model within its tolerances
+    noise: NoiseModel  # the noise model under which all were judged
+    expanded: int  # number of sets that were expanded; ``settled`` is False where the budget of them ended the search
     settled: bool
-    interrupted: bool
+    interrupted: bool  # true where the user ended it
+    # problem, held: as they were given, with the clock under which all was simulated
     problem: Problem
     held: Problem
 

@@ -75,27 +75,14 @@ SLOPE_MATCH = 1.3
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A channel that is not what the model takes it for.
+    """A channel that is not what the model takes it for."""
 
-    Attributes
-    ----------
-    kind
-        "sign", "unit", "swapped-outputs" or "swapped-inputs".
-    channels
-        The channel; two where they are swapped, or where one of two is wrong and the record cannot say which.
-    factor
-        The recorded values are this many times those the model expects (NaN for swapped channels).
-    unit
-        Unit in which a channel of kind "unit" seems to be recorded; empty where not known.
-    evidence
-        The figures behind it.
-    """
-
-    kind: str
+    kind: str  # "sign", "unit", "swapped-outputs" or "swapped-inputs"
+    # the channel; two where they are swapped, or where one of two is wrong and the record cannot say which
     channels: tuple[str, ...]
-    factor: float
-    unit: str
-    evidence: dict[str, object]
+    factor: float  # the recorded values are this many times those the model expects (NaN for swapped channels)
+    unit: str  # unit in which a channel of kind "unit" seems to be recorded; empty where not known
+    evidence: dict[str, object]  # the figures behind it
 
 
 def unit_factors(unit: str) -> dict[float, str]:

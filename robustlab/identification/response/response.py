@@ -36,23 +36,12 @@ INTEGRATOR = 1e-9
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a record at the compared signals.
+    """A stretch of a record at the compared signals."""
 
-    Attributes
-    ----------
-    t
-        Clock in s, shape (n,).
-    u
-        Input name -> samples (n,).
-    y
-        Measured outputs, shape (n, n_y).
-    weight
-        Factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record.
-    """
-
-    t: Array
-    u: Mapping[str, Array]
-    y: Array
+    t: Array  # clock in s, shape (n,)
+    u: Mapping[str, Array]  # input name -> samples (n,)
+    y: Array  # measured outputs, shape (n, n_y)
+    # factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record
     weight: Array
 
     @property
@@ -69,21 +58,11 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Response:
-    """Response of one linear model at the outputs that a record holds.
+    """Response of one linear model at the outputs that a record holds."""
 
-    Attributes
-    ----------
-    model
-        The model; its other outputs are not compared.
-    outputs
-        The compared outputs, with their unit as recorded or else as in the model.
-    warnings
-        What was noticed while model and record were matched.
-    """
-
-    model: StateSpaceModel
-    outputs: tuple[Signal, ...]
-    warnings: tuple[str, ...]
+    model: StateSpaceModel  # the model; its other outputs are not compared
+    outputs: tuple[Signal, ...]  # the compared outputs, with their unit as recorded or else as in the model
+    warnings: tuple[str, ...]  # what was noticed while model and record were matched
 
     @property
     def n_states(self) -> int:

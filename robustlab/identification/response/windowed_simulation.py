@@ -59,24 +59,13 @@ NO_INFORMATION = 1e-10
 
 @dataclass(frozen=True)
 class StateFit:
-    """Least-squares fit of an initial state to a stretch of measured outputs.
+    """Least-squares fit of an initial state to a stretch of measured outputs."""
 
-    Attributes
-    ----------
-    x0
-        State at the first sample, shape (n_x,); the smallest one (scaled) where the outputs do not determine it.
-    std
-        Standard deviation of ``x0`` if the remaining error were white, shape (n_x,).
-    rank
-        Number of state directions that the outputs determine.
-    y
-        Simulated outputs from ``x0``, shape (n, n_y).
-    """
-
+    # state at the first sample, shape (n_x,); the smallest one (scaled) where the outputs do not determine it
     x0: Array
-    std: Array
-    rank: int
-    y: Array
+    std: Array  # standard deviation of ``x0`` if the remaining error were white, shape (n_x,)
+    rank: int  # number of state directions that the outputs determine
+    y: Array  # simulated outputs from ``x0``, shape (n, n_y)
 
 
 @dataclass(frozen=True)
@@ -181,24 +170,13 @@ def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Ar
 
 @dataclass(frozen=True)
 class WindowedSimulation:
-    """Windowed simulation of a record.
+    """Windowed simulation of a record."""
 
-    Attributes
-    ----------
-    edges
-        First sample of each window, and the number of samples at the end, shape (n_windows + 1,).
-    y
-        Simulated outputs, shape (n, n_y).
-    x0
-        Fitted initial states, shape (n_windows, n_x).
-    residual
-        Recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of
-        their window.
-    """
-
-    edges: NDArray[np.int_]
-    y: Array
-    x0: Array
+    edges: NDArray[np.int_]  # first sample of each window, and the number of samples at the end, shape (n_windows + 1,)
+    y: Array  # simulated outputs, shape (n, n_y)
+    x0: Array  # fitted initial states, shape (n_windows, n_x)
+    # recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of their
+    # window
     residual: Array
 
 
