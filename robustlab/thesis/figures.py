@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
-from robustlab.dynamics.stewart.workspace import ConditionMap
+from robustlab.dynamics.stewart.kinematics import ConditionMap
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.runs import SineRun
 

@@ -24,13 +24,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.controlled_nonlinear import ControlledNonlinearPlant, controlled_nonlinear
+from robustlab.dynamics.control.controlled_plant import ControlledNonlinearPlant, controlled_nonlinear
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
 from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
 from robustlab.dynamics.plant_contract import Trim
-from robustlab.dynamics.stewart.kinematics import nut_angles
+from robustlab.dynamics.stewart.kinematics import check_pose, inside, nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-from robustlab.dynamics.stewart.workspace import check_pose, inside
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.result import Status

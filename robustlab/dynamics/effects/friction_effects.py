@@ -9,14 +9,21 @@ import numba as nb
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.load_effects import order_parameter, orders_or_usual, wave_mean
-from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, law
-from robustlab.dynamics.ports.step_solutions import (
+from robustlab.dynamics.ports.law_kernel import (
     CLOSE,
+    GQ,
+    GV,
+    Q0,
     SECANTS,
+    STEP,
+    V0,
+    Q,
+    V,
     bracket,
     dry_mean_force,
     guess,
     is_open,
+    law,
     narrowed,
 )
 

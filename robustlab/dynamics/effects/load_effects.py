@@ -8,9 +8,8 @@ from collections.abc import Mapping
 import numba as nb
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.ports.law_kernel import GQ, Q0, STEP, TIME, Q, law
+from robustlab.dynamics.ports.law_kernel import CLOSE, GQ, Q0, STEP, TIME, Q, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import Port
-from robustlab.dynamics.ports.step_solutions import CLOSE, bracket, guess, is_open, narrowed
 
 __all__ = ["EFFECTS", "cogging_force", "order_parameter", "order_prior", "orders_or_usual", "wave_mean"]
 

@@ -10,9 +10,8 @@ import numba as nb
 import numpy as np
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, law
+from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import PortModel, with_load_side
-from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
 __all__ = ["DAMPING", "EFFECTS", "cubic_force", "stop_force"]
 

@@ -34,10 +34,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint, Law
-from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.attached_effect import (
+    AttachedEffect,
+    holding_force,
+    is_set_valued,
+    rest_band,
+    slopes,
+    steady_force,
+)
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
-from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
-from robustlab.dynamics.extended.nonlinear_point import About, somewhere
+from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel

@@ -10,8 +10,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations
-from robustlab.dynamics.extended.nonlinear_point import About, point_model, scaled, with_linear_parts
-from robustlab.dynamics.extended.nonlinear_steps import Drive, march
+from robustlab.dynamics.extended.nonlinear_steps import About, Drive, march, point_model, scaled, with_linear_parts
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model

@@ -24,7 +24,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
 from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
-from robustlab.dynamics.extended.nonlinear_point import About
+from robustlab.dynamics.extended.nonlinear_steps import About
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter

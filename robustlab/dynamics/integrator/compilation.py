@@ -25,7 +25,7 @@ def compiled(module: Path, name: str, leaves: tuple[str | Path, ...], text: str)
     text
         Said on stderr while it compiles.
     """
-    newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("jit.py")))
+    newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("steps.py")))
     for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
         if index.stat().st_mtime < newest:
             index.unlink(missing_ok=True)

@@ -13,8 +13,7 @@ import numpy as np
 
 from robustlab.dynamics.parameters import Parameter, Role, Sign, overridden
 from robustlab.dynamics.plant_contract import PortPlace
-from robustlab.dynamics.symbolic.labels import labels
-from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant
+from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant, labels
 from robustlab.dynamics.symbolic.tape import tape_of
 from robustlab.errors import DependencyMissing, InputError, did_you_mean
 from robustlab.statespace import MAX_NAME, Signal

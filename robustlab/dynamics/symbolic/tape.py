@@ -125,7 +125,7 @@ def _within(name: str, places: Places, limit: Any) -> None:
 @cache
 def tape_kernels() -> ModuleType:
     """Module of the compiled kernels; the first time on a machine it is compiled, for all plants at once."""
-    from robustlab.dynamics.integrator.dop853 import TABLE
+    from robustlab.dynamics.integrator.steps import TABLE
 
     here = Path(__file__).parent
     leaves = (here.parent / "integrator" / "steps.py", TABLE)

@@ -9,11 +9,16 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
-from robustlab.identification.comparison.gap_scales import InputDisturbance, NoiseGap
-from robustlab.identification.comparison.localisation import Bin, DirectionError, Motion, Spectrum
+from robustlab.identification.comparison.localisation import (
+    Bin,
+    DirectionError,
+    InputDisturbance,
+    Motion,
+    NoiseGap,
+    Spectrum,
+)
 from robustlab.identification.comparison.noise_floor import NoiseFloor
-from robustlab.identification.comparison.nonlinearity import EvenOdd
-from robustlab.identification.comparison.residual_tests import InputCorrelation, Whiteness
+from robustlab.identification.comparison.residual_tests import EvenOdd, InputCorrelation, Whiteness
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status

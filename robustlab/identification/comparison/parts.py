@@ -22,8 +22,7 @@ from robustlab.identification.comparison.localisation import (
     time_shares,
 )
 from robustlab.identification.comparison.noise_floor import NoiseFloor, noise_floor
-from robustlab.identification.comparison.nonlinearity import EvenOdd, even_odd
-from robustlab.identification.comparison.residual_tests import input_correlation, whiteness
+from robustlab.identification.comparison.residual_tests import EvenOdd, even_odd, input_correlation, whiteness
 from robustlab.identification.response.response import Stretch
 from robustlab.identification.response.windowed_simulation import WindowedSimulation
 from robustlab.record import Record

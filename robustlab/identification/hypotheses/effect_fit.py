@@ -41,7 +41,6 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
-from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -52,12 +51,34 @@ __all__ = [
     "FitPlan",
     "Hypothesis",
     "NoiseModel",
+    "Nuisance",
     "Problem",
-    "Setting",
     "predicted",
     "refit_distance",
     "simulated_outputs",
 ]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
+    """
+
+    # label, names: of the group, and its parameters
+    label: str
+    names: tuple[str, ...]
+    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
+    spread: float
+    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
+    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
+    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
 
 
 Effects = Sequence[tuple[Effect, Site]]

@@ -37,8 +37,7 @@ from robustlab.arrays import Array
 from robustlab.clocks import summarise_clock
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
-from robustlab.identification.record_check.motion_identity import turned_channels
+from robustlab.identification.record_check.channel_identity import Contradiction, contradictions, turned_channels
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
 from robustlab.identification.response.response import Response, longest_period, matched, response_of
 from robustlab.identification.response.windowed_response import response_windows

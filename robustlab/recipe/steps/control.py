@@ -479,7 +479,7 @@ def _largest(errors: Any, late: Any) -> Any:
 
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
     """A member's loop with effects; one at a control acts on what the controller commands."""
-    from robustlab.dynamics.extended.driver_in_loop import driver_in_loop
+    from robustlab.dynamics.control.controlled_plant import driver_in_loop
 
     made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
     at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]
