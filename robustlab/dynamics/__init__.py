@@ -86,10 +86,7 @@ def plant(name: str, **parameters: Any) -> Any:
 def builtin_plant(name: str, **parameters: Any) -> Any:
     """The same of a plant that comes with robustlab, and of no other: for names out of data files, which run no code.
 
-    Raises
-    ------
-    InputError
-        As `plant`.
+    Raises InputError: as `plant`.
     """
     if not isinstance(name, str) or name not in _PLANTS:
         known = f"one of {', '.join(_PLANTS)}, path/to/file.py:name or path/to/machine.fmu"

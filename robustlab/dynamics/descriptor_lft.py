@@ -47,10 +47,7 @@ class Channels(NamedTuple):
 def solved(e: Array, right: Array, where: str) -> Array:
     """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E.
 
-    Raises
-    ------
-    InputError
-        E is singular.
+    Raises InputError: E is singular.
     """
     size = np.abs(e).max(axis=1, initial=0.0)
     if (size == 0).any() or (len(e) and np.linalg.cond(e / size[:, None]) > 1 / ROUNDING):
@@ -68,15 +65,9 @@ def closed_descriptor(
 ) -> UncertainModel:
     """The uncertain model around a nominal one, whose descriptor form has E and these channels.
 
-    Parameters
-    ----------
-    outputs
-        Names of the outputs to keep; states that then neither show nor act are left out. All where left out.
+    ``outputs``: names of the outputs to keep; states that then neither show nor act are left out. All where left out.
 
-    Raises
-    ------
-    InputError
-        A singular E, an output that there is not.
+    Raises InputError: a singular E, an output that there is not.
     """
     n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
     left, right, inner, blocks = channels

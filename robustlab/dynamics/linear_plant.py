@@ -68,10 +68,7 @@ class AffineEquations:
     def __call__(self, values: Mapping[str, float]) -> Descriptor:
         """The matrices at these values.
 
-        Raises
-        ------
-        InputError
-            Another value of a fixed parameter.
+        Raises InputError: another value of a fixed parameter.
         """
         for name, value in self.fixed.items():
             if values[name] != value:
@@ -316,15 +313,9 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
 
     Its tolerance is the widest of the group's, whose own are taken off; groups of one, or without a tolerance, stay.
 
-    Parameters
-    ----------
-    groups
-        (label, names of parameters) each.
+    ``groups``: (label, names of parameters) each.
 
-    Raises
-    ------
-    InputError
-        A label that is the name of a parameter, a name that is none, one in two groups.
+    Raises InputError: a label that is the name of a parameter, a name that is none, one in two groups.
 
     Examples
     --------

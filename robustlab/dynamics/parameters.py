@@ -194,19 +194,10 @@ def parameter_ranges(
 ) -> dict[str, ParameterRange]:
     """The range of every parameter that has one: as given, or from its tolerance.
 
-    Parameters
-    ----------
-    given
-        Name -> (low, high), numbers or texts with a unit, around the parameter's value.
-    where
-        What messages call the plant.
-    exact
-        Names of parameters that take no range.
+    ``given``: name -> (low, high), numbers or texts with a unit, around the parameter's value. ``where``: what messages
+    call the plant. ``exact``: names of parameters that take no range.
 
-    Raises
-    ------
-    InputError
-        A name that is no parameter or an exact one, ends that do not hold the value or leave its sign.
+    Raises InputError: a name that is no parameter or an exact one, ends that do not hold the value or leave its sign.
 
     Examples
     --------
@@ -237,15 +228,9 @@ def parameter_ranges(
 def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
     """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``.
 
-    Parameters
-    ----------
-    given
-        A number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
+    ``given``: a number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
 
-    Raises
-    ------
-    InputError
-        A share of the value 0, in which nothing could move; what is no number, or in no such unit.
+    Raises InputError: a share of the value 0, in which nothing could move; what is no number, or in no such unit.
 
     Examples
     --------

@@ -122,10 +122,7 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
 def plants_in_file(file: str) -> tuple[str, ...]:
     """Names in a file that may be plants: of `Plant` objects, and of functions that need no argument (none is called).
 
-    Raises
-    ------
-    InputError, DependencyMissing
-        As `plant_from_file`.
+    Raises InputError, DependencyMissing: as `plant_from_file`.
     """
     return _plants(_run(Path(file), _shown(file, None))[0])
 
@@ -363,12 +360,8 @@ def axis(**given):
 def write_template(name: str) -> Path:
     """Write ``NAME.py`` in the working directory, or in the folder before the name; a file that is there stays.
 
-    Raises
-    ------
-    UsageError
-        A name that a module cannot have, or that Python knows as another module.
-    EnvironmentFault
-        The file exists already, or cannot be written.
+    Raises UsageError: a name that a module cannot have, or that Python knows as another module; EnvironmentFault: the
+    file exists already, or cannot be written.
     """
     folder, last = os.path.split(name)
     stem = last.removesuffix(".py")

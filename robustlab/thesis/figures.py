@@ -120,18 +120,9 @@ def case_figure(
 ) -> Figure:
     """Nominal, worst member and random members in one picture, a row for each output.
 
-    Parameters
-    ----------
-    t
-        Times in s, shape (n_t,).
-    members, nominal, worst
-        Responses, shapes (n_members, n_t, n_y), (n_t, n_y), (n_t, n_y).
-    outputs
-        Names and units, n_y of them.
-    published
-        Published band of the change in percent.
-    title
-        What is drawn, with the worst Delta.
+    ``t``: times in s, shape (n_t,). ``members``, ``nominal``, ``worst``: responses, shapes (n_members, n_t, n_y), (n_t,
+    n_y), (n_t, n_y). ``outputs``: names and units, n_y of them. ``published``: published band of the change in percent.
+    ``title``: what is drawn, with the worst Delta.
     """
     figure, panels = new_figure(len(outputs), 3, width=11.6, height=2.7)
     before = 1e3 * (t - t[-1])

@@ -292,12 +292,8 @@ class _JigMotion:
 def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> _JigMotion:
     """The jig's link under 11.8 V at 1 Hz, driven by the torque that the motor gives where its own link is nominal.
 
-    Parameters
-    ----------
-    motor
-        Jig from which the torque comes, back-EMF and all.
-    heavier
-        Mass and inertia of the link that this torque drives, over those of the motor's own; it has no back-EMF.
+    ``motor``: jig from which the torque comes, back-EMF and all. ``heavier``: mass and inertia of the link that this
+    torque drives, over those of the motor's own; it has no back-EMF.
     """
     model = motor.state_space()
     a, b = np.zeros((5, 5)), np.vstack([model.B, np.zeros((2, 1))])

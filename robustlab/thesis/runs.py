@@ -142,10 +142,7 @@ class Case:
     def changes(self, held: bool | None = None) -> tuple[float, float]:
         """Largest change of the angle of nut 1 at Delta = +I and -I, in percent of the largest nominal angle, signed.
 
-        Parameters
-        ----------
-        held
-            Another reading than the case's own.
+        ``held``: another reading than the case's own.
         """
         (nominal, perturbed), (t, u) = self.with_gravity(), self.excitation(held)
         mirrored = _beyond(nominal, perturbed)

@@ -117,10 +117,7 @@ def loop_parts(
 ) -> tuple[StateSpaceModel, list[int], list[int]]:
     """A controller as a model, and the numbers of the outputs that it controls and that it sees.
 
-    Raises
-    ------
-    InputError
-        Unknown outputs, a controller of other sizes or a discrete one.
+    Raises InputError: unknown outputs, a controller of other sizes or a discrete one.
     """
     model, where = as_model(K, "controller"), f"{plant.name} under control"
     c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
@@ -409,23 +406,12 @@ class _DriverInLoop(InputDeadZone):
 def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: Mapping[str, Any]) -> AttachedEffect:
     """The dead zone of the driver of one control, for `with_effects` of the loop.
 
-    Parameters
-    ----------
-    loop
-        `robustlab.dynamics.control.controlled_plant.controlled_plant` of ``plant``: the plant's states first,
-        its inputs among the outputs.
-    plant
-        The plant with the same parameter values.
-    control
-        Name of an input of the plant.
-    values
-        ``{"d": half width}``.
+    ``loop``: `robustlab.dynamics.control.controlled_plant.controlled_plant` of ``plant``: the plant's states first, its
+    inputs among the outputs. ``plant``: the plant with the same parameter values. ``control``: name of an input of the
+    plant. ``values``: ``{"d": half width}``.
 
-    Raises
-    ------
-    InputError
-        A control that is no input of the plant; a controller with a direct term from the reference, whose command is
-        no state of the loop.
+    Raises InputError: a control that is no input of the plant; a controller with a direct term from the reference,
+    whose command is no state of the loop.
     """
     where = f"input-dead-zone at {control}"
     names = [s.name for s in plant.inputs]

@@ -22,10 +22,7 @@ _ADDED: dict[str, Effect] = {}
 def catalogue() -> dict[str, Effect]:
     """Id -> effect, in the order of their ids.
 
-    Raises
-    ------
-    InputError
-        Two effects with one id.
+    Raises InputError: two effects with one id.
     """
     return dict(sorted({**_own(), **_ADDED}.items()))
 
@@ -65,10 +62,7 @@ def _own() -> dict[str, Effect]:
 def effect(name: str) -> Effect:
     """The effect with this id.
 
-    Raises
-    ------
-    InputError
-        No such effect (with the closest known id).
+    Raises InputError: no such effect (with the closest known id).
     """
     known = catalogue()
     if name not in known:

@@ -59,10 +59,7 @@ class SignalDelay(Effect):
     def steps(self, values: Mapping[str, float], h: float) -> float:
         """The delay in steps of h seconds.
 
-        Raises
-        ------
-        InputError
-            A negative one.
+        Raises InputError: a negative one.
         """
         if values["d"] < 0.0:
             raise InputError(f"effect {self.id}: d", f"{values['d']:g} s", "a delay of 0 s or more")

@@ -74,12 +74,7 @@ def is_set_valued(law: Law, q: float) -> bool:
 def holding_force(law: Law, q: float, acceleration: float, mobility: float) -> float:
     """Force at a port at rest: the one that keeps it there if the law has it, else that of the motion that begins.
 
-    Parameters
-    ----------
-    acceleration
-        Of the port without this force.
-    mobility
-        Acceleration per unit of the force.
+    ``acceleration``: of the port without this force. ``mobility``: acceleration per unit of the force.
     """
     h = TUNING.instant
     seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, ANY_TIME]
@@ -379,17 +374,10 @@ def attach(
 ) -> AttachedEffect:
     """The effect named by ``key`` (``"id"`` or ``"id@site"``) with the given values at its only, or named, site.
 
-    Parameters
-    ----------
-    given
-        Name -> value, or (value, standard deviation).
-    taken
-        Effects that the plant has already.
+    ``given``: name -> value, or (value, standard deviation). ``taken``: effects that the plant has already.
 
-    Raises
-    ------
-    InputError
-        Unknown effect or site (with the closest name), no site at all, several and none named, the same one twice.
+    Raises InputError: unknown effect or site (with the closest name), no site at all, several and none named, the same
+    one twice.
     """
     from robustlab.dynamics.effects.catalogue import effect as named
 

@@ -52,12 +52,8 @@ class EffectLoads:
         The plant is simulated from the first sample, at rest: with the smallest state that shows the outputs measured
         there. A load is its mean over each sample, so that the linear part under it goes through the same states.
 
-        Raises
-        ------
-        InputError
-            A record without one of the plant's inputs.
-        NoTrustworthyNumber
-            The loads do not give the simulated states back.
+        Raises InputError: a record without one of the plant's inputs; NoTrustworthyNumber: the loads do not give the
+        simulated states back.
         """
         if not self.loads:
             return record

@@ -73,10 +73,8 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         more than ``TUNING.halved`` (1e-4), in root mean square, of the largest state of the same unit. What is left
         then is a third of that or less.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            Steps that many times shorter still change the motion; a motion that leaves what the plant can do.
+        Raises NoTrustworthyNumber: steps that many times shorter still change the motion; a motion that leaves what the
+        plant can do.
         """
         if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
             raise InputError(

@@ -69,19 +69,12 @@ class ExtendedPlant(ExtendedEquations):
     ) -> UncertainModel:
         """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover.
 
-        Parameters
-        ----------
-        outputs
-            Outputs to keep, all where left out.
-        sigmas
-            Half width of the range of a fitted value in its standard deviations.
+        ``outputs``: outputs to keep, all where left out. ``sigmas``: half width of the range of a fitted value in its
+        standard deviations.
 
-        Raises
-        ------
-        InputError
-            A standard deviation so large that the range leaves what physics allows; an unknown output.
-        NoTrustworthyNumber
-            The form is not exact for this plant (a split joint whose inertia stands in more than one equation).
+        Raises InputError: a standard deviation so large that the range leaves what physics allows; an unknown output;
+        NoTrustworthyNumber: the form is not exact for this plant (a split joint whose inertia stands in more than one
+        equation).
         """
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
         if width < 0:

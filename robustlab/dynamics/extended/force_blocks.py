@@ -192,10 +192,7 @@ def signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
 def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
     """Every amplitude is positive (a pair: increasing) and has an effect at its place.
 
-    Raises
-    ------
-    InputError
-        One that is not or has not.
+    Raises InputError: one that is not or has not.
     """
     joints = {signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
     known = tuple(dict.fromkeys([*(e.site.name for e in plant.effects), *sorted(joints)]))

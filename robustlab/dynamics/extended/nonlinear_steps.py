@@ -67,10 +67,7 @@ def with_linear_parts(model: PortModel, effects: Iterable[AttachedEffect]) -> Po
 def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Array, u: Array) -> About:
     """About the state x, those of the effects included, and what the plant sees of the inputs.
 
-    Parameters
-    ----------
-    plant
-        As `scaled` gives it.
+    ``plant``: as `scaled` gives it.
     """
     model, entering, local = _about(plant, effects, x[: len(plant.states)], u)
     rates = model.A @ x + entering @ (local.rates[0] - local.A[0] @ x[: model.own])
@@ -81,10 +78,7 @@ def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortM
     """The model about a point at which the plant has one and nothing is zero by symmetry: all states near 0.1; else
     its rest, or zero.
 
-    Raises
-    ------
-    InputError
-        A plant without models along a motion, or one that has none at any of these points.
+    Raises InputError: a plant without models along a motion, or one that has none at any of these points.
     """
     changed = scaled(plant, effects)
     n, u = len(plant.states), np.zeros(len(plant.inputs))
@@ -137,20 +131,11 @@ def march(
 ) -> Array:
     """States (n, n_x) at the beginnings of the steps.
 
-    Parameters
-    ----------
-    plant
-        With the values that its parameters have under the effects.
-    x0
-        The plant's states and those of the effects, (n_x,).
-    guess
-        A motion (n, n_x) near to the one that is looked for, as from longer steps.
+    ``plant``: with the values that its parameters have under the effects. ``x0``: the plant's states and those of the
+    effects, (n_x,). ``guess``: a motion (n, n_x) near to the one that is looked for, as from longer steps.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The iteration did not come to rest even over one step, or the plant has no model there; the message names the
-        time.
+    Raises NoTrustworthyNumber: the iteration did not come to rest even over one step, or the plant has no model there;
+    the message names the time.
     """
     laws = [law for e in effects for law in e.laws()]
     memory = np.zeros((len(laws), max([1, *(law.memory for law in laws)])))

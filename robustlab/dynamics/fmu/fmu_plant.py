@@ -52,10 +52,7 @@ class OpenedUnit:
 def opened(path: str | Path | None, kind: str | None, time_limit: float) -> OpenedUnit:
     """The unit's process, its description, and the interface: the one asked for, or model exchange where there is one.
 
-    Raises
-    ------
-    InputError
-        What is wrong with the file; an interface that it has not got.
+    Raises InputError: what is wrong with the file; an interface that it has not got.
     """
     if kind not in (None, MODEL_EXCHANGE, CO_SIMULATION):
         raise InputError(f"{path}: interface", f"{kind!r}", f"{MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
@@ -90,11 +87,8 @@ def described(about: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
 def joints_of(plant: Any, stated: Mapping[str, Any] | None, about: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Velocity or current state -> how a force, torque or voltage acts there; the user's word, else the unit's.
 
-    Raises
-    ------
-    InputError
-        A joint that is no state, an input or parameter that there is not, a joint at which nothing says how a force
-        acts.
+    Raises InputError: a joint that is no state, an input or parameter that there is not, a joint at which nothing says
+    how a force acts.
     """
     if stated is None:
         given = {j.get("velocity", ""): {k: v for k, v in j.items() if k != "velocity"} for j in about["joints"]}
@@ -314,20 +308,11 @@ TIME_LIMIT = 60.0
 def fmu(path: str | Path, *, interface: str | None = None, **options: Any) -> FmuPlant | FmuCoSimulation:
     """A unit as a plant: through model exchange where it has that, else through co-simulation.
 
-    Parameters
-    ----------
-    path
-        File of the unit, ending .fmu. It is a program: it is run, in a child process, because it is named here.
-    interface
-        "model-exchange" or "co-simulation", to choose.
-    options
-        As `FmuPlant` takes them: parameters by name, ``joints``, ``derivatives``, ``time_limit``; of a co-simulation
-        unit parameters and ``time_limit``.
+    ``path``: file of the unit, ending .fmu. It is a program: it is run, in a child process, because it is named here.
+    ``interface``: "model-exchange" or "co-simulation", to choose. ``options``: as `FmuPlant` takes them: parameters by
+    name, ``joints``, ``derivatives``, ``time_limit``; of a co-simulation unit parameters and ``time_limit``.
 
-    Raises
-    ------
-    InputError, DependencyMissing
-        As `FmuPlant`.
+    Raises InputError, DependencyMissing: as `FmuPlant`.
     """
     unit = opened(path, interface, options.get("time_limit", TIME_LIMIT))
     made = FmuCoSimulation if unit.kind == CO_SIMULATION else FmuPlant

@@ -53,12 +53,7 @@ def send(stream: BinaryIO, header: dict[str, Any], arrays: Sequence[Array] = ())
 def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Array]]:
     """Read one message.
 
-    Raises
-    ------
-    EOFError
-        The other end is gone.
-    ValueError
-        What came is no message.
+    Raises EOFError: the other end is gone; ValueError: what came is no message.
     """
     size = int.from_bytes(_exactly(stream, 8), "little")
     if size > LARGEST_HEADER:
@@ -145,14 +140,8 @@ class UnitProcess:
     def ask(self, request: dict[str, Any], arrays: Sequence[Array] = ()) -> tuple[dict[str, Any], list[Array]]:
         """Let the unit, loaded as its ``kind``, do what is asked.
 
-        Raises
-        ------
-        NativeTimeout
-            No answer within the time limit; the child was ended.
-        NoTrustworthyNumber
-            The unit crashed, or ended with an error.
-        InputError
-            The file is not what it was.
+        Raises NativeTimeout: no answer within the time limit; the child was ended; NoTrustworthyNumber: the unit
+        crashed, or ended with an error; InputError: the file is not what it was.
         """
         with self._lock:
             if self._start():

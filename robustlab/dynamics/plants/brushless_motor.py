@@ -34,10 +34,7 @@ PARAMETERS = (
 def brushless_motor(**given: Any) -> LinearPlant:
     """Plant with input i [A], outputs and states phi [rad], omega [rad/s].
 
-    Parameters
-    ----------
-    given
-        ``J Kf Kt``, each as a value or ``(value, relative tolerance)``.
+    ``given``: ``J Kf Kt``, each as a value or ``(value, relative tolerance)``.
     """
     states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
     return LinearPlant(

@@ -39,10 +39,7 @@ STATES = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
 def dc_motor(**given: Any) -> LinearPlant:
     """Plant with input u [V], outputs and states phi [rad], omega [rad/s], i [A].
 
-    Parameters
-    ----------
-    given
-        ``R L Km Kb Kf J``, each as a value or ``(value, relative tolerance)``.
+    ``given``: ``R L Km Kb Kf J``, each as a value or ``(value, relative tolerance)``.
     """
     parameters = overridden(PARAMETERS, given, "dc-motor")
     return LinearPlant("dc-motor", parameters, (Signal("u", "V"),), STATES, STATES, equations=_equations)

@@ -56,16 +56,10 @@ PARAMETERS = (
 def linear_actuator(**given: Any) -> LinearPlant:
     """Plant with input u [V], outputs and states phi [rad], omega [rad/s], i [A], all of the motor.
 
-    Parameters
-    ----------
-    given
-        ``R L Km Kb Kf J J_nut m_screw m_cart``, each as a value or ``(value, relative tolerance)``; ``ratio`` and
-        ``lead`` as values (tooth counts and a ground thread are exact).
+    ``given``: ``R L Km Kb Kf J J_nut m_screw m_cart``, each as a value or ``(value, relative tolerance)``; ``ratio``
+    and ``lead`` as values (tooth counts and a ground thread are exact).
 
-    Raises
-    ------
-    InputError
-        An unknown parameter, NaN, a sign that physics forbids, a tolerance on ``ratio`` or ``lead``.
+    Raises InputError: an unknown parameter, NaN, a sign that physics forbids, a tolerance on ``ratio`` or ``lead``.
 
     Examples
     --------

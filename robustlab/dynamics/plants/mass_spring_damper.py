@@ -35,16 +35,10 @@ PARAMETERS = (
 def mass_spring_damper(**given: Any) -> LinearPlant:
     """Plant with a force f [N] on each mass, outputs and states q [m] and v [m/s] of each mass.
 
-    Parameters
-    ----------
-    given
-        ``m c k``, each a value, a tuple ``(value, relative tolerance)``, or a list of those, one for each mass. Lists
-        must be equally long; what is no list counts for every mass of the chain.
+    ``given``: ``m c k``, each a value, a tuple ``(value, relative tolerance)``, or a list of those, one for each mass.
+    Lists must be equally long; what is no list counts for every mass of the chain.
 
-    Raises
-    ------
-    InputError
-        Lists of different lengths, an empty list, unknown names, values that physics forbids.
+    Raises InputError: lists of different lengths, an empty list, unknown names, values that physics forbids.
     """
     names = tuple(p.name for p in PARAMETERS)
     for name in given:

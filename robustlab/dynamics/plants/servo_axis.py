@@ -33,10 +33,7 @@ PARAMETERS = (
 def servo_axis(**given: Any) -> LinearPlant:
     """Plant with input u [V], outputs and states q [m], v [m/s].
 
-    Parameters
-    ----------
-    given
-        ``M Fv gain``, each as a value or ``(value, relative tolerance)``.
+    ``given``: ``M Fv gain``, each as a value or ``(value, relative tolerance)``.
     """
     states = (Signal("q", "m"), Signal("v", "m/s"))
     return LinearPlant(

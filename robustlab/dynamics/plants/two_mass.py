@@ -28,10 +28,7 @@ PARAMETERS = (
 def two_mass(**given: Any) -> LinearPlant:
     """Plant with input torque [N m], outputs phi1, phi2 [rad], states phi1, phi2, omega1, omega2.
 
-    Parameters
-    ----------
-    given
-        ``J1 J2 c k``, each as a value or ``(value, relative tolerance)``.
+    ``given``: ``J1 J2 c k``, each as a value or ``(value, relative tolerance)``.
     """
     angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
     return LinearPlant(

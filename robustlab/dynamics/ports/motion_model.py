@@ -106,10 +106,7 @@ class MotionModel:
 def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int) -> MotionModel:
     """The plant about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps a sample.
 
-    Parameters
-    ----------
-    factors
-        Plant parameter -> factor of its reference.
+    ``factors``: plant parameter -> factor of its reference.
     """
     plant, values = course.plant, _values(course.plant, factors)
     steps, stride = length * sub, course.stride * sub

@@ -140,10 +140,7 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
 
     Velocity states are those with the unit rad/s or m/s, current states those with the unit A.
 
-    Raises
-    ------
-    InputError
-        A factor for an unknown parameter.
+    Raises InputError: a factor for an unknown parameter.
     """
     values = dict(plant.values)
     for name, factor in (factors or {}).items():
@@ -228,10 +225,7 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     :math:`-J A_{vv}`, and a force at the joint is in N or N m. Elsewhere J is 1 without a unit, and a force is one per
     inertia, in N/kg or N m/(kg m2).
 
-    Raises
-    ------
-    InputError
-        A discrete model, or anything that is no linear plant.
+    Raises InputError: a discrete model, or anything that is no linear plant.
     """
     if isinstance(plant, LinearPlant):
         return plant
@@ -296,19 +290,10 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     ``<joint>.<relative>`` sees :math:`\delta` and its rate; its force is divided by the reduced inertia
     :math:`s (1 - s) J`, so that a unit of it accelerates :math:`\delta` by one.
 
-    Parameters
-    ----------
-    share
-        s, the load's share of the joint's inertia, between 0 and 1.
-    relative
-        Name of the relative port: ``"twist"`` or ``"gap"``.
-    where
-        What messages call the effect.
+    ``share``: s, the load's share of the joint's inertia, between 0 and 1. ``relative``: name of the relative port:
+    ``"twist"`` or ``"gap"``. ``where``: what messages call the effect.
 
-    Raises
-    ------
-    InputError
-        A second load side at the joint, or a share outside 0..1.
+    Raises InputError: a second load side at the joint, or a share outside 0..1.
     """
     port = model.ports.get(joint)
     if port is None or port.kind != "joint":

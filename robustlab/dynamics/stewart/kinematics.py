@@ -105,10 +105,7 @@ LIMIT = 60
 def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-platform") -> tuple[Array, bool]:
     """One pose (6,) or many (n, 6) as a finite array (n, 6), and whether it was one.
 
-    Raises
-    ------
-    InputError
-        Another shape, or NaN or Inf, by index.
+    Raises InputError: another shape, or NaN or Inf, by index.
     """
     one = np.ndim(value) == 1
     array = real_array(name, value, 1 if one else 2, where)
@@ -120,15 +117,9 @@ def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-plat
 def inverse_kinematics(geometry: Geometry, poses: ArrayLike, joint: Joint = "shifted") -> Array:
     """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape.
 
-    Parameters
-    ----------
-    joint
-        ``"shifted"``: the joint's axes are c apart (eqs 6.5-6.8). ``"simple"``: they meet (eqs 6.3, 6.4).
+    ``joint``: ``"shifted"``: the joint's axes are c apart (eqs 6.5-6.8). ``"simple"``: they meet (eqs 6.3, 6.4).
 
-    Raises
-    ------
-    InputError
-        A pose that is no pose, an unknown joint.
+    Raises InputError: a pose that is no pose, an unknown joint.
     """
     array, one = poses_array(poses)
     if joint not in ("shifted", "simple"):
@@ -267,10 +258,7 @@ def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> 
     A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond)
     the workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        No seed led to a proved pose.
+    Raises NoTrustworthyNumber: no seed led to a proved pose.
     """
     target, _ = poses_array(lengths, "lengths")
     starts, _ = poses_array(seeds, "seeds")
@@ -318,12 +306,7 @@ def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
 def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
     """The pose (6,) where it is within the workspace and not singular.
 
-    Raises
-    ------
-    InputError
-        An actuator beyond its limits, by number and length.
-    NoTrustworthyNumber
-        A singular pose.
+    Raises InputError: an actuator beyond its limits, by number and length; NoTrustworthyNumber: a singular pose.
     """
     array = real_array_of_one(pose, where)
     found, matrix = np.empty((1, 6)), np.empty((1, 6, 6))
@@ -392,10 +375,7 @@ def condition_map(
 ) -> ConditionMap:
     """Map over the coordinates ``names``, the others as in ``pose`` (home where left out).
 
-    Raises
-    ------
-    InputError
-        Names that are not two different coordinates of a pose.
+    Raises InputError: names that are not two different coordinates of a pose.
     """
     if len(names) != 2 or names[0] == names[1] or any(name not in COORDINATES for name in names):
         raise InputError("condition_map: names", f"{names!r}", f"two of {', '.join(COORDINATES)}")

@@ -67,10 +67,7 @@ __all__ = [
 def nut_to_twist(plant: StewartPlatform, pose: ArrayLike) -> Array:
     """J^-1 of ``V = J^-1 dphi/dt``, shape (6, 6).
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        A singular pose.
+    Raises NoTrustworthyNumber: a singular pose.
     """
     array = real_array_of_one(pose, plant.name)
     smallest, largest = singularity(plant.geometry, array)
@@ -225,16 +222,9 @@ def friction_torques(
 ) -> tuple[Array, Array]:
     r"""Friction torques and the rates after the step, ``v = free + response @ torques``, by Coulomb's law.
 
-    Parameters
-    ----------
-    response
-        ``h M^-1``, symmetric and positive definite, shape (n, n).
-    free
-        Rates after a step without friction, (n,).
-    rates
-        Rates before it: a joint at exactly zero sticks, and its static torque holds it.
-    slide, hold
-        F_c and F_s of each joint, (n,).
+    ``response``: ``h M^-1``, symmetric and positive definite, shape (n, n). ``free``: rates after a step without
+    friction, (n,). ``rates``: rates before it: a joint at exactly zero sticks, and its static torque holds it.
+    ``slide``, ``hold``: F_c and F_s of each joint, (n,).
     """
     bound = np.where(rates == 0, hold, slide)
     while True:

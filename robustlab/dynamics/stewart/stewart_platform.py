@@ -62,10 +62,7 @@ def places(motors: bool) -> tuple[PortPlace, ...]:
 def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
     """Poses and twists (n, 6) of the states (n, 12 or 18).
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        Nut angles that no pose could be proved to have.
+    Raises NoTrustworthyNumber: nut angles that no pose could be proved to have.
     """
     return _kept_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
 
@@ -110,10 +107,7 @@ def accelerations(geometry: Geometry, constants: Array, x: Array, torque: Array)
 def derivatives(geometry: Geometry, constants: Array, x: Array, torque: Array) -> tuple[Array, Array, Array]:
     """Derivatives of the nuts' accelerations over nut angles, rates and motor torques, (n, 6, 6) each.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        A singular pose.
+    Raises NoTrustworthyNumber: a singular pose.
     """
     poses, twists = motion(geometry, x)
     numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
@@ -136,19 +130,11 @@ _SHAPE = (
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
     """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached.
 
-    Parameters
-    ----------
-    preset
-        ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it.
-    motors
-        True: 18 states, voltages as inputs. False: 12 states, motor torques as inputs.
-    given
-        Parameters, each as a value or ``(value, relative tolerance)``.
+    ``preset``: ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it. ``motors``:
+    true: 18 states, voltages as inputs. False: 12 states, motor torques as inputs. ``given``: parameters, each as a
+    value or ``(value, relative tolerance)``.
 
-    Raises
-    ------
-    InputError
-        Unknown preset or parameter, NaN, a negative mass, inertias that no rigid body has.
+    Raises InputError: unknown preset or parameter, NaN, a negative mass, inertias that no rigid body has.
 
     Examples
     --------
@@ -494,13 +480,8 @@ def linear_models(
     What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
     not checked against the workspace.
 
-    Raises
-    ------
-    InputError
-        An unknown parameter, one that shapes the legs (build the plant anew for that), values of the wrong number
-        or sign.
-    NoTrustworthyNumber
-        A singular pose.
+    Raises InputError: an unknown parameter, one that shapes the legs (build the plant anew for that), values of the
+    wrong number or sign; NoTrustworthyNumber: a singular pose.
     """
     array, _ = poses_array(poses)
     n, values = len(array), dict[str, Any](plant.values)

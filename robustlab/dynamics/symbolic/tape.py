@@ -145,23 +145,10 @@ def _codes() -> dict[int, int]:
 def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable[[int], str] = str) -> Tape:
     """The tape of CasADi expressions.
 
-    Parameters
-    ----------
-    inputs
-        Column of SX symbols.
-    outputs
-        Column of SX expressions in these symbols and no others.
-    n_still
-        As of `Tape`.
-    where
-        What messages call the plant.
-    label
-        Number of an output -> what it is, for messages.
+    ``inputs``: column of SX symbols. ``outputs``: column of SX expressions in these symbols and no others. ``n_still``:
+    as of `Tape`. ``where``: what messages call the plant. ``label``: number of an output -> what it is, for messages.
 
-    Raises
-    ------
-    InputError
-        An operation that is not elementary, or a constant that is no finite number.
+    Raises InputError: an operation that is not elementary, or a constant that is no finite number.
     """
     import casadi as ca
 

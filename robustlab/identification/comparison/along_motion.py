@@ -170,12 +170,8 @@ def compare_along(
 ) -> Comparison:
     """`robustlab.identification.comparison.comparison.compare` for a nonlinear plant.
 
-    Raises
-    ------
-    InputError
-        As there; a joint whose position is not recorded, an output that shows more than one state, samples missing.
-    NoTrustworthyNumber
-        A motion that the plant cannot have: its equations have no value there.
+    Raises InputError: as there; a joint whose position is not recorded, an output that shows more than one state,
+    samples missing; NoTrustworthyNumber: a motion that the plant cannot have: its equations have no value there.
     """
     response, outputs, record, noted = _response(plant, record)
     names, inputs = [s.name for s in outputs], [s.name for s in plant.inputs]

@@ -225,13 +225,8 @@ def arbitrary_bla(
 
     with the multiple coherence :math:`\gamma^2` and m effective averages.
 
-    Parameters
-    ----------
-    t, inputs, y
-        Clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is not uniform is
-        interpolated to its mean step.
-    model
-        Model from these inputs to this output.
+    ``t``, ``inputs``, ``y``: clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is
+    not uniform is interpolated to its mean step. ``model``: model from these inputs to this output.
 
     Returns
     -------

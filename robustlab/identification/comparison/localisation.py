@@ -447,12 +447,8 @@ def noise_gaps(
 ) -> dict[str, NoiseGap]:
     """Gap against the floor for every output.
 
-    Parameters
-    ----------
-    errors
-        Measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
-    rms
-        Output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
+    ``errors``: measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
+    ``rms``: output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
     """
     result: dict[str, NoiseGap] = {}
     for k, name in enumerate(outputs):

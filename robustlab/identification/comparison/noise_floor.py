@@ -250,13 +250,8 @@ def noise_floor(
 def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
     """Shortest period in samples with which a signal (n,) repeats throughout, or None.
 
-    Parameters
-    ----------
-    samples
-        At least two periods of the signal.
-    tolerance
-        Largest difference between repeats of one phase; left out: one step of the signal's quantisation where it
-        has more than 200 levels, else rounding.
+    ``samples``: at least two periods of the signal. ``tolerance``: largest difference between repeats of one phase;
+    left out: one step of the signal's quantisation where it has more than 200 levels, else rounding.
 
     Returns
     -------
@@ -292,10 +287,7 @@ def effective_dof(deviation: Array) -> float:
     with the spectrum S of the deviations, averaged over the repeats, the factor P / (P - 1) for its own scatter, and
     the variances v of 20 blocks of the period. White noise of constant size: N.
 
-    Parameters
-    ----------
-    deviation
-        Deviations of the repeats from their mean, shape (P, N).
+    ``deviation``: deviations of the repeats from their mean, shape (P, N).
     """
     count, n = deviation.shape
     power = (np.abs(np.fft.fft(deviation, axis=1)) ** 2).sum(axis=0)

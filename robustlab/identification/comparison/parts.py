@@ -71,12 +71,8 @@ def localised(
 ) -> dict[str, Any]:
     """Gap, windows, speed, direction, position, amplitude, frequency and residual tests of every output.
 
-    Parameters
-    ----------
-    free
-        The free run (n, n_y); None where it does not reach the end of the record.
-    size
-        Input name -> magnitude (n,) over which the error is sorted.
+    ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
+    magnitude (n,) over which the error is sorted.
     """
     result: dict[str, dict[str, Any]] = {
         key: {}

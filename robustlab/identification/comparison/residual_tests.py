@@ -279,16 +279,8 @@ class EvenOdd(Evidence):
 def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array], dt: float) -> EvenOdd:
     """Even/odd test of ``signals`` (n,) by name for a periodic ``excitation`` (n,) on the same clock.
 
-    Parameters
-    ----------
-    floor
-        Says which samples form the periods.
-    excitation
-        The reference, or in open loop the input.
-    signals
-        Name -> samples.
-    dt
-        Sample time in s.
+    ``floor``: says which samples form the periods. ``excitation``: the reference, or in open loop the input.
+    ``signals``: name -> samples. ``dt``: sample time in s.
     """
     lines, kind = judged_lines(floor.periodic(excitation))
     if not len(lines):

@@ -297,15 +297,10 @@ def _between(power: Array, k: int) -> float:
 def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
     """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit.
 
-    Parameters
-    ----------
-    given
-        Name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the parameter.
+    ``given``: name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the
+    parameter.
 
-    Raises
-    ------
-    InputError
-        An unknown name, a negative tolerance, a share of the value 0.
+    Raises InputError: an unknown name, a negative tolerance, a share of the value 0.
     """
     asked: dict[str, float] = {}
     for name, value in (given or {}).items():

@@ -174,19 +174,11 @@ def prepare(
 ) -> PreparedRecord:
     """Cut a uniform record into windows of ``length`` samples and smooth it.
 
-    Parameters
-    ----------
-    model
-        Ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
-    valid
-        Output name -> mask of the samples that were measured (all where left out).
-    outputs
-        The outputs that count, those of the record where left out; what the record has not is missing at all samples.
+    ``model``: ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
+    ``valid``: output name -> mask of the samples that were measured (all where left out). ``outputs``: the outputs that
+    count, those of the record where left out; what the record has not is missing at all samples.
 
-    Raises
-    ------
-    InputError
-        An input of the plant or every output is missing; fewer than four windows, or four without gaps.
+    Raises InputError: an input of the plant or every output is missing; fewer than four windows, or four without gaps.
     """
     names = [s.name for s in plant.outputs]
     u, y, columns = _signals(plant, record, outputs)

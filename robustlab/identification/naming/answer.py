@@ -80,14 +80,9 @@ class Gaps:
 def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
     """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records.
 
-    Parameters
-    ----------
-    held
-        The records and which of their windows are held out.
-    models
-        A fit for each of the three names; its parameters stay, only window starts are found anew.
-    known
-        Records that the fits were told by: of others an effect over time has phases of their own, found anew too.
+    ``held``: the records and which of their windows are held out. ``models``: a fit for each of the three names; its
+    parameters stay, only window starts are found anew. ``known``: records that the fits were told by: of others an
+    effect over time has phases of their own, found anew too.
     """
     own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
     placed = {name: restarted(own[name], fit) for name, fit in models.items()}

@@ -60,12 +60,8 @@ def admissible(
 ) -> Callable[[Problem, Fit], bool]:
     """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen.
 
-    Parameters
-    ----------
-    stated
-        Parameter -> (relative tolerance, whether it was assumed).
-    fitted, held
-        The records: a force over the position must be seen for two of its periods in both.
+    ``stated``: parameter -> (relative tolerance, whether it was assumed). ``fitted``, ``held``: the records: a force
+    over the position must be seen for two of its periods in both.
     """
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
     positions = _positions(plant, fitted)
@@ -157,13 +153,8 @@ class Progress:
     def step(self, done: float, expected: float, text: str) -> None:
         """What is being done now; said with times where the last line is some seconds old.
 
-        Parameters
-        ----------
-        done, expected
-            Work done in this part, and in all of it as far as is known now, in any unit; the time to go is in
-            proportion.
-        text
-            What is being done.
+        ``done``, ``expected``: work done in this part, and in all of it as far as is known now, in any unit; the time
+        to go is in proportion. ``text``: what is being done.
         """
         if self._counting is not None:
             self._counting.part(done, expected, text)

@@ -48,12 +48,7 @@ def best_scored(
 ) -> list[Start]:
     """The starts of at most so many effects, those that promise most; all where there are no more.
 
-    Parameters
-    ----------
-    base
-        The fit of the set in these windows.
-    said
-        Called with the number of starts scored and to score.
+    ``base``: the fit of the set in these windows. ``said``: called with the number of starts scored and to score.
     """
     if len({s.candidate.key for s in starts}) <= most:
         return list(starts)
@@ -159,14 +154,9 @@ def promising(
 ) -> list[Start]:  # fmt: skip
     """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
 
-    Parameters
-    ----------
-    best
-        The most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
-    known
-        Key of an effect -> fit of base and effect that an earlier look ended with; put down here.
-    said
-        Called with the number of short fits done and to do.
+    ``best``: the most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
+    ``known``: key of an effect -> fit of base and effect that an earlier look ended with; put down here. ``said``:
+    called with the number of short fits done and to do.
     """
     tuning, noise = problem.tuning, base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]

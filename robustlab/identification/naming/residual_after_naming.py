@@ -81,10 +81,7 @@ class JointResiduals:
 def joint_residuals(problem: Problem, fit: Fit, k: int, simulator: Simulator, least: float) -> JointResiduals | None:
     """Of one record of a nonlinear plant; None where its windows lie in pieces, or there is no joint.
 
-    Parameters
-    ----------
-    least
-        Lowest bandwidth of the forces in Hz.
+    ``least``: lowest bandwidth of the forces in Hz.
     """
     plant, record = problem.plant, problem.records[k]
     assert isinstance(plant, NonlinearPlant)

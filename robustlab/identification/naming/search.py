@@ -173,14 +173,8 @@ def search_sets(
 ) -> Found:
     """Search the sets of effects of ``pool``.
 
-    Parameters
-    ----------
-    problem, held
-        The windows to fit and the windows that are kept from the fits.
-    allowed
-        Whether a fitted set may be the answer.
-    progress
-        Called with the number of fits done, those expected, and what is being done.
+    ``problem``, ``held``: the windows to fit and the windows that are kept from the fits. ``allowed``: whether a fitted
+    set may be the answer. ``progress``: called with the number of fits done, those expected, and what is being done.
     """
     with ThreadPoolExecutor(problem.tuning.workers) as workers:
         return _Search(problem, held, pool, allowed, progress, workers).run()

@@ -162,16 +162,9 @@ def contradictions(
 ) -> list[Contradiction]:
     """Channels that contradict the model, the surest test first.
 
-    Parameters
-    ----------
-    model
-        Linear model; outputs that are not named in ``outputs`` are left aside.
-    record
-        Record on a uniform clock, with the model's inputs and the named outputs.
-    good
-        Samples that were measured, shape (n,).
-    fits
-        The same record in windows: `robustlab.identification.response.windowed_response.response_windows`.
+    ``model``: linear model; outputs that are not named in ``outputs`` are left aside. ``record``: record on a uniform
+    clock, with the model's inputs and the named outputs. ``good``: samples that were measured, shape (n,). ``fits``:
+    the same record in windows: `robustlab.identification.response.windowed_response.response_windows`.
     """
     found = _from_derivatives(model, outputs, record, good, fits)
     taken = {name for one in found for name in one.channels}

@@ -106,17 +106,11 @@ class UniformRecord(Evidence):
 def uniform(record: Record, dt: float | None = None) -> UniformRecord:
     """Bring a record on a uniform clock that begins at its first stamp.
 
-    Parameters
-    ----------
-    record
-        Any record; one that is uniform already, and ``dt`` left out, comes back as it is.
-    dt
-        Sample time in s; the record's own (`clock_step`) where left out.
+    ``record``: any record; one that is uniform already, and ``dt`` left out, comes back as it is. ``dt``: sample time
+    in s; the record's own (`clock_step`) where left out.
 
-    Raises
-    ------
-    InputError
-        A sample time that is not positive, longer than the record, or a hundred times finer than the record's own.
+    Raises InputError: a sample time that is not positive, longer than the record, or a hundred times finer than the
+    record's own.
 
     Examples
     --------
@@ -154,17 +148,10 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
 
     What the clocks are like and what was done stands in the meaning of ``t``.
 
-    Parameters
-    ----------
-    first, second
-        Records without a signal in common.
-    dt
-        Sample time of the joint clock in s.
+    ``first``, ``second``: records without a signal in common. ``dt``: sample time of the joint clock in s.
 
-    Raises
-    ------
-    InputError
-        A signal in both, times that do not overlap by two samples, missing samples in one of them, a bad ``dt``.
+    Raises InputError: a signal in both, times that do not overlap by two samples, missing samples in one of them, a bad
+    ``dt``.
 
     Examples
     --------

@@ -85,10 +85,7 @@ class MotionResponse:
     ) -> Iterator[WindowResponses]:
         """Windows of ``length`` samples, as many side by side as the memory takes.
 
-        Parameters
-        ----------
-        added
-            What `WindowResponses.held` is the answer to, samples (n, n_u); ones where left out.
+        ``added``: what `WindowResponses.held` is the answer to, samples (n, n_u); ones where left out.
         """
         n_x, n_u = self.n_states, self.course.u.shape[1]
         size = length * (len(self.columns) * (1 + n_x + n_u) + STEPS * n_x * (2 * n_x + n_u))
@@ -139,10 +136,7 @@ class MotionResponse:
 def fit_windows(windows: WindowResponses, error: Array, weight: Array) -> FitOfWindows:
     """States at the starts that suit the windows best, by weighted least squares.
 
-    Parameters
-    ----------
-    error, weight
-        As of `MotionResponse.errors`, and the factor of each output's error (n_y,).
+    ``error``, ``weight``: as of `MotionResponse.errors`, and the factor of each output's error (n_y,).
     """
     count, n_x = windows.x0.shape
     lhs = (windows.free * weight[:, None]).reshape(count, -1, n_x)

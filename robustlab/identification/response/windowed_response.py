@@ -40,16 +40,9 @@ def response_windows(
 ) -> tuple[ResponseWindows, ...]:
     """The record in windows of its whole length, a sixth, and a thirtieth, as far as these make sense.
 
-    Parameters
-    ----------
-    model
-        Linear model.
-    outputs
-        Names of the outputs to look at.
-    record
-        On a uniform clock, with the model's inputs and these outputs.
-    good
-        Samples that were measured, shape (n,); windows with others are left out.
+    ``model``: linear model. ``outputs``: names of the outputs to look at. ``record``: on a uniform clock, with the
+    model's inputs and these outputs. ``good``: samples that were measured, shape (n,); windows with others are left
+    out.
     """
     point = model.operating_point
     at_y = dict(zip(model.output_names, point.y, strict=True)) if point else {}

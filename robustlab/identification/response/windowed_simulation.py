@@ -223,13 +223,9 @@ def windowed_simulation(response: Response, whole: Stretch, length: int) -> Wind
 def recursive_residual(free: Array, error: Array) -> Array:
     """Recursive residual of one output in windows that share one free response, shape (n, n_windows).
 
-    Parameters
-    ----------
-    free
-        Free response of this output, shape (n, n_x).
-    error
-        Measured minus simulated output from any one initial state, shape (n, n_windows); the residual is the same for
-        all. A window that ends earlier than the others ends in NaN.
+    ``free``: free response of this output, shape (n, n_x). ``error``: measured minus simulated output from any one
+    initial state, shape (n, n_windows); the residual is the same for all. A window that ends earlier than the others
+    ends in NaN.
 
     Returns
     -------

@@ -234,10 +234,7 @@ class SpectralSizes:
 def smallest_by_lines(problem: SpectralProblem, search: Search) -> SpectralSizes:
     """Bounds over the blocks that are scaled; the others keep the size 1.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The solver gives no answer, or an impossibility that its multipliers do not prove.
+    Raises NoTrustworthyNumber: the solver gives no answer, or an impossibility that its multipliers do not prove.
     """
     programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)

@@ -252,10 +252,7 @@ def in_own_units(
 def require_replay(error: float, record: str) -> None:
     """Refuse an explanation whose replay differs from it by ``error`` of the noise bound.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        It differs by more than a thousandth.
+    Raises NoTrustworthyNumber: it differs by more than a thousandth.
     """
     if not error <= REPLAYED:
         found = f"the explanation is off by {error:.1e} of the noise bound when replayed"

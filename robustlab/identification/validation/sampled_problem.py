@@ -99,12 +99,8 @@ def prepared(
 ) -> Recorded:
     """Match model and record; refuse what cannot be judged.
 
-    Raises
-    ------
-    InputError
-        Signals that do not fit, an output without a noise bound, windows that are too short.
-    NoTrustworthyNumber
-        A clock that is not uniform, or a noise bound of zero: the noise model is singular.
+    Raises InputError: signals that do not fit, an output without a noise bound, windows that are too short;
+    NoTrustworthyNumber: a clock that is not uniform, or a noise bound of zero: the noise model is singular.
     """
     where = f"validate {record.name}"
     if not record.is_uniform:

@@ -161,12 +161,7 @@ def smallest_pulse_responses(
 ) -> PulseResponses | None:
     """Bounds over the blocks that are scaled, the others at most 1; None where nothing was found.
 
-    Parameters
-    ----------
-    guess
-        Size to start from.
-    z_guess
-        z of another explanation, where z is not known.
+    ``guess``: size to start from. ``z_guess``: z of another explanation, where z is not known.
     """
     maps, scaled = _Maps(problem), search.scaled
     rest = np.zeros(sum(maps.counts) + maps.n_free)
