@@ -47,7 +47,7 @@ from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.matrix_polynomial import Exponents, MatrixPolynomial, polynomial_lft
 
-__all__ = ["REMAINDER", "TrimmedDescriptor", "uncertain_family"]
+__all__ = ["TrimmedDescriptor", "uncertain_family"]
 
 Values = Mapping[str, float]
 

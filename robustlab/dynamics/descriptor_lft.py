@@ -21,7 +21,7 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["ROUNDING", "Channels", "Signals", "closed_descriptor", "solved"]
+__all__ = ["Channels", "ROUNDING", "closed_descriptor", "solved"]
 
 # What counts as rounding where a rank is taken.
 ROUNDING = 1e-12

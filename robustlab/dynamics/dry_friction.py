@@ -272,11 +272,7 @@ class _Motion:
     """The motion of one plant with friction, piece by piece."""
 
     def __init__(
-        self,
-        model: StateSpaceModel,
-        joints: Sequence[DryFriction],
-        at: tuple[list[int], Array],
-        tuning: DynamicsTuning,
+        self, model: StateSpaceModel, joints: Sequence[DryFriction], at: tuple[list[int], Array], tuning: DynamicsTuning
     ) -> None:
         self.a, self.b, (self.places, self.columns), self.tuning = model.A, model.B, at, tuning
         self.n, self.n_u = model.n_states, model.n_inputs

@@ -33,12 +33,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "AffineEquations",
-    "Descriptor",
-    "LinearPlant",
-    "tied_plant",
-]
+__all__ = ["AffineEquations", "Descriptor", "LinearPlant", "tied_plant"]
 
 
 @dataclass(frozen=True)

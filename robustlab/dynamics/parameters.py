@@ -11,7 +11,7 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
-__all__ = ["Parameter", "Role", "Sign", "overridden", "parameter_ranges", "tolerance_of"]
+__all__ = ["Parameter", "Role", "overridden", "parameter_ranges", "tolerance_of"]
 
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain",

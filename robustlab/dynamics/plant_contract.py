@@ -27,14 +27,14 @@ from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_a
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
+    "InputSignal",
     "LocalModels",
+    "NonlinearHold",
     "NonlinearPlant",
-    "PortPlace",
     "Plant",
+    "PortPlace",
     "SteppedPlant",
     "Trim",
-    "InputSignal",
-    "NonlinearHold",
     "input_signal",
 ]
 

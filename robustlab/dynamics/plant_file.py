@@ -26,14 +26,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import (
-    DependencyMissing,
-    EnvironmentFault,
-    InputError,
-    RobustlabError,
-    UsageError,
-    did_you_mean,
-)
+from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
 from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256

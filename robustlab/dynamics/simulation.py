@@ -129,15 +129,7 @@ def _linear_hold(hold: NonlinearHold) -> Hold:
 
 
 def _simulate_delayed(
-    model: DelayedModel,
-    t: Any,
-    u: Any,
-    x0: Any,
-    *,
-    hold: Any,
-    rtol: float | None,
-    step: float | None,
-    name: str | None,
+    model: DelayedModel, t: Any, u: Any, x0: Any, *, hold: Any, rtol: float | None, step: float | None, name: str | None
 ) -> Record:
     if step is not None:
         raise InputError("simulate", "step for a model with delays", "rtol: its cells are halved until that is met")

@@ -34,17 +34,9 @@ from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import controllability, drop_unconnected, observability
-from robustlab.thesis.runs import (
-    UP_TO,
-    Case,
-    SineRun,
-    cases,
-    lowest_stable_pole,
-    sine_run,
-    track,
-)
+from robustlab.thesis.runs import UP_TO, Case, SineRun, cases, lowest_stable_pole, sine_run, track
 
-__all__ = ["PublishedNumber", "PublishedNumbers", "published_numbers"]
+__all__ = ["PublishedNumber", "published_numbers"]
 
 # Appendix B in mm, without the misprints of b6 (y 114,5) and of m2, m3 (x 163,3).
 BASE = ((165.3, -57.4), (32.9, 171.9), (-32.9, 171.9), (-165.3, -57.4), (-132.4, -114.5), (132.4, -114.5))
@@ -165,11 +157,7 @@ def published_numbers() -> PublishedNumbers:
     }
     varied = cases(plant)
     thesis, physical = (stewart_platform(preset=name, motors=True) for name in ("thesis", "physical"))
-    tracking = {
-        "thesis": track(thesis),
-        "link-4": track(thesis, (1, 1, 1, -1, 1, -1)),
-        "rotors": track(physical),
-    }
+    tracking = {"thesis": track(thesis), "link-4": track(thesis, (1, 1, 1, -1, 1, -1)), "rotors": track(physical)}
     rows = [
         *_geometry_rows(plant),
         *_motor_rows(),

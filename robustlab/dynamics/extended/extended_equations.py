@@ -53,7 +53,7 @@ from robustlab.result import Status
 from robustlab.shown import listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
-__all__ = ["ExtendedEquations", "Holding", "HoldingTrim", "LeftOut", "extended_model"]
+__all__ = ["ExtendedEquations", "extended_model"]
 
 
 @dataclass(frozen=True)

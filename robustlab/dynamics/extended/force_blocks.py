@@ -39,13 +39,12 @@ from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
     "Amplitude",
-    "NoiseInput",
     "Dry",
-    "ForceParts",
     "ForceSector",
+    "NoiseInput",
     "check_amplitudes",
-    "force_parts",
     "force_columns",
+    "force_parts",
     "free_names",
 ]
 

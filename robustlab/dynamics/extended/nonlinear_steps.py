@@ -123,11 +123,7 @@ class Drive:
 
 
 def march(
-    plant: NonlinearPlant,
-    effects: Sequence[AttachedEffect],
-    drive: Drive,
-    x0: Array,
-    guess: Array | None = None,
+    plant: NonlinearPlant, effects: Sequence[AttachedEffect], drive: Drive, x0: Array, guess: Array | None = None
 ) -> Array:
     """States (n, n_x) at the beginnings of the steps.
 

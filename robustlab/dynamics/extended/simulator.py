@@ -32,7 +32,7 @@ from robustlab.dynamics.ports.sampled_input import Hold, SampledInput
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
 
-__all__ = ["Motion", "Simulator", "Windows", "rising", "stepping"]
+__all__ = ["Simulator", "Windows", "rising", "stepping"]
 
 KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
 KEPT_MOTIONS = 24  # parameter values about a motion that a simulator keeps

@@ -20,7 +20,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.statespace import Signal
 
-__all__ = ["brushless_motor"]
+__all__ = []
 
 _CHEN = "Chen, github.com/gchenfc (unloaded motor on an ODrive)"
 
@@ -48,9 +48,4 @@ def brushless_motor(**given: Any) -> LinearPlant:
 
 
 def _equations(p: Any) -> Descriptor:
-    return Descriptor(
-        E=[[1, 0], [0, p["J"]]],
-        F=[[0, 1], [0, -p["Kf"]]],
-        G=[[0], [p["Kt"]]],
-        C=[[1, 0], [0, 1]],
-    )
+    return Descriptor(E=[[1, 0], [0, p["J"]]], F=[[0, 1], [0, -p["Kf"]]], G=[[0], [p["Kt"]]], C=[[1, 0], [0, 1]])

@@ -21,7 +21,7 @@ from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import MAX_STATES, Signal
 
-__all__ = ["mass_spring_damper"]
+__all__ = []
 
 _EXAMPLE = "example value, no published source"
 

@@ -19,7 +19,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.statespace import Signal
 
-__all__ = ["servo_axis"]
+__all__ = []
 
 _EMPS = "Janot, Gautier, Brunot 2019 (EMPS)"
 
@@ -47,9 +47,4 @@ def servo_axis(**given: Any) -> LinearPlant:
 
 
 def _equations(p: Any) -> Descriptor:
-    return Descriptor(
-        E=[[1, 0], [0, p["M"]]],
-        F=[[0, 1], [0, -p["Fv"]]],
-        G=[[0], [p["gain"]]],
-        C=[[1, 0], [0, 1]],
-    )
+    return Descriptor(E=[[1, 0], [0, p["M"]]], F=[[0, 1], [0, -p["Fv"]]], G=[[0], [p["gain"]]], C=[[1, 0], [0, 1]])

@@ -13,7 +13,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.statespace import Signal
 
-__all__ = ["two_mass"]
+__all__ = []
 
 _EXAMPLE = "example value, no published source"
 

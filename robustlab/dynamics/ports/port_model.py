@@ -34,15 +34,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
-__all__ = [
-    "AnyPlant",
-    "Port",
-    "PortModel",
-    "linear_plant_of",
-    "parameter_groups",
-    "port_model",
-    "with_load_side",
-]
+__all__ = ["AnyPlant", "Port", "PortModel", "linear_plant_of", "parameter_groups", "port_model", "with_load_side"]
 
 
 AnyPlant = LinearPlant | NonlinearPlant

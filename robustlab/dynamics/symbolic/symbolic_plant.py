@@ -126,10 +126,7 @@ class SymbolicPlant(NonlinearPlant):
         NoTrustworthyNumber
             A point at which an equation or a slope of one has no finite value; the message names both.
         """
-        n, n_x, n_u, n_y, n_p = (
-            len(x),
-            *map(len, (self.states, self.inputs, self.outputs, self.equations.places)),
-        )
+        n, n_x, n_u, n_y, n_p = (len(x), *map(len, (self.states, self.inputs, self.outputs, self.equations.places)))
         found = self._evaluated(self.equations.models, x, u, values)
         shapes = ((n_x,), (n_y,), (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u), (n_x, n_p))
         ends = np.cumsum([int(np.prod(shape)) for shape in shapes])

@@ -20,7 +20,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.errors import InputError
 
-__all__ = ["MAX_OPERATIONS", "OPERATIONS", "Tape", "tape_kernels", "tape_of"]
+__all__ = ["OPERATIONS", "Tape", "tape_kernels", "tape_of"]
 
 # Name of each operation; its place is its number on a tape, in files too: new ones go to the end. The names are those
 # of CasADi without OP_.

@@ -136,11 +136,7 @@ class BestLinearApproximation(Evidence):
 
 
 def periodic_bla(
-    u: ArrayLike,
-    y: ArrayLike,
-    dt: float,
-    model: StateSpaceModel | None = None,
-    lines: NDArray[np.int_] | None = None,
+    u: ArrayLike, y: ArrayLike, dt: float, model: StateSpaceModel | None = None, lines: NDArray[np.int_] | None = None
 ) -> BestLinearApproximation | None:
     r"""Best linear approximation from whole periods in steady state.
 

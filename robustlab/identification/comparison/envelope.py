@@ -26,7 +26,7 @@ from robustlab.result import Evidence, Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 
-__all__ = ["EnvelopeCoverage", "SignalCoverage", "cover", "deviations"]
+__all__ = ["SignalCoverage", "cover", "deviations"]
 
 
 @dataclass(frozen=True)

@@ -171,11 +171,7 @@ class Spectrum(Evidence):
 
     def band_table(self) -> dict[str, object]:
         """The bands only."""
-        return {
-            "bands": self.bands,
-            "error_share": self.error_share,
-            "relative_error": self.relative_error,
-        }
+        return {"bands": self.bands, "error_share": self.error_share, "relative_error": self.relative_error}
 
 
 def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:

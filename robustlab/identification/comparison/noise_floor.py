@@ -172,11 +172,7 @@ class NoiseFloor(Evidence):
 
 
 def noise_floor(
-    record: Record,
-    *,
-    period: float | None = None,
-    repeats: Sequence[Record] = (),
-    outputs: Sequence[str] | None = None,
+    record: Record, *, period: float | None = None, repeats: Sequence[Record] = (), outputs: Sequence[str] | None = None
 ) -> NoiseFloor:
     """Noise of the outputs of a record, from its own periods or from further records with the same input.
 

@@ -248,13 +248,7 @@ class HarmonicShares(Evidence):
 
     def to_json(self) -> dict[str, object]:
         """The shares; the lines are left to the figure."""
-        return {
-            "rms": self.rms,
-            "even": self.even,
-            "odd": self.odd,
-            "even_p": self.even_p,
-            "odd_p": self.odd_p,
-        }
+        return {"rms": self.rms, "even": self.even, "odd": self.odd, "even_p": self.even_p, "odd_p": self.odd_p}
 
 
 @dataclass(frozen=True)

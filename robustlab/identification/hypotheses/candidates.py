@@ -44,10 +44,7 @@ ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, wh
 
 
 def candidates(
-    plant: AnyPlant,
-    model: PortModel,
-    records: Sequence[PreparedRecord],
-    tuning: NamingTuning = TUNING,
+    plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
@@ -99,11 +96,7 @@ def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
 
 
 def _scales(
-    site: Site,
-    plant: AnyPlant,
-    model: PortModel,
-    records: Sequence[PreparedRecord],
-    tuning: NamingTuning,
+    site: Site, plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning
 ) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
     if site.kind == "input":
@@ -168,11 +161,7 @@ def _directions(push: Array) -> Array:
 
 
 def _orders_at_output(
-    plant: AnyPlant,
-    model: PortModel,
-    site: Site,
-    records: Sequence[PreparedRecord],
-    tuning: NamingTuning,
+    plant: AnyPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord], tuning: NamingTuning
 ) -> tuple[float, ...]:
     """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
     row = model.C[..., [s.name for s in plant.outputs].index(site.name), :].reshape(-1, model.C.shape[-1])[0]

@@ -48,7 +48,7 @@ from robustlab.statespace import StateSpaceModel, real_array
 if TYPE_CHECKING:
     from robustlab.identification.hypotheses.smoother_kernels import Filter
 
-__all__ = ["Jump", "SmoothedRecord", "smooth_disturbance"]
+__all__ = ["SmoothedRecord", "smooth_disturbance"]
 
 WHERE = "smooth_disturbance"
 

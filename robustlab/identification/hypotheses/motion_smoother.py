@@ -28,7 +28,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["SmoothedMotion", "lacking_forces", "smooth_motion"]
+__all__ = ["lacking_forces", "smooth_motion"]
 
 ROUNDS = 2  # of smoothing with known inputs from the motion before
 UNMEASURED_ROUNDS = 4  # of linear runs of the states that no sensor shows

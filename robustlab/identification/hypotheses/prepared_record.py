@@ -67,11 +67,7 @@ class PreparedRecord:
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
     def starts_seen(
-        self,
-        lag: float,
-        shown: Mapping[int, float],
-        biased: Mapping[int, float] = {},
-        late: Mapping[int, float] = {},
+        self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}, late: Mapping[int, float] = {}
     ) -> Array:
         """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
 
@@ -140,10 +136,7 @@ def ports_of(plant: AnyPlant, record: Record) -> PortModel:
 
 
 def window_length(
-    plant: AnyPlant,
-    records: Sequence[Record],
-    tuning: NamingTuning = TUNING,
-    model: PortModel | None = None,
+    plant: AnyPlant, records: Sequence[Record], tuning: NamingTuning = TUNING, model: PortModel | None = None
 ) -> int:
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
     the slowest resonance, as far as four windows fit.

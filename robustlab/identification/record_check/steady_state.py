@@ -27,14 +27,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.result import Evidence, Status
 
-__all__ = [
-    "BalanceCheck",
-    "Explanation",
-    "FrictionLevel",
-    "SheetPoint",
-    "SteadyStateComparison",
-    "compare_steady_state",
-]
+__all__ = ["SheetPoint", "compare_steady_state"]
 
 
 QUANTITIES = ("voltage", "speed", "current", "torque")

@@ -44,17 +44,7 @@ from robustlab.identification.response.windowed_response import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = [
-    "ChannelSummary",
-    "Finding",
-    "RecordCheck",
-    "Suitability",
-    "channel_warnings",
-    "check_record",
-    "clipped_runs",
-    "quantisation_step",
-    "suitability",
-]
+__all__ = ["Finding", "channel_warnings", "check_record", "clipped_runs", "quantisation_step", "suitability"]
 
 
 SHORTEST_CLIP = 5  # samples that must stand still at the end of the range

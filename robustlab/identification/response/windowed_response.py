@@ -87,14 +87,7 @@ class ResponseWindows:
     """A record cut into windows of one length, with what no initial state or constant explains."""
 
     def __init__(
-        self,
-        model: StateSpaceModel,
-        outputs: tuple[str, ...],
-        dt: float,
-        u: Array,
-        y: Array,
-        good: Mask,
-        length: int,
+        self, model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
     ) -> None:
         edges = np.arange(0, len(u) + 1, length)
         keep = [(i, k) for i, k in pairwise(edges.tolist()) if good[i:k].all()]

@@ -38,6 +38,8 @@ from robustlab.result import Evidence
 
 __all__ = [
     "InitialState",
+    "RANK_TOLERANCE",
+    "SHORTEST_START",
     "StateFit",
     "WindowedSimulation",
     "consistent_start",

@@ -43,7 +43,7 @@ from robustlab.identification.validation.sampled_problem import SampledProblem
 from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence
 
-__all__ = ["Contractions", "Multipliers", "lagrangian_maximum", "largest_disproved", "smallest_contractions"]
+__all__ = ["Contractions", "largest_disproved", "smallest_contractions"]
 
 
 # A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.

@@ -13,7 +13,7 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.budget import MILLION, Budget
 
-__all__ = ["TUNING", "Search", "ValidationTuning"]
+__all__ = ["Search", "TUNING", "ValidationTuning"]
 
 
 @dataclass(frozen=True)
