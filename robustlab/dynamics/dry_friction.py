@@ -38,7 +38,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.simulation import Hold, recorded, sampled_inputs
 from robustlab.dynamics.tuning import TUNING, DynamicsTuning
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
@@ -187,8 +187,7 @@ def _places(plant: Any, model: StateSpaceModel, joints: tuple[DryFriction, ...])
     names = list(model.state_names)
     for joint in joints:
         if joint.velocity not in names:
-            hint = did_you_mean(joint.velocity, names)
-            raise InputError(f"dry friction on {joint.velocity!r}", "no such state", f"one of {', '.join(names)}", hint)
+            raise unknown_name(f"dry friction on {joint.velocity!r}", "no such state", joint.velocity, names)
     places = [names.index(joint.velocity) for joint in joints]
     if len(set(places)) != len(places):
         raise InputError("dry friction", "two on one velocity", "one for each velocity, with the sum of the forces")

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
@@ -171,10 +171,7 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
     known = {p.name: p for p in defaults}
     for name, value in given.items():
         if name not in known:
-            names = tuple(known)
-            raise InputError(
-                f"{where}: {name!r}", "no such parameter", f"one of {', '.join(names)}", did_you_mean(name, names)
-            )
+            raise unknown_name(f"{where}: {name!r}", "no such parameter", name, known)
         place, unit = f"{where}: {name}", known[name].unit
         if isinstance(value, (tuple, list)):
             if len(value) != 2:
@@ -209,7 +206,7 @@ def parameter_ranges(
     for name in given:
         place = f"{where}: uncertain: {name!r}"
         if name not in known:
-            raise InputError(place, "no such parameter", f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise unknown_name(place, "no such parameter", name, known)
         if name in exact:
             raise InputError(place, "a range", "none: it is taken as exact")
     ranges: dict[str, ParameterRange] = {}

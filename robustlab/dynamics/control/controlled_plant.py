@@ -45,7 +45,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
@@ -186,8 +186,7 @@ def _positions(where: str, names: Sequence[str], plant: Plant) -> list[int]:
     known = [s.name for s in plant.outputs]
     for name in names:
         if name not in known:
-            hint = did_you_mean(name, known)
-            raise InputError(f"{where}: output {name!r}", "no such output", f"one of {', '.join(known)}", hint)
+            raise unknown_name(f"{where}: output {name!r}", "no such output", name, known)
     return [known.index(name) for name in names]
 
 

@@ -12,7 +12,7 @@ from importlib import import_module
 
 from robustlab.dynamics import effects
 from robustlab.dynamics.effects.contract import Effect
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 
 __all__ = ["add_effect", "catalogue", "effect", "effect_names"]
 
@@ -66,9 +66,7 @@ def effect(name: str) -> Effect:
     """
     known = catalogue()
     if name not in known:
-        raise InputError(
-            f"effect {name!r}", "no such effect", f"one of {', '.join(known)}", did_you_mean(name, tuple(known))
-        )
+        raise unknown_name(f"effect {name!r}", "no such effect", name, known)
     return known[name]
 
 

@@ -21,7 +21,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Scales, Site
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.statespace import real_array
 
 __all__ = ["AttachedEffect", "attach", "holding_force", "is_set_valued", "rest_band", "slopes", "steady_force"]
@@ -419,6 +419,4 @@ def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:
     for site in sites:
         if place == site.name or (site.kind == "parameter" and place in site.name.split("+")):
             return site
-    raise InputError(
-        f"{where}: site {place!r}", "no such place", f"one of {', '.join(names)}", did_you_mean(place, names)
-    )
+    raise unknown_name(f"{where}: site {place!r}", "no such place", place, names)

@@ -48,7 +48,7 @@ from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
 from robustlab.shown import listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
@@ -504,7 +504,7 @@ class ExtendedEquations(SteppedPlant):
         for name, value in (amplitude or {}).items():
             where = f"linearise: amplitude {name!r}"
             if name not in sites:
-                raise InputError(where, "no effect there", f"one of {', '.join(sites)}", did_you_mean(name, sites))
+                raise unknown_name(where, "no effect there", name, sites)
             if not (isinstance(value, (int, float)) and 0 < value < math.inf):
                 raise InputError(where, f"{value!r}", "a positive number")
         if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:

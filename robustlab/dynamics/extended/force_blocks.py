@@ -35,7 +35,7 @@ from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 
 __all__ = [
     "Amplitude",
@@ -198,7 +198,7 @@ def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -
     for name, value in amplitude.items():
         where = f"effect_blocks: amplitude {name!r}"
         if name not in known:
-            raise InputError(where, "no effect there", f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise unknown_name(where, "no effect there", name, known)
         pair = _pair(value)
         if not (len(pair) == 2 and all(_is_positive(a) for a in pair) and pair[0] <= pair[1]):
             raise InputError(where, f"{value!r}", "a positive number, or (least, largest) of two")

@@ -24,7 +24,7 @@ from robustlab.dynamics.plant_file import BY_UNIT
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.symbolic.symbolic_plant import rest
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import InputError, UnitMismatch, unknown_name
 from robustlab.provenance import BY_DIFFERENCES, Provenance
 from robustlab.record import Record
 from robustlab.result import Status
@@ -102,8 +102,7 @@ def joints_of(plant: Any, stated: Mapping[str, Any] | None, about: Mapping[str, 
     for velocity, how in given.items():
         here = f"{where}: {velocity!r}"
         if velocity not in states:
-            known = tuple(states)
-            raise InputError(here, "no such state", f"one of {', '.join(known)}", did_you_mean(str(velocity), known))
+            raise unknown_name(here, "no such state", str(velocity), states)
         if not isinstance(how, Mapping) or not set(how) <= set(JOINT_KEYS) or ("input" in how) == ("inertia" in how):
             expected = "input= (the force acts as this input does) or inertia= (a parameter), and position=, unit="
             raise InputError(here, f"{how!r:.200}", expected)

@@ -18,7 +18,7 @@ import numpy as np
 
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.statespace import MAX_STATES, Signal
 
 __all__ = []
@@ -43,8 +43,7 @@ def mass_spring_damper(**given: Any) -> LinearPlant:
     names = tuple(p.name for p in PARAMETERS)
     for name in given:
         if name not in names:
-            hint = did_you_mean(name, names)
-            raise InputError(f"mass-spring-damper: {name!r}", "no such parameter", f"one of {', '.join(names)}", hint)
+            raise unknown_name(f"mass-spring-damper: {name!r}", "no such parameter", name, names)
     lists = {name: list(value) for name, value in given.items() if isinstance(value, (list, np.ndarray))}
     lengths = {len(value) for value in lists.values()} or {1}
     if len(lengths) > 1 or 0 in lengths:

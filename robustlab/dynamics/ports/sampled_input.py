@@ -26,7 +26,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import unknown_name
 
 __all__ = ["Hold", "SampledInput"]
 
@@ -52,8 +52,7 @@ class SampledInput:
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
         if hold not in get_args(Hold):
-            known = get_args(Hold)
-            raise InputError("hold of an input", f"{hold!r}", f"one of {', '.join(known)}", did_you_mean(hold, known))
+            raise unknown_name("hold of an input", f"{hold!r}", hold, get_args(Hold))
         self.hold: Hold = hold
         self.count = len(samples)
         pieces = samples[:, None] if hold == "zoh" else _pieces(samples, 1 if hold == "linear" else DEGREE)

@@ -49,7 +49,7 @@ from robustlab.dynamics.stewart.kinematics import (
 )
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.dynamics.tuning import TUNING, DynamicsTuning
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import real_array
 
@@ -272,8 +272,7 @@ def _step(
 def _nut(plant: StewartPlatform, joint: DryFriction) -> int:
     names = [s.name for s in plant.states[6:12]]
     if joint.velocity not in names:
-        hint = did_you_mean(joint.velocity, names)
-        raise InputError(f"dry friction on {joint.velocity!r}", "no such nut rate", f"one of {', '.join(names)}", hint)
+        raise unknown_name(f"dry friction on {joint.velocity!r}", "no such nut rate", joint.velocity, names)
     return names.index(joint.velocity)
 
 

@@ -23,7 +23,7 @@ from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
@@ -224,9 +224,7 @@ def _with_values(plant: SymbolicPlant, given: Mapping[str, Any] | None, n: int) 
         for name, value in given.items():
             place = f"{plant.name}: {name}"
             if name not in values:
-                raise InputError(
-                    place, "no such parameter", f"one of {', '.join(values)}", did_you_mean(name, tuple(values))
-                )
+                raise unknown_name(place, "no such parameter", name, values)
             array = real_array(name, value, np.ndim(value), plant.name)
             if array.shape not in ((), (n,)):
                 raise InputError(place, f"shape {array.shape}", f"one value, or {n}: one for each point")

@@ -18,7 +18,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
 from robustlab.record import Record
@@ -275,13 +275,7 @@ def _lag(rate: float, record: Record) -> int:
 def _allowances(given: Mapping[str, float], names: tuple[str, ...], record: str) -> dict[str, float]:
     for name, value in given.items():
         if name not in names:
-            known = ", ".join(names)
-            raise InputError(
-                f"cover {record}: allowance of {name!r}",
-                "no such compared output",
-                f"one of {known}",
-                did_you_mean(name, names),
-            )
+            raise unknown_name(f"cover {record}: allowance of {name!r}", "no such compared output", name, names)
         if not (np.isfinite(value) and value >= 0):
             raise InputError(f"cover {record}: allowance of {name!r}", f"{value}", "a number that is not negative")
     return {name: float(given.get(name, 0.0)) for name in names}

@@ -31,7 +31,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.identification.experiment.experiment_bench import (
     SAFE,
     Bench,
@@ -288,8 +288,7 @@ def _travel(problem: Problem, given: Mapping[str, float] | None) -> dict[int, fl
 def _known(what: str, given: Sequence[str] | Mapping[str, object], names: Sequence[str]) -> None:
     for name in given:
         if name not in names:
-            hint = did_you_mean(name, tuple(names))
-            raise InputError(f"propose_experiment: {what}", f"no {name!r}", f"one of {', '.join(names)}", hint)
+            raise unknown_name(f"propose_experiment: {what}", f"no {name!r}", name, names)
 
 
 # --- the answer ------------------------------------------------------------------------------------------------------

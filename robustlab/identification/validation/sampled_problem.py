@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.comparison.envelope import deviations
 from robustlab.identification.response.response import response_of
 from robustlab.record import Record
@@ -360,12 +360,7 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
         raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:
         if name not in names:
-            raise InputError(
-                f"{where}: noise of {name!r}",
-                "no such compared output",
-                f"one of {', '.join(names)}",
-                did_you_mean(name, names),
-            )
+            raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)
     for name in names:
         if name not in noise:
             hint = f"noise={{{name!r}: ...}} in its unit: what the sensor may be off"
@@ -387,12 +382,7 @@ def _used(missing: Mapping[str, Sequence[int]], names: tuple[str, ...], n: int, 
     used = np.ones((n, len(names)), dtype=bool)
     for name, samples in missing.items():
         if name not in names:
-            raise InputError(
-                f"{where}: missing {name!r}",
-                "no such compared output",
-                f"one of {', '.join(names)}",
-                did_you_mean(name, names),
-            )
+            raise unknown_name(f"{where}: missing {name!r}", "no such compared output", name, names)
         index = np.asarray(samples)
         if index.dtype == bool and index.shape != (n,):
             raise InputError(f"{where}: missing {name!r}", f"a mask of shape {index.shape}", f"({n},)")
