@@ -38,7 +38,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.descriptor_lft import Channels, closed_descriptor, solved
+from robustlab.dynamics.descriptor_elimination import Channels, closed_descriptor, solved
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.descriptor_lft import ROUNDING, Channels, closed_descriptor, solved
+from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved
 from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError

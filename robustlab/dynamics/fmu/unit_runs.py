@@ -18,7 +18,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.dynamics.fmu.native_unit import NativeUnit
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = []
+__all__ = ["evaluated", "integrated", "linear_matrices", "started", "stepped"]
 
 
 # Steps of the differences as shares of a state's or input's size: the first is the most exact for smooth equations, the

@@ -18,7 +18,7 @@ from robustlab.dynamics.fmu.description import read_description, unpack
 from robustlab.dynamics.fmu.unit_process import error_header, receive, send
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = []
+__all__ = ["main"]
 
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:

@@ -36,7 +36,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.motion_response import MotionResponse, fit_windows
 from robustlab.identification.response.response import Stretch, stretch_of
-from robustlab.identification.response.windowed_response import ResponseWindows, explained
+from robustlab.identification.response.windowed_simulation import ResponseWindows, explained
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
@@ -164,7 +164,7 @@ def contradictions(
 
     ``model``: linear model; outputs that are not named in ``outputs`` are left aside. ``record``: record on a uniform
     clock, with the model's inputs and the named outputs. ``good``: samples that were measured, shape (n,). ``fits``:
-    the same record in windows: `robustlab.identification.response.windowed_response.response_windows`.
+    the same record in windows: `robustlab.identification.response.windowed_simulation.response_windows`.
     """
     found = _from_derivatives(model, outputs, record, good, fits)
     taken = {name for one in found for name in one.channels}

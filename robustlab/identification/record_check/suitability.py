@@ -40,7 +40,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.channel_identity import Contradiction, contradictions, turned_channels
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
 from robustlab.identification.response.response import Response, longest_period, matched, response_of
-from robustlab.identification.response.windowed_response import response_windows
+from robustlab.identification.response.windowed_simulation import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence
 
