@@ -236,26 +236,14 @@ class ControlledNonlinearPlant(NonlinearPlant):
 
     Inputs are the references ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
     ``controller_1`` ...
-
-    Attributes
-    ----------
-    plant
-        The plant, without direct term from inputs to outputs.
-    K
-        The controller, from (references, measured outputs) to the plant's inputs, in deviations from ``at``.
-    measured
-        Numbers of the plant's outputs that the controller sees.
-    at
-        The rest of the plant at which it takes hold.
-    offset
-        v at that rest, (n_r + n_m,).
     """
 
-    plant: NonlinearPlant
+    plant: NonlinearPlant  # the plant, without direct term from inputs to outputs
+    # the controller, from (references, measured outputs) to the plant's inputs, in deviations from ``at``
     K: StateSpaceModel
-    measured: tuple[int, ...]
-    at: Trim
-    offset: Array
+    measured: tuple[int, ...]  # numbers of the plant's outputs that the controller sees
+    at: Trim  # the rest of the plant at which it takes hold
+    offset: Array  # v at that rest, (n_r + n_m,)
 
     @classmethod
     def of(

@@ -74,14 +74,9 @@ class Holding:
 
 @dataclass(frozen=True, eq=False)
 class HoldingTrim(Trim):
-    """A trim with the dry friction and contacts that hold it.
+    """A trim with the dry friction and contacts that hold it."""
 
-    Attributes
-    ----------
-    holding
-        One for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
-    """
-
+    # one for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
     holding: tuple[Holding, ...] = ()
 
 
@@ -111,23 +106,13 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedEquations(SteppedPlant):
-    """Equations of a plant with effects.
+    """Equations of a plant with effects."""
 
-    Attributes
-    ----------
-    plant
-        The plant without them.
-    effects
-        In the order in which they were attached.
-    model
-        Linear equations and ports with the effects that are linear; of a nonlinear plant about some point.
-    laws
-        Every force law with its effect and its port in that model.
-    """
-
-    plant: AnyPlant
-    effects: tuple[AttachedEffect, ...]
+    plant: AnyPlant  # the plant without them
+    effects: tuple[AttachedEffect, ...]  # in the order in which they were attached
+    # linear equations and ports with the effects that are linear; of a nonlinear plant about some point
     model: PortModel = field(init=False)
+    # every force law with its effect and its port in that model
     laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -24,16 +24,10 @@ STILL = 1e-6  # rad, m, rad/s, m/s, A: a motion below it is none
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedNonlinearPlant(ExtendedEquations):
-    """A nonlinear plant with effects; made by `robustlab.dynamics.extended.extended_plant.with_effects`.
-
-    Attributes
-    ----------
-    changed
-        The plant with the parameters that the effects give it.
-    """
+    """A nonlinear plant with effects; made by `robustlab.dynamics.extended.extended_plant.with_effects`."""
 
     plant: NonlinearPlant
-    changed: NonlinearPlant = field(init=False)
+    changed: NonlinearPlant = field(init=False)  # the plant with the parameters that the effects give it
 
     def __post_init__(self) -> None:
         super().__post_init__()

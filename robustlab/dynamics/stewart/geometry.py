@@ -187,41 +187,21 @@ CONSTANTS = (
 
 @dataclass(frozen=True, eq=False)
 class Geometry(Shown):
-    """Points and axes, in m; arrays are read-only.
+    """Points and axes, in m; arrays are read-only."""
 
-    Attributes
-    ----------
-    base, bearing
-        Points b and m in the base frame, shape (6, 3).
-    platform
-        Points p in the platform frame, shape (6, 3).
-    axis
-        Unit vectors x* of the first joint axes, shape (6, 3).
-    mount
-        Where the bodies' axis I points to in the leg: its components along the second joint axis z* and along
-        N = z* x K, shape (6, 2).
-    c
-        Distance of the joint's two axes.
-    home
-        Home pose (tx, ty, tz, ax, ay, az), shape (6,).
-    home_lengths
-        Actuator lengths where the nut angles are zero: those at home but for the offsets, shape (6,).
-    limits
-        Shortest and longest actuator.
-    turns
-        Nut angle per extension, 2 pi / lead in rad/m.
-    """
-
+    # base, bearing: points b and m in the base frame, shape (6, 3)
     base: Array
     bearing: Array
-    platform: Array
-    axis: Array
+    platform: Array  # points p in the platform frame, shape (6, 3)
+    axis: Array  # unit vectors x* of the first joint axes, shape (6, 3)
+    # where the bodies' axis I points to in the leg: its components along the second joint axis z* and along N = z* x K,
+    # shape (6, 2)
     mount: Array
-    c: float
-    home: Array
-    home_lengths: Array
-    limits: tuple[float, float]
-    turns: float
+    c: float  # distance of the joint's two axes
+    home: Array  # home pose (tx, ty, tz, ax, ay, az), shape (6,)
+    home_lengths: Array  # actuator lengths where the nut angles are zero: those at home but for the offsets, shape (6,)
+    limits: tuple[float, float]  # shortest and longest actuator
+    turns: float  # nut angle per extension, 2 pi / lead in rad/m
 
     @property
     def radius(self) -> float:

@@ -154,22 +154,13 @@ def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: A
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StewartPlatform(NonlinearPlant):
-    """A Stewart platform; made by `stewart_platform`.
+    """A Stewart platform; made by `stewart_platform`."""
 
-    Attributes
-    ----------
-    preset, motors
-        As given.
-    geometry
-        Points, axes and lengths.
-    constants
-        The numbers of the equations of motion, (34,).
-    """
-
+    # preset, motors: as given
     preset: str
     motors: bool
-    geometry: Geometry = field(init=False)
-    constants: Array = field(init=False)
+    geometry: Geometry = field(init=False)  # points, axes and lengths
+    constants: Array = field(init=False)  # the numbers of the equations of motion, (34,)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -45,18 +45,13 @@ class Equations:
 class SymbolicPlant(NonlinearPlant):
     """A plant of one's own; made by `robustlab.dynamics.symbolic.equations.PlantEquations`.
 
-    Attributes
-    ----------
-    equations
-        Its tapes.
-
     Raises
     ------
     InputError
         Tapes of other sizes than the signals and parameters.
     """
 
-    equations: Equations
+    equations: Equations  # its tapes
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -31,43 +31,28 @@ __all__ = ["SignalCoverage", "cover", "deviations"]
 
 @dataclass(frozen=True)
 class SignalCoverage(Evidence):
-    """Where one signal of a record lies with respect to the envelope; percent is of `size`.
+    """Where one signal of a record lies with respect to the envelope; percent is of `size`."""
 
-    Attributes
-    ----------
-    name, unit
-        The output, or ``"phi-rate"`` for the mean rate of the output phi.
-    size
-        Largest measured distance from the first measured value, in `unit`.
-    share
-        Share of the samples that lie inside the envelope, 0..1.
-    miss, miss_percent
-        Largest distance of a sample from the envelope; 0 where all lie inside.
-    miss_time, miss_side
-        When that is [s], and whether the record is ``"above"`` or ``"below"`` the envelope; NaN and ``""`` where none.
-    gap, gap_percent
-        Largest ``|measured - nominal|``.
-    reach, reach_percent
-        Largest ``|member - nominal|``: how far the set goes.
-    allowance
-        How far outside the envelope a sample may lie and count as inside.
-    t, measured, nominal, lower, upper
-        The series, each of shape (n,).
-    """
-
+    # name, unit: the output, or ``"phi-rate"`` for the mean rate of the output phi
     name: str
     unit: str
-    size: float
-    share: float
+    size: float  # largest measured distance from the first measured value, in `unit`
+    share: float  # share of the samples that lie inside the envelope, 0..1
+    # miss, miss_percent: largest distance of a sample from the envelope; 0 where all lie inside
     miss: float
     miss_percent: float
+    # miss_time, miss_side: when that is [s], and whether the record is ``"above"`` or ``"below"`` the envelope; NaN and
+    # ``""`` where none
     miss_time: float
     miss_side: Literal["", "above", "below"]
+    # gap, gap_percent: largest ``|measured - nominal|``
     gap: float
     gap_percent: float
+    # reach, reach_percent: largest ``|member - nominal|``: how far the set goes
     reach: float
     reach_percent: float
-    allowance: float
+    allowance: float  # how far outside the envelope a sample may lie and count as inside
+    # t, measured, nominal, lower, upper: the series, each of shape (n,)
     t: Array
     measured: Array
     nominal: Array
@@ -82,28 +67,15 @@ class SignalCoverage(Evidence):
 
 @dataclass(frozen=True)
 class EnvelopeCoverage(Evidence):
-    """Result of `cover`.
+    """Result of `cover`."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED: every response is finite, and every number follows from the series kept here.
-    record
-        Name of the record.
-    signals
-        Output name -> `SignalCoverage`; with a rate also ``"<output>-rate"``.
-    members, seed
-        How many members were simulated besides the nominal one, and the seed they were drawn with.
-    label
-        What the envelope is, and is not.
-    """
-
-    status: Status
-    record: str
-    signals: Mapping[str, SignalCoverage]
+    status: Status  # CONVERGED: every response is finite, and every number follows from the series kept here
+    record: str  # name of the record
+    signals: Mapping[str, SignalCoverage]  # output name -> `SignalCoverage`; with a rate also ``"<output>-rate"``
+    # members, seed: how many members were simulated besides the nominal one, and the seed they were drawn with
     members: int
     seed: int
-    label: str = LABEL
+    label: str = LABEL  # what the envelope is, and is not
 
     @property
     def covered(self) -> bool:

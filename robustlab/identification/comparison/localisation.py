@@ -66,70 +66,41 @@ REST = 0.02  # speeds below this share of the largest count as rest
 
 @dataclass(frozen=True)
 class Motion(Evidence):
-    """Measured speed and position along the record, against which errors are sorted.
+    """Measured speed and position along the record, against which errors are sorted."""
 
-    Attributes
-    ----------
-    speed, position
-        Samples (n,), or None where the record has no such signal.
-    speed_unit, position_unit
-        Their units.
-    speed_source
-        ``"v"``, or ``"derivative of q (Savitzky-Golay, order 3, 49 samples)"``.
-    position_name
-        Name of the position signal.
-    """
-
+    # speed, position: samples (n,), or None where the record has no such signal
     speed: Array | None
     position: Array | None
+    # speed_unit, position_unit: their units
     speed_unit: str
     position_unit: str
-    speed_source: str
-    position_name: str
+    speed_source: str  # ``"v"``, or ``"derivative of q (Savitzky-Golay, order 3, 49 samples)"``
+    position_name: str  # name of the position signal
 
 
 @dataclass(frozen=True)
 class Bin(Evidence):
-    """Error of one output over the samples whose speed (or position) lies in ``[low, high)``.
+    """Error of one output over the samples whose speed (or position) lies in ``[low, high)``."""
 
-    Attributes
-    ----------
-    low, high
-        Edges.
-    samples
-        How many samples lie within.
-    mean, rms
-        Mean and RMS of the error in units of the output (0 where there is no sample).
-    share
-        Share of the record's squared error, 0..1; the shares of all bins sum to 1.
-    """
-
+    # low, high: Edges
     low: float
     high: float
-    samples: int
+    samples: int  # how many samples lie within
+    # mean, rms: mean and RMS of the error in units of the output (0 where there is no sample)
     mean: float
     rms: float
-    share: float
+    share: float  # share of the record's squared error, 0..1; the shares of all bins sum to 1
 
 
 @dataclass(frozen=True)
 class DirectionError(Evidence):
-    """Error of one output over the samples that move in one direction, or rest.
+    """Error of one output over the samples that move in one direction, or rest."""
 
-    Attributes
-    ----------
-    samples
-        How many samples lie within.
-    mean, rms
-        Mean and RMS of the error in units of the output; None where there is no sample.
-    share
-        Share of the record's squared error, 0..1.
-    """
-
-    samples: int
+    samples: int  # how many samples lie within
+    # mean, rms: mean and RMS of the error in units of the output; None where there is no sample
     mean: float | None
     rms: float | None
-    share: float
+    share: float  # share of the record's squared error, 0..1
 
 
 @dataclass(frozen=True)
@@ -137,36 +108,23 @@ class Spectrum(Evidence):
     r"""Power spectral densities by Welch's method, and the coherence of the inputs with the error.
 
     Hann window, half overlap, mean kept (a constant error is an error at frequency 0).
-
-    Attributes
-    ----------
-    frequency
-        Frequencies in Hz, shape (n_f,).
-    measured, simulated, error
-        One-sided densities of the measured output, the free run, and its error in unit²/Hz, shape (n_f,). The windowed
-        error has none: it starts anew in every window, so its frequencies are those of the windows.
-    coherence
-        Input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that
-        frequency that is linear in this input.
-    coherence_level
-        99 % of the coherences of independent signals lie below this.
-    bands
-        Edges of the bands in Hz, shape (n_bands + 1,).
-    error_share
-        Share of the squared error per band, shape (n_bands,), sum 1.
-    relative_error
-        RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where
-        nothing was measured.
     """
 
-    frequency: Array
+    frequency: Array  # frequencies in Hz, shape (n_f,)
+    # measured, simulated, error: One-sided densities of the measured output, the free run, and its error in unit²/Hz,
+    # shape (n_f,). The windowed error has none: it starts anew in every window, so its frequencies are those of the
+    # windows.
     measured: Array
     simulated: Array
     error: Array
+    # input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that frequency
+    # that is linear in this input
     coherence: Mapping[str, Array]
-    coherence_level: float
-    bands: Array
-    error_share: Array
+    coherence_level: float  # 99 % of the coherences of independent signals lie below this
+    bands: Array  # edges of the bands in Hz, shape (n_bands + 1,)
+    error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
+    # RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where nothing
+    # was measured
     relative_error: Array
 
     def band_table(self) -> dict[str, object]:
@@ -322,36 +280,21 @@ def _shares(power: Array) -> Array:
 
 @dataclass(frozen=True)
 class InputDisturbance(Evidence):
-    """Constant addition to one input that reproduces each piece of the record best; arrays have shape (n_pieces,).
+    """Constant addition to one input that reproduces each piece of the record best; arrays have shape (n_pieces,)."""
 
-    Attributes
-    ----------
-    seconds
-        Length of a piece in s.
-    time
-        Middle of each piece in s.
-    speed
-        Mean measured speed over each piece, or None where there is no speed.
-    value, std
-        The addition d in the unit of the input, and its standard deviation if the error left were white; NaN in
-        pieces where the outputs cannot tell d from the initial state.
-    forward, backward
-        Means of d over the pieces that move throughout in one direction; NaN where there are none.
-    explained_share
-        Share of the squared error of all pieces (each with its own initial state) that d removes, 0..1.
-    speed_source
-        The speed it is sorted by, as in `robustlab.identification.comparison.localisation.Motion`.
-    """
-
-    seconds: float
-    time: Array
-    speed: Array | None
+    seconds: float  # length of a piece in s
+    time: Array  # middle of each piece in s
+    speed: Array | None  # mean measured speed over each piece, or None where there is no speed
+    # value, std: the addition d in the unit of the input, and its standard deviation if the error left were white; NaN
+    # in pieces where the outputs cannot tell d from the initial state
     value: Array
     std: Array
+    # forward, backward: means of d over the pieces that move throughout in one direction; NaN where there are none
     forward: float
     backward: float
+    # share of the squared error of all pieces (each with its own initial state) that d removes, 0..1
     explained_share: float
-    speed_source: str = ""
+    speed_source: str = ""  # the speed it is sorted by, as in `robustlab.identification.comparison.localisation.Motion`
 
 
 def input_disturbance(response: Response, name: str, whole: Stretch, length: int, motion: Motion) -> InputDisturbance:
@@ -410,23 +353,15 @@ def _mean(values: Array, chosen: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class NoiseGap(Evidence):
-    """Gap of one output in multiples of its noise.
+    """Gap of one output in multiples of its noise."""
 
-    Attributes
-    ----------
-    std
-        Noise of a single sample of the output, in its unit (`NoiseFloor.std`).
-    rms_percent, windowed_rms_percent
-        RMS of the free run's and of the windowed error in percent of ``std``: 100 is a model as good as the noise
-        allows. None where the repeats are equal to the last bit.
-    excess
-        `Excess` of the windowed error, with windows at the same phases of every repeat. Its ``noise`` is the floor of
-        the windowed error itself: in closed loop it is larger than ``std``, as the noise enters at the input too.
-    """
-
-    std: float
+    std: float  # noise of a single sample of the output, in its unit (`NoiseFloor.std`)
+    # rms_percent, windowed_rms_percent: RMS of the free run's and of the windowed error in percent of ``std``: 100 is a
+    # model as good as the noise allows. None where the repeats are equal to the last bit.
     rms_percent: float | None
     windowed_rms_percent: float | None
+    # `Excess` of the windowed error, with windows at the same phases of every repeat. Its ``noise`` is the floor of the
+    # windowed error itself: in closed loop it is larger than ``std``, as the noise enters at the input too.
     excess: Excess
 
 

@@ -58,29 +58,18 @@ class Whiteness(Evidence):
 
     with :math:`N_k` the number of pairs at lag k (N - k without gaps). The residual is not centred: a constant offset
     is an error. No degree of freedom is taken off, as no parameter was fitted.
-
-    Attributes
-    ----------
-    lags, autocorrelation
-        Lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,).
-    band
-        99 % of the r_k of a white residual lie within ± this.
-    statistic, dof, p_value
-        Q, m, and the probability of a larger Q for a white residual.
-    predictable_share
-        Share of the variance that a linear predictor over the last m samples explains, 0..1.
-    samples
-        N.
     """
 
+    # lags, autocorrelation: lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,)
     lags: NDArray[np.int_]
     autocorrelation: Array
-    band: float
+    band: float  # 99 % of the r_k of a white residual lie within ± this
+    # statistic, dof, p_value: Q, m, and the probability of a larger Q for a white residual
     statistic: float
     dof: int
     p_value: float
-    predictable_share: float
-    samples: int
+    predictable_share: float  # share of the variance that a linear predictor over the last m samples explains, 0..1
+    samples: int  # N
 
 
 @dataclass(frozen=True)
@@ -93,34 +82,26 @@ class InputCorrelation(Evidence):
     with :math:`\tilde u` the input without its mean, and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
     u_{t-m}` at the :math:`N_m` samples that have all of these.
 
-    Attributes
-    ----------
-    lags, correlation
-        Lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,). Correlation at
-        negative lags means that the input was computed from the output: the record was taken in closed loop.
-    band
-        99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for
-        white ones.
-    statistic, dof, p_value
-        Q, the number of excited directions among the m + 1 lags, and the probability of a larger Q.
-    explained_share
-        R²: share of the residual's variance that the input explains over lags 0..m, 0..1.
-    samples
-        N.
-
     References
     ----------
     Ljung, *System Identification* (1999), section 16.6.
     """
 
+    # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).
+    # Correlation at negative lags means that the input was computed from the output: the record was taken in closed
+    # loop.
     lags: NDArray[np.int_]
     correlation: Array
+    # 99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for
+    # white ones
     band: float
+    # statistic, dof, p_value: Q, the number of excited directions among the m + 1 lags, and the probability of a larger
+    # Q
     statistic: float
     dof: int
     p_value: float
-    explained_share: float
-    samples: int
+    explained_share: float  # R²: share of the residual's variance that the input explains over lags 0..m, 0..1
+    samples: int  # N
 
 
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
@@ -207,34 +188,21 @@ DETECTED = 0.01  # p-value below which a share is more than noise
 
 @dataclass(frozen=True)
 class HarmonicShares(Evidence):
-    """Where in the harmonics the repeating part of one signal lies.
+    """Where in the harmonics the repeating part of one signal lies."""
 
-    Attributes
-    ----------
-    rms
-        RMS of the signal's repeating part at all judged lines, in its unit.
-    even, odd
-        Share of its power at even lines, and at odd lines, that are not excited, 0..1, noise taken off; None where
-        there is no such line.
-    even_p, odd_p
-        Probability of that much power from noise alone; None without such lines or without noise.
-    frequency, amplitude
-        The judged lines in Hz, and the amplitude of each (peak of the sine), shape (n_lines,).
-    kind
-        0 excited, 1 even and not excited, 2 odd and not excited, for each line, shape (n_lines,).
-    noise
-        Amplitude that noise alone leaves at each line, shape (n_lines,).
-    """
-
-    rms: float
+    rms: float  # RMS of the signal's repeating part at all judged lines, in its unit
+    # even, odd: share of its power at even lines, and at odd lines, that are not excited, 0..1, noise taken off; None
+    # where there is no such line
     even: float | None
     odd: float | None
+    # even_p, odd_p: probability of that much power from noise alone; None without such lines or without noise
     even_p: float | None
     odd_p: float | None
+    # frequency, amplitude: the judged lines in Hz, and the amplitude of each (peak of the sine), shape (n_lines,)
     frequency: Array
     amplitude: Array
-    kind: NDArray[np.int_]
-    noise: Array
+    kind: NDArray[np.int_]  # 0 excited, 1 even and not excited, 2 odd and not excited, for each line, shape (n_lines,)
+    noise: Array  # amplitude that noise alone leaves at each line, shape (n_lines,)
 
     def words(self) -> str:
         """``even 0.13 %, odd not beyond noise`` (of the power)."""
@@ -253,21 +221,12 @@ class HarmonicShares(Evidence):
 
 @dataclass(frozen=True)
 class EvenOdd(Evidence):
-    """Even/odd test of all signals.
+    """Even/odd test of all signals."""
 
-    Attributes
-    ----------
-    signals
-        Output (and, in closed loop, input) name -> `HarmonicShares`; empty where the excitation allows no test.
-    excitation
-        What is excited, in words; empty where nothing repeats.
-    reason
-        Why there is no test, or why one half of it is missing; empty where both can be made.
-    """
-
+    # output (and, in closed loop, input) name -> `HarmonicShares`; empty where the excitation allows no test
     signals: Mapping[str, HarmonicShares]
-    excitation: str
-    reason: str
+    excitation: str  # what is excited, in words; empty where nothing repeats
+    reason: str  # why there is no test, or why one half of it is missing; empty where both can be made
 
 
 def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array], dt: float) -> EvenOdd:

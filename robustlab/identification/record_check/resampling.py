@@ -54,21 +54,11 @@ class Gap(NamedTuple):
 
 @dataclass(frozen=True)
 class UniformRecord(Evidence):
-    """A record on a uniform clock, and what of it was measured.
+    """A record on a uniform clock, and what of it was measured."""
 
-    Attributes
-    ----------
-    record
-        The resampled record.
-    valid
-        Output name -> True where samples on both sides are near, shape (n,).
-    gaps
-        Where samples are missing, in order; the inputs are held over them, which is a guess.
-    """
-
-    record: Record
-    valid: Mapping[str, Mask]
-    gaps: tuple[Gap, ...]
+    record: Record  # the resampled record
+    valid: Mapping[str, Mask]  # output name -> True where samples on both sides are near, shape (n,)
+    gaps: tuple[Gap, ...]  # where samples are missing, in order; the inputs are held over them, which is a guess
 
     def pieces(self, shortest: int = 2) -> tuple[Record, ...]:
         """The stretches between the gaps as records of their own, of ``shortest`` samples at least."""

@@ -158,29 +158,16 @@ FEWEST_DIFFERENCES = 10
 
 @dataclass(frozen=True)
 class Finding(Evidence):
-    """One thing about a record that matters for naming.
+    """One thing about a record that matters for naming."""
 
-    Attributes
-    ----------
-    kind
-        One of the kinds in the module's table.
-    channel
-        Signal, or ``"t"`` for the clock; two signals are separated by a comma.
-    found, expected, hint
-        In words: what was found, what would have been right, what to do.
-    fatal
-        Naming must not go on.
-    evidence
-        The figures behind it.
-    """
-
-    kind: str
-    channel: str
+    kind: str  # one of the kinds in the module's table
+    channel: str  # signal, or ``"t"`` for the clock; two signals are separated by a comma
+    # found, expected, hint: in words: what was found, what would have been right, what to do
     found: str
     expected: str
     hint: str
-    fatal: bool
-    evidence: dict[str, object]
+    fatal: bool  # naming must not go on
+    evidence: dict[str, object]  # the figures behind it
 
     @property
     def message(self) -> str:
@@ -195,18 +182,10 @@ class Finding(Evidence):
 
 @dataclass(frozen=True)
 class Suitability(Evidence):
-    """What `suitability` found.
+    """What `suitability` found."""
 
-    Attributes
-    ----------
-    record
-        Name of the record.
-    findings
-        Fatal ones first.
-    """
-
-    record: str
-    findings: tuple[Finding, ...]
+    record: str  # name of the record
+    findings: tuple[Finding, ...]  # fatal ones first
 
     @property
     def fatal(self) -> tuple[Finding, ...]:

@@ -89,26 +89,16 @@ class StateFit:
 
 @dataclass(frozen=True)
 class InitialState(Evidence):
-    """The state from which the whole record is simulated.
+    """The state from which the whole record is simulated."""
 
-    Attributes
-    ----------
-    x0, std
-        Estimate and its standard deviation, shape (n_x,), in the units of ``names``.
-    names
-        Names of the states.
-    samples, seconds
-        Length of the stretch it was fitted to.
-    rank
-        Number of state directions that the recorded outputs determine; less than n_x means part of the start is
-        unknown.
-    """
-
+    # x0, std: estimate and its standard deviation, shape (n_x,), in the units of ``names``
     x0: Array
     std: Array
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of the states
+    # samples, seconds: length of the stretch it was fitted to
     samples: int
     seconds: float
+    # number of state directions that the recorded outputs determine; less than n_x means part of the start is unknown
     rank: int
 
     def to_json(self) -> dict[str, object]:
