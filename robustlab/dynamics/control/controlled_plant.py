@@ -39,8 +39,7 @@ from robustlab.dynamics.control.controllers import torque_gains
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.signal_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
-from robustlab.dynamics.extended.extended_plant import with_effects
+from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.control.controlled_plant import ControlledNonlinearPlant, controlled_nonlinear
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
-from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.kinematics import check_pose, inside, nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
@@ -238,7 +238,7 @@ def follow_with_torques(
     """Nonlinear simulation of a machine that takes torques, with effects at its joints or without, under a controller.
 
     Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
-    stands (`robustlab.dynamics.extended.extended_nonlinear`).
+    stands (`robustlab.dynamics.extended.extended_plant`).
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ class InputDelay(SignalDelay):
     .. math:: u'(t) = u(t - d)
 
     The input is held in steps; each step of the delayed input is its mean over that step. A simulation shifts the
-    samples themselves (`robustlab.dynamics.ports.sampled_input`), first moments included.
+    samples themselves (`robustlab.dynamics.extended.simulator`), first moments included.
     """
 
     id = "input-delay"

@@ -20,8 +20,12 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.effect_blocks import NoiseInput, with_forces
-from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
-from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects, without_signals
+from robustlab.dynamics.extended.extended_plant import (
+    ExtendedNonlinearPlant,
+    ExtendedPlant,
+    with_effects,
+    without_signals,
+)
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, port_model

@@ -13,6 +13,7 @@ motion, and forces), the rates are taken in every step.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -207,11 +208,7 @@ def _halved(a: Array, h: float) -> tuple[Array, int]:
 def _series(z: Array, k: int) -> Array:
     r""":math:`\varphi_k(z) = \sum_j z^j / (j + k)!` of small z, by Horner's rule."""
     one = np.eye(z.shape[-1])
-    found = np.broadcast_to(one / _factorial(TERMS + k), z.shape)
+    found = np.broadcast_to(one / math.factorial(TERMS + k), z.shape)
     for j in range(TERMS - 1, -1, -1):
-        found = one / _factorial(j + k) + z @ found
+        found = one / math.factorial(j + k) + z @ found
     return found
-
-
-def _factorial(k: int) -> float:
-    return float(np.prod(np.arange(1.0, k + 1.0)))

@@ -36,10 +36,9 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
-from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning

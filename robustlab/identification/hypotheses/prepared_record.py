@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.dynamics.extended.simulator import Windows, rising
+from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
-from robustlab.dynamics.ports.sampled_input import SampledInput
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion

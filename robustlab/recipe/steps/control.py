@@ -444,7 +444,7 @@ def _followed(
     from robustlab.dynamics import linearise, trim
     from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
     from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow, follow_with_torques, torque_loop
-    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
     from robustlab.dynamics.stewart.kinematics import nut_angles
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
     from robustlab.statespace import as_model
