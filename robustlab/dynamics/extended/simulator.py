@@ -1,7 +1,8 @@
 r"""Simulation of a plant with effects, in windows that start anew or in one run.
 
 A linear plant is exact; a nonlinear one is linear about a recorded motion (`robustlab.dynamics.ports.motion_model`). An
-input between its samples, shifted in time, is what the steps see of it. A sampled input is one polynomial per sample interval, with :math:`\theta = (t - t_k)/\Delta t \in [0, 1)`:
+input between its samples, shifted in time, is what the steps see of it. A sampled input is one polynomial per sample
+interval, with :math:`\theta = (t - t_k)/\Delta t \in [0, 1)`:
 
 .. math:: u(t_k + \theta\,\Delta t) = \sum_m c_{km}\, \theta^m
 
