@@ -31,6 +31,7 @@ Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), ch
 Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation).
 """
 
+# pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false, reportCallIssue=false
 from __future__ import annotations
 
 import math
@@ -61,9 +62,6 @@ __all__ = [
     "law",
     "narrowed",
 ]
-
-
-# pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false, reportCallIssue=false
 
 
 # Entries of the vector that a law is given: position and velocity at the start of the step, both at its end without
