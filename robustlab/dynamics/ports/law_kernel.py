@@ -47,13 +47,15 @@ __all__ = [
     "CLOSE",
     "GQ",
     "GV",
-    "Q",
     "Q0",
     "SECANTS",
     "STEP",
     "TIME",
-    "V",
     "V0",
+    "HeldSteps",
+    "Q",
+    "Run",
+    "V",
     "bracket",
     "drifts",
     "dry_mean_force",
@@ -61,6 +63,7 @@ __all__ = [
     "is_open",
     "law",
     "narrowed",
+    "step_windows",
 ]
 
 
