@@ -8,7 +8,6 @@ Březina 2010, sections 8.2.1 (linear against nonlinear), 9.1.3 (tracking), 10.3
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -194,7 +193,7 @@ def cases(plant: StewartPlatform) -> tuple[Case, ...]:
         ("2c", "all bodies +2.5 %", 2.54, 1.025, ALL),
     )
     for name, words, published, factor, parameters in changes:
-        heavy = plant.with_parameters(**_scaled(plant, factor, parameters))
+        heavy = plant.with_parameters(**{name: factor * plant.values[name] for name in parameters})
         rest = trim(heavy)
         released = float(home.u[0] - rest.u[0])
         made.append(Case(name, words, published, -1, True, nominal, linearise(heavy, rest), released))
@@ -213,10 +212,6 @@ def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:
     d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
     inputs = [*model.inputs, ("gravity", "1")]
     return StateSpaceModel(model.A, b, model.C, d, model.dt, inputs, model.outputs, model.states)
-
-
-def _scaled(plant: StewartPlatform, factor: float, names: tuple[str, ...]) -> Mapping[str, float]:
-    return {name: factor * plant.values[name] for name in names}
 
 
 # --- the controlled machine ------------------------------------------------------------------------------------------

@@ -275,7 +275,7 @@ class PlantEquations:
         a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
         blocks = (rates, outputs, a, b, c, d, push)
         rows = ca.vertcat(*(ca.vec(ca.densify(block).T) for block in blocks))
-        titles = labels(self._states, self._inputs, [Signal(*o) for o in _pairs(self._outputs)], places)
+        titles = labels(self._states, self._inputs, [Signal(y, unit) for y, (_, unit) in self._outputs.items()], places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
         return Equations(
             tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
@@ -491,10 +491,6 @@ def _solved(ca: Any, factor: tuple[list[list[Any]], list[Any]], right: Any) -> A
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
-
-
-def _pairs(outputs: dict[str, tuple[Any, str]]) -> list[tuple[str, str]]:
-    return [(name, unit) for name, (_, unit) in outputs.items()]
 
 
 def _title(name: Any, where: str, kind: str) -> str:

@@ -173,7 +173,7 @@ def cover(
         if lag is not None:
             seconds = lag * record.dt
             middle = 0.5 * (record.t[lag:] + record.t[:-lag])
-            rate_y, rate_0, rate_k = (_mean_rate(y, lag, seconds) for y in (measured, centre, members))
+            rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
             label, slack = f"{name}-rate", 2 * allowed[name] / seconds
             signals[label] = _judged(label, f"{unit}/s" if unit else "", middle, rate_y, rate_0, rate_k, slack)
     return EnvelopeCoverage(Status.CONVERGED, record.name, signals, len(drawn), drawn.seed)
@@ -216,11 +216,6 @@ def _judged(
         lower=lower,
         upper=upper,
     )
-
-
-def _mean_rate(y: Array, lag: int, seconds: float) -> Array:
-    """Mean rate over ``lag`` samples along the last axis."""
-    return (y[..., lag:] - y[..., :-lag]) / seconds
 
 
 def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]) -> tuple[Record, Array]:

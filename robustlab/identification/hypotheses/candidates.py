@@ -57,7 +57,7 @@ def candidates(
         if not effect.nameable:
             continue
         for site in effect.sites(plant, model):
-            if site.kind == "output" and not _recorded(plant, site, records):
+            if site.kind == "output" and not all(site.name in r.record.outputs for r in records):
                 continue
             if site not in known:
                 known[site] = _scales(site, plant, model, records, tuning)
@@ -85,10 +85,6 @@ def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) ->
         seen = q is not None and float(np.linalg.norm(q - span.T @ (span @ q))) < 1e-3 * float(np.linalg.norm(q))
         ports[name] = port if seen else replace(port, position=None, position_unit="")
     return replace(model, ports=ports)
-
-
-def _recorded(plant: AnyPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:
-    return all(site.name in r.record.outputs for r in records)
 
 
 def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
@@ -151,13 +147,9 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
     q = s.x @ port.position if port.position is not None else np.zeros(len(v))
     # The smoother's forces are those of the joints, in the order of the ports; a current port has none.
     pushed = port.force.reshape(-1, port.force.shape[-1]).mean(axis=0)[: len(record.push)]
-    j = int(np.argmax(np.abs(pushed @ _directions(record.push)))) if record.push.shape[1] else 0
+    # Dual directions of the pushes, so that each one is seen by itself alone.
+    j = int(np.argmax(np.abs(pushed @ np.linalg.pinv(record.push).T))) if record.push.shape[1] else 0
     return q, v, s.d[:, j], s.d_std[:, j]
-
-
-def _directions(push: Array) -> Array:
-    """Dual directions of the pushes, so that each one is seen by itself alone."""
-    return np.linalg.pinv(push).T
 
 
 def _orders_at_output(
