@@ -10,7 +10,7 @@ import numpy as np
 import robustlab as rl
 from robustlab.dynamics.plant_contract import input_signal
 from robustlab.dynamics.stewart import direct_kinematics, inverse_kinematics, linear_models, workspace_grid
-from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
+from robustlab.dynamics.stewart.kinematics import kernels, motion_kernels
 
 
 def median(run, times: int = 25) -> float:

@@ -19,7 +19,7 @@ Every message says WHERE, what was FOUND and what was EXPECTED on one line; the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -39,6 +39,7 @@ __all__ = [
     "did_you_mean",
     "plain_text",
     "told_as",
+    "unknown_name",
 ]
 
 P = ParamSpec("P")
@@ -156,6 +157,12 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
     near = [other for other in known[:2000] if len(other) <= 200] if len(name) <= 200 else []
     close = difflib.get_close_matches(name, near, n=1)
     return f"did you mean {close[0]}?" if close else None
+
+
+def unknown_name(where: str, found: str, name: str, known: Iterable[str]) -> InputError:
+    """The error for a name that is none of those known, which it lists; the closest of them is its hint."""
+    names = tuple(known)
+    return InputError(where, found, f"one of {', '.join(names) or 'none'}", did_you_mean(name, names))
 
 
 def _shown(text: str) -> str:

@@ -13,7 +13,7 @@ from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.admissible import admissible
+from robustlab.identification.naming.discovery import admissible
 from robustlab.identification.naming.search import Found, search_sets
 from robustlab.identification.tuning import TUNING
 

@@ -94,7 +94,7 @@ def new(
 
     Example: robustlab plant new mymachine && robustlab plant show mymachine.py:axis
     """
-    from robustlab.dynamics.plant_template import PLANT, write_template
+    from robustlab.dynamics.plant_file import PLANT, write_template
 
     path = write_template(name)
     text = f"{path}\nlook at it with: robustlab plant show {path}:{PLANT}"

@@ -32,15 +32,15 @@ __all__ = [
     "trim",
 ]
 
-# name -> module; the module holds a function of its own last name that makes the plant from its parameters
+# name -> the function that makes the plant from its parameters
 _PLANTS = {
-    "dc-motor": "plants.dc_motor",
-    "brushless-motor": "plants.brushless_motor",
-    "servo-axis": "plants.servo_axis",
-    "mass-spring-damper": "plants.mass_spring_damper",
-    "two-mass": "plants.two_mass",
-    "linear-actuator": "plants.linear_actuator",
-    "stewart-platform": "stewart.stewart_platform",
+    "dc-motor": "plants.motors.dc_motor",
+    "brushless-motor": "plants.motors.brushless_motor",
+    "servo-axis": "plants.masses.servo_axis",
+    "mass-spring-damper": "plants.masses.mass_spring_damper",
+    "two-mass": "plants.masses.two_mass",
+    "linear-actuator": "plants.motors.linear_actuator",
+    "stewart-platform": "stewart.stewart_platform.stewart_platform",
 }
 
 
@@ -86,16 +86,13 @@ def plant(name: str, **parameters: Any) -> Any:
 def builtin_plant(name: str, **parameters: Any) -> Any:
     """The same of a plant that comes with robustlab, and of no other: for names out of data files, which run no code.
 
-    Raises
-    ------
-    InputError
-        As `plant`.
+    Raises InputError: as `plant`.
     """
     if not isinstance(name, str) or name not in _PLANTS:
         known = f"one of {', '.join(_PLANTS)}, path/to/file.py:name or path/to/machine.fmu"
         raise InputError(f"plant {name!r}", "no such plant", known, did_you_mean(str(name), plant_names()))
-    module = _PLANTS[name]
-    return getattr(import_module(f"robustlab.dynamics.{module}"), module.rpartition(".")[2])(**parameters)
+    module, _, function = _PLANTS[name].rpartition(".")
+    return getattr(import_module(f"robustlab.dynamics.{module}"), function)(**parameters)
 
 
 def plant_names() -> tuple[str, ...]:

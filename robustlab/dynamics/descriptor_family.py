@@ -38,7 +38,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.descriptor_lft import Channels, closed_descriptor, solved
+from robustlab.dynamics.descriptor_elimination import Channels, closed_descriptor, solved
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
@@ -47,7 +47,7 @@ from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.matrix_polynomial import Exponents, MatrixPolynomial, polynomial_lft
 
-__all__ = ["REMAINDER", "TrimmedDescriptor", "uncertain_family"]
+__all__ = ["TrimmedDescriptor", "uncertain_family"]
 
 Values = Mapping[str, float]
 
@@ -60,20 +60,11 @@ REMAINDER = "remainder"
 
 
 class TrimmedDescriptor(NamedTuple):
-    """A plant at an operating point, as a function of its parameters.
+    """A plant at an operating point, as a function of its parameters."""
 
-    Attributes
-    ----------
-    matrices
-        Values of all parameters -> N (n_x + n_y, 2 n_x + n_u).
-    held
-        What stays and what follows when the parameters change, in words.
-    free
-        Rows of N that may be multiplied by a function of the parameters, for which a simple one is looked for.
-    """
-
-    matrices: Callable[[Values], Array]
-    held: str
+    matrices: Callable[[Values], Array]  # values of all parameters -> N (n_x + n_y, 2 n_x + n_u)
+    held: str  # what stays and what follows when the parameters change, in words
+    # rows of N that may be multiplied by a function of the parameters, for which a simple one is looked for
     free: tuple[int, ...] = ()
 
 

@@ -38,7 +38,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.simulation import Hold, recorded, sampled_inputs
 from robustlab.dynamics.tuning import TUNING, DynamicsTuning
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
@@ -103,30 +103,14 @@ class FrictionEvent(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StickSlip:
-    """Response of a plant with dry friction.
+    """Response of a plant with dry friction."""
 
-    Attributes
-    ----------
-    record
-        Inputs and outputs.
-    x
-        States, (n, n_x).
-    force
-        Friction force of each joint, (n, n_joints); while sticking, the one that holds it.
-    sliding
-        1, -1 or 0 (sticking) for each joint, (n, n_joints).
-    events
-        Every change between sticking and sliding, in order.
-    status
-        CONVERGED: every change was located to the clock's last bits.
-    """
-
-    record: Record
-    x: Array
-    force: Array
-    sliding: NDArray[np.int8]
-    events: tuple[FrictionEvent, ...]
-    status: Status = Status.CONVERGED
+    record: Record  # inputs and outputs
+    x: Array  # states, (n, n_x)
+    force: Array  # friction force of each joint, (n, n_joints); while sticking, the one that holds it
+    sliding: NDArray[np.int8]  # 1, -1 or 0 (sticking) for each joint, (n, n_joints)
+    events: tuple[FrictionEvent, ...]  # every change between sticking and sliding, in order
+    status: Status = Status.CONVERGED  # CONVERGED: every change was located to the clock's last bits
 
     def __post_init__(self) -> None:
         for array in (self.x, self.force, self.sliding):
@@ -203,8 +187,7 @@ def _places(plant: Any, model: StateSpaceModel, joints: tuple[DryFriction, ...])
     names = list(model.state_names)
     for joint in joints:
         if joint.velocity not in names:
-            hint = did_you_mean(joint.velocity, names)
-            raise InputError(f"dry friction on {joint.velocity!r}", "no such state", f"one of {', '.join(names)}", hint)
+            raise unknown_name(f"dry friction on {joint.velocity!r}", "no such state", joint.velocity, names)
     places = [names.index(joint.velocity) for joint in joints]
     if len(set(places)) != len(places):
         raise InputError("dry friction", "two on one velocity", "one for each velocity, with the sum of the forces")
@@ -288,11 +271,7 @@ class _Motion:
     """The motion of one plant with friction, piece by piece."""
 
     def __init__(
-        self,
-        model: StateSpaceModel,
-        joints: Sequence[DryFriction],
-        at: tuple[list[int], Array],
-        tuning: DynamicsTuning,
+        self, model: StateSpaceModel, joints: Sequence[DryFriction], at: tuple[list[int], Array], tuning: DynamicsTuning
     ) -> None:
         self.a, self.b, (self.places, self.columns), self.tuning = model.A, model.B, at, tuning
         self.n, self.n_u = model.n_states, model.n_inputs

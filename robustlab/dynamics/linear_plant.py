@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.descriptor_lft import ROUNDING, Channels, closed_descriptor, solved
+from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved
 from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError
@@ -33,12 +33,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "AffineEquations",
-    "Descriptor",
-    "LinearPlant",
-    "tied_plant",
-]
+__all__ = ["AffineEquations", "Descriptor", "LinearPlant", "tied_plant"]
 
 
 @dataclass(frozen=True)
@@ -57,29 +52,18 @@ class Descriptor:
 
 @dataclass(frozen=True, eq=False)
 class AffineEquations:
-    """Equations of a `LinearPlant` as numbers: ``M(p) = M_0 + sum_k p_k M_k`` for each of E, F, G, C, D.
+    """Equations of a `LinearPlant` as numbers: ``M(p) = M_0 + sum_k p_k M_k`` for each of E, F, G, C, D."""
 
-    Attributes
-    ----------
-    names
-        The parameters p_k.
-    coefficients
-        E, F, G, C, D -> array of shape (1 + number of parameters, rows, columns): M_0 first.
-    fixed
-        Parameters that acted otherwise than by such a sum, with the values at which M_0 was taken.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # the parameters p_k
+    # E, F, G, C, D -> array of shape (1 + number of parameters, rows, columns): M_0 first
     coefficients: Mapping[str, Array]
+    # parameters that acted otherwise than by such a sum, with the values at which M_0 was taken
     fixed: Mapping[str, float]
 
     def __call__(self, values: Mapping[str, float]) -> Descriptor:
         """The matrices at these values.
 
-        Raises
-        ------
-        InputError
-            Another value of a fixed parameter.
+        Raises InputError: another value of a fixed parameter.
         """
         for name, value in self.fixed.items():
             if values[name] != value:
@@ -324,15 +308,9 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
 
     Its tolerance is the widest of the group's, whose own are taken off; groups of one, or without a tolerance, stay.
 
-    Parameters
-    ----------
-    groups
-        (label, names of parameters) each.
+    ``groups``: (label, names of parameters) each.
 
-    Raises
-    ------
-    InputError
-        A label that is the name of a parameter, a name that is none, one in two groups.
+    Raises InputError: a label that is the name of a parameter, a name that is none, one in two groups.
 
     Examples
     --------

@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
-__all__ = ["Parameter", "Role", "Sign", "overridden", "parameter_ranges", "tolerance_of"]
+__all__ = ["Parameter", "Role", "overridden", "parameter_ranges", "tolerance_of"]
 
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain",
@@ -171,10 +171,7 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
     known = {p.name: p for p in defaults}
     for name, value in given.items():
         if name not in known:
-            names = tuple(known)
-            raise InputError(
-                f"{where}: {name!r}", "no such parameter", f"one of {', '.join(names)}", did_you_mean(name, names)
-            )
+            raise unknown_name(f"{where}: {name!r}", "no such parameter", name, known)
         place, unit = f"{where}: {name}", known[name].unit
         if isinstance(value, (tuple, list)):
             if len(value) != 2:
@@ -194,19 +191,10 @@ def parameter_ranges(
 ) -> dict[str, ParameterRange]:
     """The range of every parameter that has one: as given, or from its tolerance.
 
-    Parameters
-    ----------
-    given
-        Name -> (low, high), numbers or texts with a unit, around the parameter's value.
-    where
-        What messages call the plant.
-    exact
-        Names of parameters that take no range.
+    ``given``: name -> (low, high), numbers or texts with a unit, around the parameter's value. ``where``: what messages
+    call the plant. ``exact``: names of parameters that take no range.
 
-    Raises
-    ------
-    InputError
-        A name that is no parameter or an exact one, ends that do not hold the value or leave its sign.
+    Raises InputError: a name that is no parameter or an exact one, ends that do not hold the value or leave its sign.
 
     Examples
     --------
@@ -218,7 +206,7 @@ def parameter_ranges(
     for name in given:
         place = f"{where}: uncertain: {name!r}"
         if name not in known:
-            raise InputError(place, "no such parameter", f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise unknown_name(place, "no such parameter", name, known)
         if name in exact:
             raise InputError(place, "a range", "none: it is taken as exact")
     ranges: dict[str, ParameterRange] = {}
@@ -237,15 +225,9 @@ def parameter_ranges(
 def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
     """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``.
 
-    Parameters
-    ----------
-    given
-        A number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
+    ``given``: a number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
 
-    Raises
-    ------
-    InputError
-        A share of the value 0, in which nothing could move; what is no number, or in no such unit.
+    Raises InputError: a share of the value 0, in which nothing could move; what is no number, or in no such unit.
 
     Examples
     --------

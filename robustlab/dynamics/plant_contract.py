@@ -27,14 +27,14 @@ from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_a
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
+    "InputSignal",
     "LocalModels",
+    "NonlinearHold",
     "NonlinearPlant",
-    "PortPlace",
     "Plant",
+    "PortPlace",
     "SteppedPlant",
     "Trim",
-    "InputSignal",
-    "NonlinearHold",
     "input_signal",
 ]
 
@@ -44,20 +44,12 @@ NonlinearHold = Literal["zoh", "foh", "spline"]
 
 @dataclass(frozen=True, eq=False)
 class InputSignal:
-    """Inputs that are a polynomial of degree 5 between two times.
+    """Inputs that are a polynomial of degree 5 between two times."""
 
-    Attributes
-    ----------
-    t
-        Times in s, shape (n,).
-    coefficients
-        ``u(t) = sum_j coefficients[k, j] (t - t[k])^j`` for t[k] <= t <= t[k + 1]; shape (n - 1, 6, n_u).
-    broken
-        True where interval k does not continue the one before smoothly: there an integrator must restart; (n - 1,).
-    """
-
-    t: Array
+    t: Array  # times in s, shape (n,)
+    # ``u(t) = sum_j coefficients[k, j] (t - t[k])^j`` for t[k] <= t <= t[k + 1]; shape (n - 1, 6, n_u)
     coefficients: Array
+    # true where interval k does not continue the one before smoothly: there an integrator must restart; (n - 1,)
     broken: NDArray[np.bool_]
 
     @property
@@ -73,17 +65,11 @@ class InputSignal:
 def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
     """Signal through the samples (n, n_u).
 
-    Parameters
-    ----------
-    hold
-        "zoh": constant until the next sample (a D/A converter). "foh": straight to the next sample. "spline": the
-        not-a-knot spline of degree 5, for a smooth signal (a cubic one would break the integrator's order at every
-        sample); it needs at least 6 samples.
+    ``hold``: "zoh": constant until the next sample (a D/A converter). "foh": straight to the next sample. "spline": the
+    not-a-knot spline of degree 5, for a smooth signal (a cubic one would break the integrator's order at every sample);
+    it needs at least 6 samples.
 
-    Raises
-    ------
-    InputError
-        An unknown hold, or a spline of fewer than 6 samples.
+    Raises InputError: an unknown hold, or a spline of fewer than 6 samples.
     """
     coefficients = np.zeros((len(t) - 1, 6, samples.shape[1]))
     broken = np.zeros(len(t) - 1, dtype=np.bool_)
@@ -232,24 +218,12 @@ class Trim(Shown):
 
 @dataclass(frozen=True)
 class PortPlace:
-    """A state of a nonlinear plant at which a force, torque or voltage can act.
+    """A state of a nonlinear plant at which a force, torque or voltage can act."""
 
-    Attributes
-    ----------
-    name
-        The velocity state (kind ``"joint"``) or current state (kind ``"current"``).
-    kind
-        As of `robustlab.dynamics.ports.port_model.Port`.
-    unit
-        Of what acts there: N, N m, V.
-    position
-        The state that integrates the velocity; empty without one.
-    """
-
-    name: str
-    kind: Literal["joint", "current"]
-    unit: str
-    position: str = ""
+    name: str  # the velocity state (kind ``"joint"``) or current state (kind ``"current"``)
+    kind: Literal["joint", "current"]  # as of `robustlab.dynamics.ports.port_model.Port`
+    unit: str  # of what acts there: N, N m, V
+    position: str = ""  # the state that integrates the velocity; empty without one
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,23 +233,17 @@ class LocalModels:
     .. math::
         \dot x \approx f_k + A_k (x - x_k) + B_k (u - u_k) + \sum_j b_{kj} F_j, \qquad
         y \approx y_k + C_k (x - x_k) + D_k (u - u_k)
-
-    Attributes
-    ----------
-    rates, outputs
-        f_k and y_k, shapes (n, n_x) and (n, n_y).
-    A, B, C, D
-        Exact Jacobians, (n, n_x, n_x), (n, n_x, n_u), (n, n_y, n_x), (n, n_y, n_u).
-    push
-        b_kj: rates of the states per unit of what acts at each of the plant's `port_places`, (n, n_x, n_ports).
     """
 
+    # rates, outputs: f_k and y_k, shapes (n, n_x) and (n, n_y)
     rates: Array
     outputs: Array
+    # A, B, C, D: exact Jacobians, (n, n_x, n_x), (n, n_x, n_u), (n, n_y, n_x), (n, n_y, n_u)
     A: Array
     B: Array
     C: Array
     D: Array
+    # b_kj: rates of the states per unit of what acts at each of the plant's `port_places`, (n, n_x, n_ports)
     push: Array
 
 

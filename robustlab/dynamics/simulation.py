@@ -13,7 +13,7 @@ from robustlab.delays.model import DelayedModel
 from robustlab.delays.response import checked_rtol, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
@@ -129,15 +129,7 @@ def _linear_hold(hold: NonlinearHold) -> Hold:
 
 
 def _simulate_delayed(
-    model: DelayedModel,
-    t: Any,
-    u: Any,
-    x0: Any,
-    *,
-    hold: Any,
-    rtol: float | None,
-    step: float | None,
-    name: str | None,
+    model: DelayedModel, t: Any, u: Any, x0: Any, *, hold: Any, rtol: float | None, step: float | None, name: str | None
 ) -> Record:
     if step is not None:
         raise InputError("simulate", "step for a model with delays", "rtol: its cells are halved until that is met")
@@ -283,10 +275,7 @@ def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | Arra
     if isinstance(u, Mapping):
         for key in u:
             if key not in names:
-                known = ", ".join(names) or "none"
-                raise InputError(
-                    f"simulate: input {key!r}", "no such input", f"one of {known}", did_you_mean(str(key), names)
-                )
+                raise unknown_name(f"simulate: input {key!r}", "no such input", str(key), names)
         missing = [key for key in names if key not in u]
         if missing:
             raise InputError("simulate", f"no samples for input {', '.join(missing)}", "samples for every input")

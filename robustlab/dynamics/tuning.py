@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["TUNING", "DynamicsTuning"]
+__all__ = ["DynamicsTuning", "TUNING"]
 
 
 @dataclass(frozen=True)

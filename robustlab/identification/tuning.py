@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["TUNING", "NamingTuning"]
+__all__ = ["NamingTuning", "TUNING"]
 
 
 @dataclass(frozen=True)

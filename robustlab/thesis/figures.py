@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
-from robustlab.dynamics.stewart.workspace import ConditionMap
+from robustlab.dynamics.stewart.kinematics import ConditionMap
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.runs import SineRun
 
@@ -120,18 +120,9 @@ def case_figure(
 ) -> Figure:
     """Nominal, worst member and random members in one picture, a row for each output.
 
-    Parameters
-    ----------
-    t
-        Times in s, shape (n_t,).
-    members, nominal, worst
-        Responses, shapes (n_members, n_t, n_y), (n_t, n_y), (n_t, n_y).
-    outputs
-        Names and units, n_y of them.
-    published
-        Published band of the change in percent.
-    title
-        What is drawn, with the worst Delta.
+    ``t``: times in s, shape (n_t,). ``members``, ``nominal``, ``worst``: responses, shapes (n_members, n_t, n_y), (n_t,
+    n_y), (n_t, n_y). ``outputs``: names and units, n_y of them. ``published``: published band of the change in percent.
+    ``title``: what is drawn, with the worst Delta.
     """
     figure, panels = new_figure(len(outputs), 3, width=11.6, height=2.7)
     before = 1e3 * (t - t[-1])

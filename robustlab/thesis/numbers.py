@@ -26,25 +26,16 @@ from robustlab.arrays import Array
 from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
-from robustlab.dynamics.plants.dc_motor import dc_motor
-from robustlab.dynamics.plants.linear_actuator import linear_actuator
+from robustlab.dynamics.plants.motors import dc_motor, linear_actuator
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.kinematics import inverse_kinematics
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart_platform
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import controllability, drop_unconnected, observability
-from robustlab.thesis.runs import (
-    UP_TO,
-    Case,
-    SineRun,
-    cases,
-    lowest_stable_pole,
-    sine_run,
-    track,
-)
+from robustlab.thesis.runs import UP_TO, Case, SineRun, cases, lowest_stable_pole, sine_run, track
 
-__all__ = ["PublishedNumber", "PublishedNumbers", "published_numbers"]
+__all__ = ["PublishedNumber", "published_numbers"]
 
 # Appendix B in mm, without the misprints of b6 (y 114,5) and of m2, m3 (x 163,3).
 BASE = ((165.3, -57.4), (32.9, 171.9), (-32.9, 171.9), (-165.3, -57.4), (-132.4, -114.5), (132.4, -114.5))
@@ -57,36 +48,21 @@ RowStatus = Literal["R", "F", "P", "N"]
 
 @dataclass(frozen=True)
 class PublishedNumber:
-    """A published number and ours.
+    """A published number and ours."""
 
-    Attributes
-    ----------
-    key, quantity, where
-        Number of the item, what it is, and where it is printed.
-    published, ours
-        None where there is none.
-    unit
-        Of both and of the tolerance.
-    status
-        R, F, P or N, as in the module's description.
-    tolerance
-        Fair difference, as far as the printed digits and the text go; None where no agreement is to be expected.
-    why
-        The reading, or why it is not reproducible.
-    bound
-        "at most" and "at least": the thesis prints a limit, and ours has to keep to it.
-    """
-
+    # key, quantity, where: number of the item, what it is, and where it is printed
     key: str
     quantity: str
     where: str
+    # published, ours: none where there is none
     published: float | None
     ours: float | None
-    unit: str
-    status: RowStatus
+    unit: str  # of both and of the tolerance
+    status: RowStatus  # R, F, P or N, as in the module's description
+    # fair difference, as far as the printed digits and the text go; None where no agreement is to be expected
     tolerance: float | None = None
-    why: str = ""
-    bound: Bound = "equal"
+    why: str = ""  # the reading, or why it is not reproducible
+    bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit, and ours has to keep to it
 
     def __post_init__(self) -> None:
         if self.ours is not None:
@@ -113,27 +89,14 @@ class PublishedNumber:
 
 @dataclass(frozen=True, eq=False)
 class PublishedNumbers:
-    """All rows, and the runs that they were read from.
+    """All rows, and the runs that they were read from."""
 
-    Attributes
-    ----------
-    rows
-        Key -> row, in the order of the items.
-    sines
-        Sine runs of section 8.2.1 by their reading.
-    cases
-        Cases of section 10.3.1.
-    tracking
-        Runs of section 9.1.3: "thesis" and "rotors" with all signs of the sines +, "link-4" with the signs +++-+-.
-    status
-        CONVERGED: everything was computed.
-    """
-
-    rows: dict[str, PublishedNumber]
-    sines: dict[str, SineRun]
-    cases: tuple[Case, ...]
+    rows: dict[str, PublishedNumber]  # key -> row, in the order of the items
+    sines: dict[str, SineRun]  # sine runs of section 8.2.1 by their reading
+    cases: tuple[Case, ...]  # cases of section 10.3.1
+    # runs of section 9.1.3: "thesis" and "rotors" with all signs of the sines +, "link-4" with the signs +++-+-
     tracking: dict[str, TrajectoryFollowing]
-    status: Status = field(default=Status.CONVERGED)
+    status: Status = field(default=Status.CONVERGED)  # CONVERGED: everything was computed
 
     def with_status(self, status: str) -> list[PublishedNumber]:
         """Rows of the status R, F, P or N."""
@@ -193,11 +156,7 @@ def published_numbers() -> PublishedNumbers:
     }
     varied = cases(plant)
     thesis, physical = (stewart_platform(preset=name, motors=True) for name in ("thesis", "physical"))
-    tracking = {
-        "thesis": track(thesis),
-        "link-4": track(thesis, (1, 1, 1, -1, 1, -1)),
-        "rotors": track(physical),
-    }
+    tracking = {"thesis": track(thesis), "link-4": track(thesis, (1, 1, 1, -1, 1, -1)), "rotors": track(physical)}
     rows = [
         *_geometry_rows(plant),
         *_motor_rows(),
@@ -320,12 +279,8 @@ class _JigMotion:
 def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> _JigMotion:
     """The jig's link under 11.8 V at 1 Hz, driven by the torque that the motor gives where its own link is nominal.
 
-    Parameters
-    ----------
-    motor
-        Jig from which the torque comes, back-EMF and all.
-    heavier
-        Mass and inertia of the link that this torque drives, over those of the motor's own; it has no back-EMF.
+    ``motor``: jig from which the torque comes, back-EMF and all. ``heavier``: mass and inertia of the link that this
+    torque drives, over those of the motor's own; it has no back-EMF.
     """
     model = motor.state_space()
     a, b = np.zeros((5, 5)), np.vstack([model.B, np.zeros((2, 1))])

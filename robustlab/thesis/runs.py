@@ -8,7 +8,6 @@ Březina 2010, sections 8.2.1 (linear against nonlinear), 9.1.3 (tracking), 10.3
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +21,7 @@ from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["UP_TO", "Case", "SineRun", "cases", "lowest_stable_pole", "sine_run", "track"]
+__all__ = ["ALL", "Case", "LINK", "SineRun", "UP_TO", "cases", "lowest_stable_pole", "sine_run", "track"]
 
 LOW = (0.0, 0.0, 0.1062, 0.0, 0.0, 0.0)
 TORQUE, HERTZ = 0.1, 2.0  # N m, Hz; the sine of sections 8.2.1 and 10.3.1
@@ -41,25 +40,16 @@ ALL = (*BODIES, "platform_mass", "platform_x", "platform_y", "platform_z")
 
 @dataclass(frozen=True, eq=False)
 class SineRun:
-    """The platform from rest at home under the holding torque plus one sine of torque on all six motors.
+    """The platform from rest at home under the holding torque plus one sine of torque on all six motors."""
 
-    Attributes
-    ----------
-    amplitude, frequency
-        Of the sine in N m and Hz.
-    t
-        Times in s, (n,).
-    nonlinear, linear
-        Nut angles and rates (n, 12) of the machine, and of its linear model at home.
-    height, lengths
-        Height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m.
-    """
-
+    # amplitude, frequency: of the sine in N m and Hz
     amplitude: float
     frequency: float
-    t: Array
+    t: Array  # times in s, (n,)
+    # nonlinear, linear: nut angles and rates (n, 12) of the machine, and of its linear model at home
     nonlinear: Array
     linear: Array
+    # height, lengths: height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m
     height: Array
     lengths: Array
 
@@ -116,32 +106,21 @@ class Case:
     """A case of section 10.3.1: the nominal linear model, the perturbed one, and what holds them.
 
     Between the two lies one real parameter, Delta = delta I: nominal at 0, perturbed at +I, mirrored at -I.
-
-    Attributes
-    ----------
-    name, words
-        For example ``"2a"`` and what was changed.
-    published
-        The thesis' largest deviation in percent.
-    published_worst
-        The thesis' worst Delta: 1 for +I, -1 for -I.
-    held
-        Reading, chosen for each case: True where the torque stays what holds the nominal machine while gravity pulls at
-        the perturbed one, False where each machine is trimmed anew.
-    nominal, perturbed
-        Linear models.
-    released
-        Holding torque of the nominal machine minus that of the perturbed one in N m: the constant input that the
-        perturbed machine feels where the torque stays as it was.
     """
 
+    # name, words: for example ``"2a"`` and what was changed
     name: str
     words: str
-    published: float
-    published_worst: int
+    published: float  # the thesis' largest deviation in percent
+    published_worst: int  # the thesis' worst Delta: 1 for +I, -1 for -I
+    # reading, chosen for each case: True where the torque stays what holds the nominal machine while gravity pulls at
+    # the perturbed one, False where each machine is trimmed anew
     held: bool
+    # nominal, perturbed: linear models
     nominal: StateSpaceModel
     perturbed: StateSpaceModel
+    # holding torque of the nominal machine minus that of the perturbed one in N m: the constant input that the
+    # perturbed machine feels where the torque stays as it was
     released: float
 
     @property
@@ -162,10 +141,7 @@ class Case:
     def changes(self, held: bool | None = None) -> tuple[float, float]:
         """Largest change of the angle of nut 1 at Delta = +I and -I, in percent of the largest nominal angle, signed.
 
-        Parameters
-        ----------
-        held
-            Another reading than the case's own.
+        ``held``: another reading than the case's own.
         """
         (nominal, perturbed), (t, u) = self.with_gravity(), self.excitation(held)
         mirrored = _beyond(nominal, perturbed)
@@ -217,7 +193,7 @@ def cases(plant: StewartPlatform) -> tuple[Case, ...]:
         ("2c", "all bodies +2.5 %", 2.54, 1.025, ALL),
     )
     for name, words, published, factor, parameters in changes:
-        heavy = plant.with_parameters(**_scaled(plant, factor, parameters))
+        heavy = plant.with_parameters(**{name: factor * plant.values[name] for name in parameters})
         rest = trim(heavy)
         released = float(home.u[0] - rest.u[0])
         made.append(Case(name, words, published, -1, True, nominal, linearise(heavy, rest), released))
@@ -236,10 +212,6 @@ def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:
     d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
     inputs = [*model.inputs, ("gravity", "1")]
     return StateSpaceModel(model.A, b, model.C, d, model.dt, inputs, model.outputs, model.states)
-
-
-def _scaled(plant: StewartPlatform, factor: float, names: tuple[str, ...]) -> Mapping[str, float]:
-    return {name: factor * plant.values[name] for name in names}
 
 
 # --- the controlled machine ------------------------------------------------------------------------------------------

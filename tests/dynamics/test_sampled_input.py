@@ -13,8 +13,7 @@ from scipy.linalg import expm
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
-from robustlab.dynamics.ports.sampled_input import SampledInput
+from robustlab.dynamics.extended.simulator import SampledInput, Simulator, Windows, rising
 from robustlab.errors import InputError
 
 HOLDS = ("zoh", "linear", "smooth")

@@ -11,7 +11,7 @@ from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.admissible import admissible
+from robustlab.identification.naming.discovery import admissible
 
 STATED = stated_tolerances(AXIS, {"M": 0.05, "Fv": 1.0})
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.controlled_nonlinear import controlled_nonlinear
+from robustlab.dynamics.control.controlled_plant import controlled_nonlinear
 from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow_with_torques, torque_loop
 from robustlab.dynamics.extended.effect_loads import loaded_model
 from robustlab.errors import InputError

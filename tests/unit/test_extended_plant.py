@@ -8,7 +8,7 @@ import robustlab as rl
 from robustlab.delays.pade import pade
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
+from robustlab.dynamics.extended.attached_effect import holding_force, is_set_valued, rest_band, slopes, steady_force
 
 T = np.arange(2001) * 1e-3
 

@@ -10,7 +10,7 @@ from robustlab.errors import InputError
 from robustlab.identification.comparison.best_linear_approximation import arbitrary_bla, held_response, periodic_bla
 from robustlab.identification.comparison.localisation import bins, directions
 from robustlab.identification.comparison.noise_floor import noise_floor
-from robustlab.identification.comparison.nonlinearity import even_odd
+from robustlab.identification.comparison.residual_tests import even_odd
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 

@@ -13,10 +13,9 @@ from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows
 from robustlab.identification.naming import answer as module
-from robustlab.identification.naming.discovery import _spread
+from robustlab.identification.naming.answer import Gaps
+from robustlab.identification.naming.discovery import Progress, _spread
 from robustlab.identification.naming.discovery_parts import Gap
-from robustlab.identification.naming.gaps import Gaps
-from robustlab.identification.naming.progress import Progress
 from robustlab.result import Status
 
 FEW = tuple(set(catalogue()) - {"coulomb-friction", "constant-load", "sensor-delay", "input-delay"})

@@ -26,7 +26,7 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, whitening, window_errors
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.admissible import beyond_tolerance
+from robustlab.identification.naming.discovery import beyond_tolerance
 from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.identification.tuning import TUNING
 from robustlab.result import Status

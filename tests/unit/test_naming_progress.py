@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from robustlab.identification.naming import progress as module
-from robustlab.identification.naming.progress import Progress
+from robustlab.identification.naming import discovery as module
+from robustlab.identification.naming.discovery import Progress
 
 
 class Clock:

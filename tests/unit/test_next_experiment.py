@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 from robustlab.identification.experiment import experiment_bench as bench
-from robustlab.identification.experiment.experiment_menu import Piece, experiment_menu
+from robustlab.identification.experiment.experiment_bench import Piece, experiment_menu
 from robustlab.identification.experiment.next_experiment import propose_experiment
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, NoiseModel, Problem, simulated_outputs

@@ -13,8 +13,7 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
-from robustlab.identification.hypotheses.noise import held_out_fit
-from robustlab.identification.hypotheses.phase import in_phase
+from robustlab.identification.hypotheses.noise import held_out_fit, in_phase
 from robustlab.identification.hypotheses.prepared_record import prepare
 
 AXIS = rl.plant("servo-axis")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate._ivp import dop853_coefficients
 
-from robustlab.dynamics.integrator import dop853
-from robustlab.dynamics.integrator.dop853 import E3, E5, A, B, C, D
+from robustlab.dynamics.integrator import steps as dop853
+from robustlab.dynamics.integrator.steps import E3, E5, A, B, C, D
 from robustlab.errors import EnvironmentFault
 
 # Hairer, Norsett, Wanner 1993, section II.10: nodes and weights with a closed form.

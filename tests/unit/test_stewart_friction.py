@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics import DryFriction
 from robustlab.dynamics.stewart import kinetic_energy, potential_energy
-from robustlab.dynamics.stewart.friction import friction_torques, simulate_platform_with_friction
+from robustlab.dynamics.stewart.rigid_body import friction_torques, simulate_platform_with_friction
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 PLANT = rl.plant("stewart-platform", preset="physical")

@@ -10,14 +10,20 @@ from scipy.stats import multivariate_normal
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses import force_families
+from robustlab.identification.hypotheses import unnamed_force as module
 from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.force_response import ForceResponse, PortMotion, force_response, plain_places
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.hypotheses.random_force import START, FittedWindows
+from robustlab.identification.hypotheses.random_force import (
+    START,
+    FittedWindows,
+    ForceResponse,
+    PortMotion,
+    force_response,
+    plain_places,
+)
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
 from robustlab.identification.tuning import TUNING
 
@@ -242,7 +248,7 @@ def test_so_few_segments_that_no_line_can_be_told_are_no_fault(segments):
     windows = Dense(o, j, x, rng.normal(size=(2, 14)), np.zeros((2, 2)), np.zeros(0)).windows()
     way = [np.tile(np.arange(segments, dtype=float), (2, 1))]
     for least in np.linspace(0.2, 0.5 * segments, 25):
-        found = force_families._strongest(windows, way, None, least)
+        found = module._strongest(windows, way, None, least)
         assert all(wave > 0.0 for wave, _ in found)
 
 

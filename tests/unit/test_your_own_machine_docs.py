@@ -14,7 +14,7 @@ import pytest
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.main import run
-from robustlab.dynamics.plant_template import TEMPLATE
+from robustlab.dynamics.plant_file import TEMPLATE
 
 DOCS = Path(__file__).parents[2] / "docs"
 TEXT = (DOCS / "your-own-machine.md").read_text(encoding="utf-8")

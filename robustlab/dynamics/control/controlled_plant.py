@@ -1,4 +1,6 @@
-r"""A linear plant under feedback, as a plant of its own: it takes effects, other parameters, and any reference.
+r"""A plant under feedback, as a plant of its own: it takes effects, other parameters, and any reference.
+
+Linear,
 
 .. math::
     E(p) \dot x = F(p) x + G(p) u, \qquad \dot x_k = A_k x_k + B_k v, \qquad u = C_k x_k + D_k v, \qquad
@@ -6,22 +8,47 @@ r"""A linear plant under feedback, as a plant of its own: it takes effects, othe
 
 The physical parameters stay where they are in the equations, so that dry friction and the like are attached in their
 own units (`robustlab.with_effects`), and a member of the uncertain set is simulated with ``with_parameters``.
+
+Nonlinear, about the rest :math:`(x_0, u_0, y_0)` at which the controller takes hold,
+
+.. math::
+    \dot x = f(x, u), \quad \dot x_k = A_k x_k + B_k v, \quad u = u_0 + C_k x_k + D_k v, \quad
+    v = \begin{bmatrix} r \\ y_m \end{bmatrix} - \begin{bmatrix} y_{0,c} \\ y_{0,m} \end{bmatrix}, \quad y = h(x)
+
+Its slopes are exact where the plant's own are, and forces act at the plant's own ports: dry friction is attached to
+the loop as it is to the plant (`robustlab.with_effects`).
+
+A driver with a dead zone inside a loop (what a controller commands is a state of the loop, no recorded input),
+
+.. math:: u' = u + f, \qquad f = -\max(-d, \min(d, u)), \qquad u = c^T x
+
+is `robustlab.dynamics.effects.signal_effects.InputDeadZone` as a force law at a port whose "velocity" is the command.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.control.controllers import torque_gains
+from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.signal_effects import InputDeadZone
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import InputError, did_you_mean
+from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PortPlace, Trim
+from robustlab.dynamics.ports.law_kernel import V, law
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
+from robustlab.errors import InputError, unknown_name
+from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["actuator_cascade", "controlled_plant", "loop_parts"]
+__all__ = ["ControlledNonlinearPlant", "actuator_cascade", "controlled_nonlinear", "controlled_plant", "driver_in_loop"]
 
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
@@ -89,10 +116,7 @@ def loop_parts(
 ) -> tuple[StateSpaceModel, list[int], list[int]]:
     """A controller as a model, and the numbers of the outputs that it controls and that it sees.
 
-    Raises
-    ------
-    InputError
-        Unknown outputs, a controller of other sizes or a discrete one.
+    Raises InputError: unknown outputs, a controller of other sizes or a discrete one.
     """
     model, where = as_model(K, "controller"), f"{plant.name} under control"
     c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
@@ -161,6 +185,232 @@ def _positions(where: str, names: Sequence[str], plant: Plant) -> list[int]:
     known = [s.name for s in plant.outputs]
     for name in names:
         if name not in known:
-            hint = did_you_mean(name, known)
-            raise InputError(f"{where}: output {name!r}", "no such output", f"one of {', '.join(known)}", hint)
+            raise unknown_name(f"{where}: output {name!r}", "no such output", name, known)
     return [known.index(name) for name in names]
+
+
+def controlled_nonlinear(
+    plant: NonlinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str], at: Trim
+) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
+    """The plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs).
+
+    Parameters
+    ----------
+    plant
+        Without direct term; with effects at its joints and parameters or without.
+    K
+        Continuous controller in deviations from ``at``: an input for each reference and each measured output, in this
+        order, an output for each input of the plant.
+    controlled, measured
+        Names of outputs of the plant.
+    at
+        A rest of the plant.
+
+    Returns
+    -------
+    ControlledNonlinearPlant or ExtendedNonlinearPlant
+        Inputs ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
+        ``controller_1`` ...; the latter where the plant has effects.
+
+    Raises
+    ------
+    InputError
+        Unknown outputs, a controller of other sizes or a discrete one; an effect on an input or output, or one that
+        splits a joint: these act inside the loop, between controller and plant.
+    """
+    model, c, m = loop_parts(plant, K, controlled, measured)
+    base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())
+    for e in effects:
+        if e.on_signal or e.effect.structural:
+            raise InputError(f"{plant.name} under control", e.in_words, "forces at joints, and parameters")
+    n = len(base.states)
+    rest = replace(at, x=at.x[:n].copy())
+    loop = ControlledNonlinearPlant.of(f"{plant.name} under control", base, model, c, m, rest)
+    return with_effects(loop, effects) if effects else loop
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ControlledNonlinearPlant(NonlinearPlant):
+    """A nonlinear plant under a linear controller; made by `controlled_nonlinear`.
+
+    Inputs are the references ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
+    ``controller_1`` ...
+    """
+
+    plant: NonlinearPlant  # the plant, without direct term from inputs to outputs
+    # the controller, from (references, measured outputs) to the plant's inputs, in deviations from ``at``
+    K: StateSpaceModel
+    measured: tuple[int, ...]  # numbers of the plant's outputs that the controller sees
+    at: Trim  # the rest of the plant at which it takes hold
+    offset: Array  # v at that rest, (n_r + n_m,)
+
+    @classmethod
+    def of(
+        cls, name: str, plant: NonlinearPlant, K: StateSpaceModel, controlled: Sequence[int], measured: Sequence[int],
+        at: Trim,
+    ) -> ControlledNonlinearPlant:  # fmt: skip
+        """The loop of a controller whose sizes are known to be right."""
+        references = tuple(Signal(f"{plant.outputs[i].name}_ref", plant.outputs[i].unit) for i in controlled)
+        states = (*plant.states, *(Signal(f"controller_{k + 1}") for k in range(K.n_states)))
+        offset = at.y[[*controlled, *measured]]
+        return cls(
+            name, plant.parameters, references, (*plant.outputs, *plant.inputs), states, plant, K, tuple(measured), at,
+            offset,
+        )  # fmt: skip
+
+    def with_parameters(self, **given: Any) -> ControlledNonlinearPlant:
+        """The same controller at the plant with other values, or (value, relative tolerance)."""
+        plant = self.plant.with_parameters(**given)
+        return replace(self, plant=plant, parameters=plant.parameters)
+
+    @property
+    def port_places(self) -> tuple[PortPlace, ...]:
+        """Those of the plant."""
+        return self.plant.port_places
+
+    @property
+    def start(self) -> Array:
+        """The rest at which the controller takes hold."""
+        return np.concatenate([self.at.x, np.zeros(self.K.n_states)])
+
+    def check_reach(self, t: Array, x: Array) -> None:
+        """Whether the plant can be there."""
+        self.plant.check_reach(t, x[:, : len(self.plant.states)])
+
+    # --- rates and outputs -------------------------------------------------------------------------------------------
+
+    def _parts(self, x: Array, r: Array, values: Mapping[str, float] | None) -> tuple[Array, Array, Array, Array]:
+        """The plant's states, its outputs, v and its inputs at points x (n, n_x), r (n, n_r)."""
+        own, inner = np.split(x, [len(self.plant.states)], axis=1)
+        y = self.plant.outputs_along(own, np.tile(self.at.u, (len(x), 1)), values)
+        v = np.hstack([r, y[:, list(self.measured)]]) - self.offset
+        return own, y, v, self.at.u + inner @ self.K.C.T + v @ self.K.D.T
+
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """Rates (n, n_x) of the plant's states and of the controller's."""
+        own, _, v, force = self._parts(x, u, values)
+        inner = x[:, own.shape[1] :] @ self.K.A.T + v @ self.K.B.T
+        return np.hstack([self.plant.rates_along(own, force, values), inner])
+
+    def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        """The plant's outputs and its inputs along a trajectory."""
+        _, y, _, force = self._parts(x, u, values)
+        return np.hstack([y, force])
+
+    def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
+        """The loop about points x (n, n_x), references u (n, n_r).
+
+        Raises
+        ------
+        InputError
+            A plant with a direct term from an input to an output.
+        """
+        own, y, v, force = self._parts(x, u, values)
+        local, k, n = self.plant.local_models(own, force, values), self.K, len(x)
+        if local.D.any():
+            raise InputError(self.name, "a direct term from input to output", "a plant without one")
+        n_r = len(self.inputs)
+        seen = local.C[:, list(self.measured)]
+
+        def many(matrix: Array) -> Array:
+            return np.broadcast_to(matrix, (n, *matrix.shape))
+
+        to_force = np.concatenate([k.D[:, n_r:] @ seen, many(k.C)], axis=2)
+        to_inner = np.concatenate([k.B[:, n_r:] @ seen, many(k.A)], axis=2)
+        none = np.zeros((n, 1, k.n_states))
+        a = np.concatenate([local.A, none.repeat(own.shape[1], axis=1)], axis=2) + local.B @ to_force
+        c = np.concatenate([local.C, none.repeat(y.shape[1], axis=1)], axis=2)
+        return LocalModels(
+            np.hstack([local.rates, x[:, own.shape[1] :] @ k.A.T + v @ k.B.T]),
+            np.hstack([y, force]),
+            np.concatenate([a, to_inner], axis=1),
+            np.concatenate([local.B @ k.D[:, :n_r], many(k.B[:, :n_r])], axis=1),
+            np.concatenate([c, to_force], axis=1),
+            np.concatenate([np.zeros((n, y.shape[1], n_r)), many(k.D[:, :n_r])], axis=1),
+            np.concatenate([local.push, np.zeros((n, k.n_states, local.push.shape[2]))], axis=1),
+        )
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``f(x, r)``, shape (n_x,)."""
+        state, reference = self.point(x, u)
+        return self.rates_along(state[None], reference[None])[0]
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``h(x, r)``, shape (n_y + n_u,)."""
+        state, reference = self.point(x, u)
+        return self.outputs_along(state[None], reference[None])[0]
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D at (x, r), as exact as the plant's own."""
+        state, reference = self.point(x, u)
+        local = self.local_models(state[None], reference[None])
+        return local.A[0], local.B[0], local.C[0], local.D[0]
+
+    def equilibrium(self, **where: Any) -> Trim:
+        """The rest at which the controller takes hold, with the references there.
+
+        Raises
+        ------
+        InputError
+            Anything asked for: the rest is the controller's.
+        """
+        if where:
+            raise InputError(f"{self.name}: trim", f"{next(iter(where))!r}", "nothing: the controller has its rest")
+        x, r = self.start, self.offset[: len(self.inputs)].copy()
+        residual = float(np.abs(self.derivative(x, r)).max())
+        return Trim(self.name, x, r, self.output(x, r), residual, None, Status.CONVERGED)
+
+
+@law
+def driver_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (d,)."""
+    return -max(-p[0], min(p[0], seen[V]))
+
+
+class _DriverInLoop(InputDeadZone):
+    """The dead zone at one control of a loop: a force law where the effect of the catalogue maps an input."""
+
+    force = driver_force
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return (EffectParameter("d", self.port.speed_unit, "half width of the dead zone", Prior("log", 1.0, 1.0)),)
+
+    def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
+        return (Site("joint", self.port.name),)
+
+    def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
+        port = self.port.widened(len(model.A) - len(self.port.force))
+        return model.with_port(port)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
+        return None  # what it does is all in the law
+
+
+def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: Mapping[str, Any]) -> AttachedEffect:
+    """The dead zone of the driver of one control, for `with_effects` of the loop.
+
+    ``loop``: `robustlab.dynamics.control.controlled_plant.controlled_plant` of ``plant``: the plant's states first, its
+    inputs among the outputs. ``plant``: the plant with the same parameter values. ``control``: name of an input of the
+    plant. ``values``: ``{"d": half width}``.
+
+    Raises InputError: a control that is no input of the plant; a controller with a direct term from the reference,
+    whose command is no state of the loop.
+    """
+    where = f"input-dead-zone at {control}"
+    names = [s.name for s in plant.inputs]
+    if control not in names:
+        raise InputError(where, "no such control", f"one of {', '.join(names)}")
+    closed = loop.state_space()
+    row = [s.name for s in loop.outputs].index(control)
+    if closed.D[row].any():
+        raise InputError(where, "a controller with a direct term from the reference", "a strictly proper one")
+    k = names.index(control)
+    force = np.zeros(closed.n_states)
+    force[: len(plant.states)] = plant.state_space().B[:, k]
+    unit = plant.inputs[k].unit
+    port = Port(f"driver {control}", "joint", unit, unit, "", force, closed.C[row].copy(), None)
+    effect = _DriverInLoop(port)
+    return AttachedEffect(effect, Site("joint", port.name), dict(values), source="as given")

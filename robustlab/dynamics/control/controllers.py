@@ -68,27 +68,17 @@ class TorqueGains:
 
 @dataclass(frozen=True, eq=False)
 class TwoLayerController:
-    """The controller in deviations from the trim at which it was designed.
+    """The controller in deviations from the trim at which it was designed."""
 
-    Attributes
-    ----------
-    p_up, p_low
-        Triple poles of the layers in 1/s.
-    Kp, Kd, Ki
-        Gains of the upper layer from nut angles to motor torques, (6, 6), in N m/rad, N m s/rad, N m/(rad s).
-    lower
-        Gains of every motor's torque loop.
-    at
-        The trim; its torques and voltages are added to what the controller gives.
-    """
-
+    # p_up, p_low: triple poles of the layers in 1/s
     p_up: float
     p_low: float
+    # Kp, Kd, Ki: gains of the upper layer from nut angles to motor torques, (6, 6), in N m/rad, N m s/rad, N m/(rad s)
     Kp: Array
     Kd: Array
     Ki: Array
-    lower: TorqueGains
-    at: Trim
+    lower: TorqueGains  # gains of every motor's torque loop
+    at: Trim  # the trim; its torques and voltages are added to what the controller gives
 
     def __post_init__(self) -> None:
         for gain in (self.Kp, self.Kd, self.Ki):
@@ -116,24 +106,15 @@ class TwoLayerController:
 class LayeredController:
     """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed.
 
-    Attributes
-    ----------
-    upper
-        From r, phi, phidot (6 each) to the six motor torques that it asks for; continuous.
-    lower
-        Gains of every motor's torque loop.
-    at
-        The trim; its torques and voltages are added to what the controller gives.
-
     Raises
     ------
     InputError
         An upper layer of other sizes, or a discrete one.
     """
 
-    upper: StateSpaceModel
-    lower: TorqueGains
-    at: Trim
+    upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torques that it asks for; continuous
+    lower: TorqueGains  # gains of every motor's torque loop
+    at: Trim  # the trim; its torques and voltages are added to what the controller gives
 
     def __post_init__(self) -> None:
         if (self.upper.n_inputs, self.upper.n_outputs) != (18, 6) or self.upper.is_discrete:

@@ -24,26 +24,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.controlled_nonlinear import ControlledNonlinearPlant, controlled_nonlinear
+from robustlab.dynamics.control.controlled_plant import ControlledNonlinearPlant, controlled_nonlinear
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
-from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 from robustlab.dynamics.plant_contract import Trim
-from robustlab.dynamics.stewart.kinematics import nut_angles
+from robustlab.dynamics.stewart.kinematics import check_pose, inside, nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-from robustlab.dynamics.stewart.workspace import check_pose, inside
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = [
-    "MotorLimits",
-    "TrajectoryFollowing",
-    "follow",
-    "follow_with_torques",
-    "SineTrajectory",
-    "torque_loop",
-]
+__all__ = ["MotorLimits", "SineTrajectory", "TrajectoryFollowing", "follow", "follow_with_torques", "torque_loop"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,38 +113,22 @@ class MotorLimits:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryFollowing:
-    """How a machine followed a trajectory.
+    """How a machine followed a trajectory."""
 
-    Attributes
-    ----------
-    t
-        Times in s, (n,).
-    reference, pose
-        Poses asked for and reached, (n, 6).
-    phi, torque, voltage, current
-        Of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega. Of a machine that takes
-        torques voltage and current are empty, (n, 0).
-    lengths
-        Of the actuators in m, (n, 6).
-    limits
-        What the motors may be asked for.
-    evaluations
-        How often the equations of motion were evaluated; 0 where nobody counted.
-    status
-        CONVERGED: integrated to the end with its local error held.
-    """
-
-    t: Array
+    t: Array  # times in s, (n,)
+    # reference, pose: poses asked for and reached, (n, 6)
     reference: Array
     pose: Array
+    # phi, torque, voltage, current: of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega.
+    # Of a machine that takes torques voltage and current are empty, (n, 0).
     phi: Array
     torque: Array
     voltage: Array
     current: Array
-    lengths: Array
-    limits: MotorLimits
-    evaluations: int
-    status: Status = Status.CONVERGED
+    lengths: Array  # of the actuators in m, (n, 6)
+    limits: MotorLimits  # what the motors may be asked for
+    evaluations: int  # how often the equations of motion were evaluated; 0 where nobody counted
+    status: Status = Status.CONVERGED  # CONVERGED: integrated to the end with its local error held
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -262,7 +238,7 @@ def follow_with_torques(
     """Nonlinear simulation of a machine that takes torques, with effects at its joints or without, under a controller.
 
     Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
-    stands (`robustlab.dynamics.extended.extended_nonlinear`).
+    stands (`robustlab.dynamics.extended.extended_plant`).
 
     Parameters
     ----------

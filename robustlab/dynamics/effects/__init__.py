@@ -1,1 +1,1 @@
-"""Physical effects that a nominal model may lack, one file each."""
+"""Physical effects that a nominal model may lack, a class each, in files by where they act."""

@@ -1,4 +1,5 @@
-"""The catalogue: every module of this folder that holds an ``EFFECT``. A new file is found without being named.
+"""The catalogue: what the modules of this folder hold as ``EFFECTS``, or one alone as ``EFFECT``. A new file is found
+without being named.
 
 An effect that lives elsewhere joins it by `add_effect`, for as long as the process runs.
 """
@@ -11,7 +12,7 @@ from importlib import import_module
 
 from robustlab.dynamics import effects
 from robustlab.dynamics.effects.contract import Effect
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 
 __all__ = ["add_effect", "catalogue", "effect", "effect_names"]
 
@@ -21,10 +22,7 @@ _ADDED: dict[str, Effect] = {}
 def catalogue() -> dict[str, Effect]:
     """Id -> effect, in the order of their ids.
 
-    Raises
-    ------
-    InputError
-        Two files with one id.
+    Raises InputError: two effects with one id.
     """
     return dict(sorted({**_own(), **_ADDED}.items()))
 
@@ -52,29 +50,23 @@ def _own() -> dict[str, Effect]:
     """The effects of this folder."""
     found: dict[str, Effect] = {}
     for module in pkgutil.iter_modules(effects.__path__):
-        candidate = getattr(import_module(f"{effects.__name__}.{module.name}"), "EFFECT", None)
-        if candidate is None:
-            continue
-        if candidate.id in found:
-            where = f"effects/{module.name}.py"
-            raise InputError(where, f"the id {candidate.id!r}, which another file has", "its own id")
-        found[candidate.id] = candidate
+        held = vars(import_module(f"{effects.__name__}.{module.name}"))
+        for candidate in (*held.get("EFFECTS", ()), *([held["EFFECT"]] if "EFFECT" in held else ())):
+            if candidate.id in found:
+                where = f"effects/{module.name}.py"
+                raise InputError(where, f"the id {candidate.id!r}, which another effect has", "its own id")
+            found[candidate.id] = candidate
     return found
 
 
 def effect(name: str) -> Effect:
     """The effect with this id.
 
-    Raises
-    ------
-    InputError
-        No such effect (with the closest known id).
+    Raises InputError: no such effect (with the closest known id).
     """
     known = catalogue()
     if name not in known:
-        raise InputError(
-            f"effect {name!r}", "no such effect", f"one of {', '.join(known)}", did_you_mean(name, tuple(known))
-        )
+        raise unknown_name(f"effect {name!r}", "no such effect", name, known)
     return known[name]
 
 
@@ -89,7 +81,7 @@ def effect_names() -> tuple[str, ...]:
     Raises
     ------
     InputError
-        Two files with one id.
+        Two effects with one id.
 
     Examples
     --------

@@ -2,7 +2,7 @@ r"""What every effect is: a name, an equation, parameters with priors, and the w
 
 An effect enters in one or more of five ways: it scales parameters of the plant, changes or extends the linear
 equations, acts as a force law at a port, maps an input before the plant sees it, or maps an output before it is
-recorded. `Effect` gives each of them a method that does nothing; a file of this folder overrides those that apply.
+recorded. `Effect` gives each of them a method that does nothing; an effect overrides those that apply.
 
 Priors are given in units of the record's own magnitudes (`Scales`), since a friction torque that is large for one
 machine is nothing for another.
@@ -95,51 +95,30 @@ class Site:
 
 @dataclass(frozen=True)
 class Scales:
-    """Magnitudes seen in a record, for priors and starting values.
+    """Magnitudes seen in a record, for priors and starting values."""
 
-    Attributes
-    ----------
-    force, speed, position
-        At the site's port: RMS of the force that moves it, largest speed, range of the position; 1 where not known.
-    inertia
-        Force per acceleration at the port.
-    input
-        Largest absolute value of the site's input.
-    output
-        Half the range of the site's output.
-    zero
-        By how much a sensor's zero may be off, over `output`.
-    current
-        Largest absolute current.
-    lowest, highest
-        Extremes of the position; None where not known.
-    dt, duration
-        Sample time and length of the record in s.
-    orders
-        Strongest spatial frequencies of the residual force in rad^-1 or m^-1, strongest first (empty: not looked at).
-    lines
-        Strongest lines of the residual force over time in Hz, strongest first (empty: none is significant).
-    side
-        Of a trial of an effect that acts beyond one position: 1 above it, -1 below, 0 on either side.
-    force_unit, speed_unit, position_unit, signal_unit
-        Units at the site.
-    """
-
+    # force, speed, position: at the site's port: RMS of the force that moves it, largest speed, range of the position;
+    # 1 where not known
     force: float = 1.0
     speed: float = 1.0
     position: float = 1.0
+    # lowest, highest: extremes of the position; None where not known
     lowest: float | None = None
     highest: float | None = None
-    inertia: float = 1.0
-    input: float = 1.0
-    output: float = 1.0
-    zero: float = 0.03
-    current: float = 1.0
+    inertia: float = 1.0  # force per acceleration at the port
+    input: float = 1.0  # largest absolute value of the site's input
+    output: float = 1.0  # half the range of the site's output
+    zero: float = 0.03  # by how much a sensor's zero may be off, over `output`
+    current: float = 1.0  # largest absolute current
+    # dt, duration: sample time and length of the record in s
     dt: float = 1e-3
     duration: float = 1.0
+    # strongest spatial frequencies of the residual force in rad^-1 or m^-1, strongest first (empty: not looked at)
     orders: tuple[float, ...] = ()
+    # strongest lines of the residual force over time in Hz, strongest first (empty: none is significant)
     lines: tuple[float, ...] = ()
-    side: int = 0
+    side: int = 0  # of a trial of an effect that acts beyond one position: 1 above it, -1 below, 0 on either side
+    # force_unit, speed_unit, position_unit, signal_unit: units at the site
     force_unit: str = ""
     speed_unit: str = ""
     position_unit: str = ""
@@ -148,24 +127,12 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A compiled force law at a port of the (extended) model.
+    """A compiled force law at a port of the (extended) model."""
 
-    Attributes
-    ----------
-    function
-        Compiled by `robustlab.dynamics.ports.law_kernel.law`.
-    port
-        Name of the port.
-    parameters
-        What the function is given as p.
-    memory
-        Number of its memory cells; they start at zero.
-    """
-
-    function: Any
-    port: str
-    parameters: tuple[float, ...]
-    memory: int = 0
+    function: Any  # compiled by `robustlab.dynamics.ports.law_kernel.law`
+    port: str  # name of the port
+    parameters: tuple[float, ...]  # what the function is given as p
+    memory: int = 0  # number of its memory cells; they start at zero
 
 
 @dataclass(frozen=True)
@@ -199,8 +166,8 @@ class Footprint:
 
 
 class Effect(ABC):
-    """One physical effect; the instance ``EFFECT`` of each file of this folder. All that is known of it stands here:
-    who looks for effects, fits them, builds sets of them or advises on experiments asks the effect.
+    """One physical effect; its file holds the instance in ``EFFECTS``. All that is known of it stands here: who looks
+    for effects, fits them, builds sets of them or advises on experiments asks the effect.
     """
 
     id: str  # name in the catalogue

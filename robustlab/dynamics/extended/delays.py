@@ -87,10 +87,7 @@ def lag_block(time: float, spread: float, name: str) -> UncertainModel:
 
     With the block in :math:`w = \delta z,\ z = \dot x`: :math:`T_0 \dot x = u - x - \Delta T\, w`.
 
-    Raises
-    ------
-    InputError
-        A spread that reaches zero.
+    Raises InputError: a spread that reaches zero.
     """
     if not 0.0 <= spread < time:
         raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
@@ -109,16 +106,8 @@ def delay_block(
     .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| = 2 \sin\bigl(\tfrac12 \min(\pi,
        \max_d |\omega d + \arg P(j\omega)|)\bigr)
 
-    Parameters
-    ----------
-    delay, spread
-        In s; the delay positive.
-    pade
-        Order of P.
-    name
-        Of the block.
-    tuning
-        How far the weight goes down, and its order.
+    ``delay``, ``spread``: in s; the delay positive. ``pade``: order of P. ``name``: of the block. ``tuning``: how far
+    the weight goes down, and its order.
 
     Returns
     -------

@@ -57,7 +57,7 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
-__all__ = ["EffectBlocks", "NoiseInput", "effect_blocks", "with_forces"]
+__all__ = ["EffectBlocks", "effect_blocks", "with_forces"]
 
 
 @dataclass(frozen=True, eq=False)

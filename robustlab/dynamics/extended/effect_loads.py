@@ -18,11 +18,14 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.effect_blocks import NoiseInput, with_forces
-from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
-from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects, without_signals
-from robustlab.dynamics.extended.law_forces import is_set_valued, rest_band, steady_force
+from robustlab.dynamics.extended.extended_plant import (
+    ExtendedNonlinearPlant,
+    ExtendedPlant,
+    with_effects,
+    without_signals,
+)
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, port_model
@@ -38,23 +41,13 @@ __all__ = ["EffectLoads", "effect_loads", "loaded_model", "resting_start"]
 
 @dataclass(frozen=True, eq=False)
 class EffectLoads:
-    """A plant as a linear set with loads.
+    """A plant as a linear set with loads."""
 
-    Attributes
-    ----------
-    plant
-        What it was made of.
-    model
-        Its inputs are the loads, each over its bound, so that they are at most one, then the plant's.
-    loads
-        Name of the input, bound, unit and origin of each load.
-    acts
-        For each load its effect, and the port or the number of the input where it acts.
-    """
-
-    plant: LinearPlant | ExtendedPlant
+    plant: LinearPlant | ExtendedPlant  # what it was made of
+    # its inputs are the loads, each over its bound, so that they are at most one, then the plant's
     model: UncertainModel
-    loads: tuple[NoiseInput, ...]
+    loads: tuple[NoiseInput, ...]  # name of the input, bound, unit and origin of each load
+    # for each load its effect, and the port or the number of the input where it acts
     acts: tuple[tuple[AttachedEffect, Port | int], ...] = ()
 
     def along(self, record: Record) -> Record:
@@ -63,12 +56,8 @@ class EffectLoads:
         The plant is simulated from the first sample, at rest: with the smallest state that shows the outputs measured
         there. A load is its mean over each sample, so that the linear part under it goes through the same states.
 
-        Raises
-        ------
-        InputError
-            A record without one of the plant's inputs.
-        NoTrustworthyNumber
-            The loads do not give the simulated states back.
+        Raises InputError: a record without one of the plant's inputs; NoTrustworthyNumber: the loads do not give the
+        simulated states back.
         """
         if not self.loads:
             return record

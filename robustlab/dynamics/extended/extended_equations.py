@@ -34,20 +34,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint, Law
-from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.attached_effect import (
+    AttachedEffect,
+    holding_force,
+    is_set_valued,
+    rest_band,
+    slopes,
+    steady_force,
+)
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
-from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
-from robustlab.dynamics.extended.nonlinear_point import About, somewhere
+from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
 from robustlab.shown import listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
-__all__ = ["ExtendedEquations", "Holding", "HoldingTrim", "LeftOut", "extended_model"]
+__all__ = ["ExtendedEquations", "extended_model"]
 
 
 @dataclass(frozen=True)
@@ -68,14 +74,9 @@ class Holding:
 
 @dataclass(frozen=True, eq=False)
 class HoldingTrim(Trim):
-    """A trim with the dry friction and contacts that hold it.
+    """A trim with the dry friction and contacts that hold it."""
 
-    Attributes
-    ----------
-    holding
-        One for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
-    """
-
+    # one for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
     holding: tuple[Holding, ...] = ()
 
 
@@ -105,23 +106,13 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedEquations(SteppedPlant):
-    """Equations of a plant with effects.
+    """Equations of a plant with effects."""
 
-    Attributes
-    ----------
-    plant
-        The plant without them.
-    effects
-        In the order in which they were attached.
-    model
-        Linear equations and ports with the effects that are linear; of a nonlinear plant about some point.
-    laws
-        Every force law with its effect and its port in that model.
-    """
-
-    plant: AnyPlant
-    effects: tuple[AttachedEffect, ...]
+    plant: AnyPlant  # the plant without them
+    effects: tuple[AttachedEffect, ...]  # in the order in which they were attached
+    # linear equations and ports with the effects that are linear; of a nonlinear plant about some point
     model: PortModel = field(init=False)
+    # every force law with its effect and its port in that model
     laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -498,7 +489,7 @@ class ExtendedEquations(SteppedPlant):
         for name, value in (amplitude or {}).items():
             where = f"linearise: amplitude {name!r}"
             if name not in sites:
-                raise InputError(where, "no effect there", f"one of {', '.join(sites)}", did_you_mean(name, sites))
+                raise unknown_name(where, "no effect there", name, sites)
             if not (isinstance(value, (int, float)) and 0 < value < math.inf):
                 raise InputError(where, f"{value!r}", "a positive number")
         if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:

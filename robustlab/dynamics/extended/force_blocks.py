@@ -35,17 +35,16 @@ from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 
 __all__ = [
     "Amplitude",
-    "NoiseInput",
     "Dry",
-    "ForceParts",
     "ForceSector",
+    "NoiseInput",
     "check_amplitudes",
-    "force_parts",
     "force_columns",
+    "force_parts",
     "free_names",
 ]
 
@@ -98,22 +97,13 @@ class ForceSector:
 
 @dataclass(frozen=True)
 class NoiseInput:
-    """An input of the set that stands for a bounded error: its signal is at most one.
+    """An input of the set that stands for a bounded error: its signal is at most one."""
 
-    Attributes
-    ----------
-    name
-        Of the input.
-    bound, unit
-        What one stands for.
-    origin
-        Where it comes from.
-    """
-
-    name: str
+    name: str  # of the input
+    # bound, unit: what one stands for
     bound: float
     unit: str
-    origin: str
+    origin: str  # where it comes from
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
@@ -122,22 +112,14 @@ class NoiseInput:
 
 @dataclass(frozen=True, eq=False)
 class ForceParts:
-    """What stands in for all laws of a plant.
+    """What stands in for all laws of a plant."""
 
-    Attributes
-    ----------
-    sectors, bounded
-        The gains; the bounded forces as inputs, each with its port.
-    stand_in
-        Index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope.
-    left_out
-        Effect at its place -> why only its slope at the point is in the model.
-    """
-
+    # sectors, bounded: the gains; the bounded forces as inputs, each with its port
     sectors: tuple[ForceSector, ...]
     bounded: tuple[tuple[NoiseInput, Port], ...]
+    # index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope
     stand_in: Mapping[int, Array]
-    left_out: Mapping[str, str]
+    left_out: Mapping[str, str]  # effect at its place -> why only its slope at the point is in the model
 
 
 def force_parts(
@@ -209,17 +191,14 @@ def signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
 def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
     """Every amplitude is positive (a pair: increasing) and has an effect at its place.
 
-    Raises
-    ------
-    InputError
-        One that is not or has not.
+    Raises InputError: one that is not or has not.
     """
     joints = {signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
     known = tuple(dict.fromkeys([*(e.site.name for e in plant.effects), *sorted(joints)]))
     for name, value in amplitude.items():
         where = f"effect_blocks: amplitude {name!r}"
         if name not in known:
-            raise InputError(where, "no effect there", f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise unknown_name(where, "no effect there", name, known)
         pair = _pair(value)
         if not (len(pair) == 2 and all(_is_positive(a) for a in pair) and pair[0] <= pair[1]):
             raise InputError(where, f"{value!r}", "a positive number, or (least, largest) of two")

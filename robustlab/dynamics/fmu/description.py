@@ -38,11 +38,8 @@ class _Plain(ET.TreeBuilder):
 def read_description(path: str, shown: str) -> dict[str, Any]:
     """Plain types: version, name, token, states, inputs, outputs, parameters, joints, and what the unit can do.
 
-    Raises
-    ------
-    InputError
-        No such archive, one that is truncated or larger than the limits, another version of FMI, signals that are
-        arrays, clocks.
+    Raises InputError: no such archive, one that is truncated or larger than the limits, another version of FMI, signals
+    that are arrays, clocks.
     """
     with _opened(path, shown) as archive:
         try:
@@ -73,10 +70,7 @@ def read_description(path: str, shown: str) -> dict[str, Any]:
 def unpack(path: str, shown: str, folder: str) -> None:
     """Unpack the archive into the folder.
 
-    Raises
-    ------
-    InputError
-        A name that leads out of the folder, a link, an encrypted file; damaged data.
+    Raises InputError: a name that leads out of the folder, a link, an encrypted file; damaged data.
     """
     home = Path(folder)
     with _opened(path, shown) as archive:

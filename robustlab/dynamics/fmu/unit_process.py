@@ -1,7 +1,12 @@
-"""The parent's end of a unit: it runs in a child process, and what crashes or hangs there is one line here."""
+"""The parent's end of a unit: it runs in a child process, and what crashes or hangs there is one line here.
+
+Messages between the two are a JSON header and float64 arrays. No pickle.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import shutil
 import subprocess
@@ -14,13 +19,74 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+import numpy as np
+
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, child_environment
-from robustlab.dynamics.fmu.frames import raise_sent, receive, send
-from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NativeTimeout, NoTrustworthyNumber
+from robustlab.errors import (
+    DependencyMissing,
+    EnvironmentFault,
+    InputError,
+    NativeTimeout,
+    NoTrustworthyNumber,
+    RobustlabError,
+)
 from robustlab.provenance import file_sha256
 
-__all__ = ["UnitProcess"]
+__all__ = ["UnitProcess", "error_header", "receive", "send"]
+
+
+LARGEST_HEADER = 1 << 28  # bytes; a description of 200 000 variables has a third of it
+LARGEST_ARRAY = 1 << 33
+
+
+def send(stream: BinaryIO, header: dict[str, Any], arrays: Sequence[Array] = ()) -> None:
+    """Write one message."""
+    plain = [np.ascontiguousarray(a, dtype="<f8") for a in arrays]
+    raw = json.dumps({**header, "shapes": [a.shape for a in plain]}).encode()
+    stream.write(len(raw).to_bytes(8, "little") + raw)
+    for a in plain:
+        stream.write(a.tobytes())
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Array]]:
+    """Read one message.
+
+    Raises EOFError: the other end is gone; ValueError: what came is no message.
+    """
+    size = int.from_bytes(_exactly(stream, 8), "little")
+    if size > LARGEST_HEADER:
+        raise ValueError("no header")
+    header = json.loads(_exactly(stream, size))
+    arrays = []
+    for shape in header.pop("shapes"):
+        count = math.prod(int(n) for n in shape)
+        if not 0 <= 8 * count <= LARGEST_ARRAY:
+            raise ValueError("no array")
+        arrays.append(np.frombuffer(bytearray(_exactly(stream, 8 * count)), dtype="<f8").reshape(shape))
+    return header, arrays
+
+
+def error_header(error: RobustlabError) -> dict[str, Any]:
+    """An error as a message's header."""
+    kind = "number" if isinstance(error, NoTrustworthyNumber) else "input"
+    return {"error": [kind, error.where, error.found, error.expected, error.hint]}
+
+
+def raise_sent(header: dict[str, Any]) -> None:
+    """Raise the error that a header holds, if it does."""
+    if "error" in header:
+        kind, *said = header["error"]
+        raise (NoTrustworthyNumber if kind == "number" else InputError)(*said)
+
+
+def _exactly(stream: BinaryIO, size: int) -> bytes:
+    data = stream.read(size) if size else b""
+    if data is None or len(data) < size:
+        raise EOFError
+    return data
+
 
 # Seconds at least for what is not the unit's own work: starting an interpreter, reading and unpacking the archive.
 START_LIMIT, STARTING = 60.0, ("describe", "load")
@@ -74,14 +140,8 @@ class UnitProcess:
     def ask(self, request: dict[str, Any], arrays: Sequence[Array] = ()) -> tuple[dict[str, Any], list[Array]]:
         """Let the unit, loaded as its ``kind``, do what is asked.
 
-        Raises
-        ------
-        NativeTimeout
-            No answer within the time limit; the child was ended.
-        NoTrustworthyNumber
-            The unit crashed, or ended with an error.
-        InputError
-            The file is not what it was.
+        Raises NativeTimeout: no answer within the time limit; the child was ended; NoTrustworthyNumber: the unit
+        crashed, or ended with an error; InputError: the file is not what it was.
         """
         with self._lock:
             if self._start():

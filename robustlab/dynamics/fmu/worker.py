@@ -15,7 +15,7 @@ import threading
 from typing import Any, BinaryIO
 
 from robustlab.dynamics.fmu.description import read_description, unpack
-from robustlab.dynamics.fmu.frames import error_header, receive, send
+from robustlab.dynamics.fmu.unit_process import error_header, receive, send
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 __all__ = ["main"]
@@ -67,23 +67,23 @@ class _Session:
             raise self.unit.failed(str(error).rstrip(".")) from None
 
     def _run(self, op: str, request: dict[str, Any], arrays: list[Any]) -> tuple[dict[str, Any], list[Any]]:
-        from robustlab.dynamics.fmu import co_simulation_runs, exchange_runs
+        from robustlab.dynamics.fmu import unit_runs
 
         values = request["values"]
         if op == "start":
-            return {}, exchange_runs.started(self.unit, values)
+            return {}, unit_runs.started(self.unit, values)
         if op == "evaluate":
             x, u = arrays
-            return exchange_runs.evaluated(self.unit, values, x, u, request["derivatives"])
+            return unit_runs.evaluated(self.unit, values, x, u, request["derivatives"])
         if op == "integrate":
             t, coefficients, broken, *x0 = arrays
             start = x0[0] if x0 else None
-            return {}, exchange_runs.integrated(self.unit, values, request["rtol"], t, coefficients, broken, start)
+            return {}, unit_runs.integrated(self.unit, values, request["rtol"], t, coefficients, broken, start)
         if op == "step":
             t, u = arrays
-            return {}, co_simulation_runs.stepped(self.unit, values, t, u, request["longest"])
+            return {}, unit_runs.stepped(self.unit, values, t, u, request["longest"])
         if op == "linear":
-            return {}, co_simulation_runs.linear_matrices(self.unit, values, *arrays)
+            return {}, unit_runs.linear_matrices(self.unit, values, *arrays)
         raise InputError(self.shown, f"request {op!r}", None)
 
 

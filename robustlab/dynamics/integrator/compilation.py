@@ -17,15 +17,11 @@ PATIENCE = 6.0
 def compiled(module: Path, name: str, leaves: tuple[str | Path, ...], text: str) -> ModuleType:
     """The module of kernels in the file ``module`` with the dotted ``name``.
 
-    Parameters
-    ----------
-    leaves
-        Files of the functions and coefficients that its kernels are built from. The compiler looks only at a kernel's
-        own file for changes: where a leaf is newer, what it has kept is thrown away.
-    text
-        Said on stderr while it compiles.
+    ``leaves``: files of the functions and coefficients that its kernels are built from. The compiler looks only at a
+    kernel's own file for changes: where a leaf is newer, what it has kept is thrown away. ``text``: said on stderr
+    while it compiles.
     """
-    newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("jit.py")))
+    newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("steps.py")))
     for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
         if index.stat().st_mtime < newest:
             index.unlink(missing_ok=True)

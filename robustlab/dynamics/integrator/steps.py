@@ -2,7 +2,15 @@
 # (the compiler infers the types of the leaves)
 """Steps of the explicit Runge-Kutta pair DOP853 under inputs that are piecewise polynomials of time; to be compiled in.
 
-A kernel that is built from these supplies the rates of its own equations; see `robustlab.dynamics.integrator.jit`.
+A kernel that is built from these supplies the rates of its own equations. The coefficients, of order 8(5, 3) with the
+dense output of order 7, are those of scipy. They stand in a module of it that is not part of its public interface: what
+is taken from it is checked here by shape, and by a test against published values and the order conditions.
+
+Compiled functions are a `leaf` inside others, or an `entry` with its signatures and its code kept on disk.
+No fast arithmetic, not even contraction to fused multiply-adds: a leaf stands in the code of several entries, optimised
+differently, and which of these copies is called depends on whether an entry was just compiled or read from disk. With
+IEEE arithmetic as written all copies give the same bits, the first run on a machine those of every later one; it costs
+6 to 10 % of the time.
 
 References
 ----------
@@ -15,9 +23,64 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from robustlab.dynamics.integrator.dop853 import E3, E5, STAGES_EXTENDED, A, B, D
-from robustlab.dynamics.integrator.jit import leaf
+from robustlab.errors import EnvironmentFault
+
+__all__ = [
+    "A",
+    "B",
+    "C",
+    "D",
+    "E3",
+    "E5",
+    "EXPONENT",
+    "Inputs",
+    "LARGEST",
+    "MAX_STEPS",
+    "SAFETY",
+    "SMALLEST",
+    "TABLE",
+    "dense",
+    "entry",
+    "error_of",
+    "input_between",
+    "input_within",
+    "leaf",
+    "norm",
+    "polynomial",
+    "stage_point",
+    "step_end",
+]
+
+
+_options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+leaf = njit(**_options)
+
+
+def entry(*signatures):
+    """Compile for the given signatures, and keep the code on disk."""
+    return njit(list(signatures), cache=True, **_options)
+
+
+try:
+    from scipy.integrate._ivp import dop853_coefficients as table
+    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D
+except ImportError as error:
+    raise EnvironmentFault(
+        "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
+    ) from error
+
+
+# Stages 0..11 make the step, stage 12 is its end, 13..15 serve the dense output.
+STAGES_EXTENDED = 16
+TABLE = table.__file__
+SHAPES = {"A": (16, 16), "B": (12,), "C": (16,), "D": (4, 16), "E3": (13,), "E5": (13,)}
+
+for name, shape in SHAPES.items():
+    if getattr(table, name).shape != shape:
+        raise EnvironmentFault("DOP853", f"scipy's {name} has the shape {getattr(table, name).shape}", f"{shape}")
+
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0

@@ -13,6 +13,7 @@ motion, and forces), the rates are taken in every step.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -41,25 +42,14 @@ STRIDES = (16, 8, 4, 2)  # steps for which a matrix may stand
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A motion about which a plant is taken as linear.
-
-    Attributes
-    ----------
-    plant
-        The plant.
-    x, u
-        States (n, n_x) and inputs (n, n_u) at the samples of a record; inputs stand still between them.
-    dt
-        Sample time in s.
-    like
-        A course near by, whose stride it takes.
-    """
+    """A motion about which a plant is taken as linear."""
 
     plant: NonlinearPlant
+    # x, u: states (n, n_x) and inputs (n, n_u) at the samples of a record; inputs stand still between them
     x: Array
     u: Array
-    dt: float
-    like: Course | None = None
+    dt: float  # sample time in s
+    like: Course | None = None  # a course near by, whose stride it takes
 
     @cached_property
     def _spline(self) -> tuple[Array, Array]:
@@ -98,30 +88,17 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """A plant about the steps of some windows of a course.
+    """A plant about the steps of some windows of a course."""
 
-    Attributes
-    ----------
-    model
-        Matrices and ports, with an axis of points: of each window one every ``stride`` steps.
-    rates
-        What the motion itself adds to the rates in each step of the windows, (n_steps, n_own).
-    offsets
-        What it adds to the outputs at each sample of the windows, (n_samples, n_y).
-    stride
-        Steps for which a point stands.
-    steps, points
-        Point of each step, (n_steps,), and of each sample, (n_samples,).
-    at, own, shown
-        States and inputs at the points, (n_points, n_x) and (n_points, n_u), and the plant's rates and outputs there.
-    """
-
-    model: PortModel
-    rates: Array
-    offsets: Array
-    stride: int
+    model: PortModel  # matrices and ports, with an axis of points: of each window one every ``stride`` steps
+    rates: Array  # what the motion itself adds to the rates in each step of the windows, (n_steps, n_own)
+    offsets: Array  # what it adds to the outputs at each sample of the windows, (n_samples, n_y)
+    stride: int  # steps for which a point stands
+    # steps, points: point of each step, (n_steps,), and of each sample, (n_samples,)
     steps: Indices
     points: Indices
+    # at, own, shown: states and inputs at the points, (n_points, n_x) and (n_points, n_u), and the plant's rates and
+    # outputs there
     at: tuple[Array, Array]
     own: Array
     shown: Array
@@ -130,10 +107,7 @@ class MotionModel:
 def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int) -> MotionModel:
     """The plant about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps a sample.
 
-    Parameters
-    ----------
-    factors
-        Plant parameter -> factor of its reference.
+    ``factors``: plant parameter -> factor of its reference.
     """
     plant, values = course.plant, _values(course.plant, factors)
     steps, stride = length * sub, course.stride * sub
@@ -234,11 +208,7 @@ def _halved(a: Array, h: float) -> tuple[Array, int]:
 def _series(z: Array, k: int) -> Array:
     r""":math:`\varphi_k(z) = \sum_j z^j / (j + k)!` of small z, by Horner's rule."""
     one = np.eye(z.shape[-1])
-    found = np.broadcast_to(one / _factorial(TERMS + k), z.shape)
+    found = np.broadcast_to(one / math.factorial(TERMS + k), z.shape)
     for j in range(TERMS - 1, -1, -1):
-        found = one / _factorial(j + k) + z @ found
+        found = one / math.factorial(j + k) + z @ found
     return found
-
-
-def _factorial(k: int) -> float:
-    return float(np.prod(np.arange(1.0, k + 1.0)))

@@ -34,15 +34,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
-__all__ = [
-    "AnyPlant",
-    "Port",
-    "PortModel",
-    "linear_plant_of",
-    "parameter_groups",
-    "port_model",
-    "with_load_side",
-]
+__all__ = ["AnyPlant", "Port", "PortModel", "linear_plant_of", "parameter_groups", "port_model", "with_load_side"]
 
 
 AnyPlant = LinearPlant | NonlinearPlant
@@ -54,32 +46,18 @@ ASSUMED = "read off the matrices of the model"
 
 @dataclass(frozen=True, eq=False)
 class Port:
-    """One place where a force acts.
+    """One place where a force acts."""
 
-    Attributes
-    ----------
-    name
-        State whose velocity (or current) it is.
-    kind
-        ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint).
-    unit, speed_unit, position_unit
-        Of the force, of the velocity or current, of the position (empty without one).
-    force
-        b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force.
-    velocity
-        c, shape (n_x,).
-    position
-        p, shape (n_x,), or None where no state integrates the velocity.
-    """
-
-    name: str
+    name: str  # state whose velocity (or current) it is
+    # ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint)
     kind: Literal["joint", "current", "relative"]
+    # unit, speed_unit, position_unit: of the force, of the velocity or current, of the position (empty without one)
     unit: str
     speed_unit: str
     position_unit: str
-    force: Array
-    velocity: Array
-    position: Array | None
+    force: Array  # b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force
+    velocity: Array  # c, shape (n_x,)
+    position: Array | None  # p, shape (n_x,), or None where no state integrates the velocity
 
     @property
     def inertia(self) -> Array:
@@ -111,26 +89,17 @@ def _padded(array: Array, extra: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PortModel:
-    """Matrices and ports of a linear plant, or of a nonlinear one along a motion, at given parameter values.
+    """Matrices and ports of a linear plant, or of a nonlinear one along a motion, at given parameter values."""
 
-    Attributes
-    ----------
-    A, B, C, D
-        Shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion each has a leading axis of m points, and
-        so have the ports' forces; B then has further columns, the unit matrix of the plant's own states, by which
-        rates enter.
-    ports
-        Name -> `Port`.
-    own
-        Number of leading states that belong to the plant itself; effects append theirs.
-    """
-
+    # A, B, C, D: shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion each has a leading axis of m
+    # points, and so have the ports' forces; B then has further columns, the unit matrix of the plant's own states, by
+    # which rates enter.
     A: Array
     B: Array
     C: Array
     D: Array
-    ports: Mapping[str, Port]
-    own: int
+    ports: Mapping[str, Port]  # name -> `Port`
+    own: int  # number of leading states that belong to the plant itself; effects append theirs
 
     def with_state_feedback(self, port: Port, row: Array) -> PortModel:
         """The model with the force ``row @ x`` at the port: ``A + b row``."""
@@ -163,10 +132,7 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
 
     Velocity states are those with the unit rad/s or m/s, current states those with the unit A.
 
-    Raises
-    ------
-    InputError
-        A factor for an unknown parameter.
+    Raises InputError: a factor for an unknown parameter.
     """
     values = dict(plant.values)
     for name, factor in (factors or {}).items():
@@ -251,10 +217,7 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     :math:`-J A_{vv}`, and a force at the joint is in N or N m. Elsewhere J is 1 without a unit, and a force is one per
     inertia, in N/kg or N m/(kg m2).
 
-    Raises
-    ------
-    InputError
-        A discrete model, or anything that is no linear plant.
+    Raises InputError: a discrete model, or anything that is no linear plant.
     """
     if isinstance(plant, LinearPlant):
         return plant
@@ -319,19 +282,10 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     ``<joint>.<relative>`` sees :math:`\delta` and its rate; its force is divided by the reduced inertia
     :math:`s (1 - s) J`, so that a unit of it accelerates :math:`\delta` by one.
 
-    Parameters
-    ----------
-    share
-        s, the load's share of the joint's inertia, between 0 and 1.
-    relative
-        Name of the relative port: ``"twist"`` or ``"gap"``.
-    where
-        What messages call the effect.
+    ``share``: s, the load's share of the joint's inertia, between 0 and 1. ``relative``: name of the relative port:
+    ``"twist"`` or ``"gap"``. ``where``: what messages call the effect.
 
-    Raises
-    ------
-    InputError
-        A second load side at the joint, or a share outside 0..1.
+    Raises InputError: a second load side at the joint, or a share outside 0..1.
     """
     port = model.ports.get(joint)
     if port is None or port.kind != "joint":

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from robustlab.dynamics.stewart.friction import simulate_platform_with_friction
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.dynamics.stewart.kinematics import (
+    ConditionMap,
     DirectPoses,
     acceleration_bias,
     assembly_poses,
+    condition_map,
     direct_kinematics,
+    inside,
     inverse_kinematics,
     nut_angles,
+    singularity,
     velocity_jacobian,
+    workspace_grid,
 )
 from robustlab.dynamics.stewart.rigid_body import (
     bias_torque,
     kinetic_energy,
     mass_matrix,
     potential_energy,
+    simulate_platform_with_friction,
     trim_torque,
 )
 from robustlab.dynamics.stewart.stewart_platform import LinearModels, StewartPlatform, linear_models, stewart_platform
-from robustlab.dynamics.stewart.workspace import ConditionMap, condition_map, inside, singularity, workspace_grid
 
 __all__ = [
     "ConditionMap",

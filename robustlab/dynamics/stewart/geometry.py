@@ -30,17 +30,7 @@ from robustlab.dynamics.parameters import Parameter, Sign
 from robustlab.errors import InputError, did_you_mean
 from robustlab.shown import Shown
 
-__all__ = [
-    "CONSTANTS",
-    "Geometry",
-    "check_bodies",
-    "constants",
-    "geometry",
-    "PRESETS",
-    "Preset",
-    "machine_parameters",
-    "up",
-]
+__all__ = ["CONSTANTS", "Geometry", "check_bodies", "constants", "geometry", "machine_parameters", "up"]
 
 
 Preset = Literal["thesis", "physical"]
@@ -169,10 +159,7 @@ _MOTOR = (
 def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
     """The published parameters; preset ``physical`` adds the rotor's inertia that the thesis leaves out.
 
-    Raises
-    ------
-    InputError
-        A preset that is not ``thesis`` or ``physical``, a ``motors`` that is not True or False.
+    Raises InputError: a preset that is not ``thesis`` or ``physical``, a ``motors`` that is not True or False.
     """
     if preset not in PRESETS:
         hint = did_you_mean(str(preset), PRESETS)
@@ -200,41 +187,21 @@ CONSTANTS = (
 
 @dataclass(frozen=True, eq=False)
 class Geometry(Shown):
-    """Points and axes, in m; arrays are read-only.
+    """Points and axes, in m; arrays are read-only."""
 
-    Attributes
-    ----------
-    base, bearing
-        Points b and m in the base frame, shape (6, 3).
-    platform
-        Points p in the platform frame, shape (6, 3).
-    axis
-        Unit vectors x* of the first joint axes, shape (6, 3).
-    mount
-        Where the bodies' axis I points to in the leg: its components along the second joint axis z* and along
-        N = z* x K, shape (6, 2).
-    c
-        Distance of the joint's two axes.
-    home
-        Home pose (tx, ty, tz, ax, ay, az), shape (6,).
-    home_lengths
-        Actuator lengths where the nut angles are zero: those at home but for the offsets, shape (6,).
-    limits
-        Shortest and longest actuator.
-    turns
-        Nut angle per extension, 2 pi / lead in rad/m.
-    """
-
+    # base, bearing: points b and m in the base frame, shape (6, 3)
     base: Array
     bearing: Array
-    platform: Array
-    axis: Array
+    platform: Array  # points p in the platform frame, shape (6, 3)
+    axis: Array  # unit vectors x* of the first joint axes, shape (6, 3)
+    # where the bodies' axis I points to in the leg: its components along the second joint axis z* and along N = z* x K,
+    # shape (6, 2)
     mount: Array
-    c: float
-    home: Array
-    home_lengths: Array
-    limits: tuple[float, float]
-    turns: float
+    c: float  # distance of the joint's two axes
+    home: Array  # home pose (tx, ty, tz, ax, ay, az), shape (6,)
+    home_lengths: Array  # actuator lengths where the nut angles are zero: those at home but for the offsets, shape (6,)
+    limits: tuple[float, float]  # shortest and longest actuator
+    turns: float  # nut angle per extension, 2 pi / lead in rad/m
 
     @property
     def radius(self) -> float:
@@ -250,10 +217,7 @@ class Geometry(Shown):
 def geometry(p: Mapping[str, float]) -> Geometry:
     """Points and axes from the parameters.
 
-    Raises
-    ------
-    InputError
-        A bearing point that falls on its base point, a lower limit above the upper one.
+    Raises InputError: a bearing point that falls on its base point, a lower limit above the upper one.
     """
     if p["L_min"] >= p["L_max"]:
         raise InputError("stewart-platform: L_min", f"{p['L_min']:g} m", f"less than L_max = {p['L_max']:g} m")
@@ -334,10 +298,7 @@ def up(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
 def check_bodies(p: Mapping[str, float]) -> None:
     """Refuse inertias that no rigid body has: of the three principal ones none exceeds the sum of the others.
 
-    Raises
-    ------
-    InputError
-        A body that breaks the triangle inequality, with its three numbers.
+    Raises InputError: a body that breaks the triangle inequality, with its three numbers.
     """
     for body, axes in {"platform": "xyz", **dict.fromkeys(("link", "nut", "screw", "motor"), "IJK")}.items():
         inertia = np.array([p[f"{body}_{a}"] for a in axes])

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.dynamics.integrator.jit import entry, leaf
+from robustlab.dynamics.integrator.steps import entry, leaf
 
 # Columns of a leg's row; the order of `robustlab.dynamics.stewart.geometry.Geometry.legs`.
 HOME, MOUNT_Z, MOUNT_N = 9, 10, 11

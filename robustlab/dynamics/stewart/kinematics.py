@@ -1,4 +1,5 @@
-r"""Kinematics of the Stewart platform: lengths and Jacobians in closed form, poses by Newton's method with a proof.
+r"""Kinematics of the Stewart platform: lengths and Jacobians in closed form, poses by Newton's method with a proof;
+its workspace and singularities; the compiled kernels, loaded on first use.
 
 .. math::
     L_i = |p_{T,i} - d_i|, \quad p_T = T + R p, \quad d = b + c\,y^*, \qquad
@@ -23,6 +24,9 @@ of x the point moves with :math:`|s'| \le 2` and :math:`|s''| \le 3/r_p`, so tha
 :math:`|L_i''| \le 4/L_{min} + 3/r_p` and :math:`\gamma = \sqrt 6 (4/L_{min} + 3/r_p)`. The rounding of the computed
 lengths is added to the miss.
 
+The singularity measure is the smallest singular value of the Jacobian in :math:`(v, r_p\,\omega)`, which makes all its
+entries pure numbers: 1/measure bounds how far the platform can give way per unit error of the lengths.
+
 References
 ----------
 Březina 2010, eqs 6.3, 6.4 (plain joint), 6.5-6.8 (shifted joint).
@@ -32,30 +36,65 @@ Kantorovich, Akilov, "Functional Analysis", 2nd ed., Pergamon 1982, chapter XVII
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.stewart.compilation import kernels
+from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import real_array
 
 __all__ = [
+    "ConditionMap",
     "DirectPoses",
-    "assembly_poses",
-    "direct_kinematics",
+    "LIMIT",
+    "SINGULAR",
+    "SLACK",
     "acceleration_bias",
+    "assembly_poses",
+    "check_pose",
+    "condition_map",
+    "direct_kinematics",
+    "inside",
     "inverse_kinematics",
+    "kernels",
+    "motion_kernels",
     "nut_angles",
     "poses_array",
+    "real_array_of_one",
     "rotation",
+    "singularity",
     "twist",
     "velocity_jacobian",
+    "workspace_grid",
 ]
+
+
+HERE = Path(__file__).parent
+TEXT = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
+
+
+@cache
+def kernels() -> ModuleType:
+    """Module of the compiled kinematics and dynamics."""
+    return compiled(HERE / "kernels.py", "robustlab.dynamics.stewart.kernels", (), TEXT)
+
+
+@cache
+def motion_kernels() -> ModuleType:
+    """Module of the compiled integrators."""
+    from robustlab.dynamics.integrator.steps import TABLE
+
+    steps = HERE.parent / "integrator" / "steps.py"
+    leaves = (HERE / "kernels.py", steps, TABLE)
+    return compiled(HERE / "motion_kernels.py", "robustlab.dynamics.stewart.motion_kernels", leaves, TEXT)
 
 
 Joint = Literal["shifted", "simple"]
@@ -66,10 +105,7 @@ LIMIT = 60
 def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-platform") -> tuple[Array, bool]:
     """One pose (6,) or many (n, 6) as a finite array (n, 6), and whether it was one.
 
-    Raises
-    ------
-    InputError
-        Another shape, or NaN or Inf, by index.
+    Raises InputError: another shape, or NaN or Inf, by index.
     """
     one = np.ndim(value) == 1
     array = real_array(name, value, 1 if one else 2, where)
@@ -81,15 +117,9 @@ def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-plat
 def inverse_kinematics(geometry: Geometry, poses: ArrayLike, joint: Joint = "shifted") -> Array:
     """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape.
 
-    Parameters
-    ----------
-    joint
-        ``"shifted"``: the joint's axes are c apart (eqs 6.5-6.8). ``"simple"``: they meet (eqs 6.3, 6.4).
+    ``joint``: ``"shifted"``: the joint's axes are c apart (eqs 6.5-6.8). ``"simple"``: they meet (eqs 6.3, 6.4).
 
-    Raises
-    ------
-    InputError
-        A pose that is no pose, an unknown joint.
+    Raises InputError: a pose that is no pose, an unknown joint.
     """
     array, one = poses_array(poses)
     if joint not in ("shifted", "simple"):
@@ -152,31 +182,17 @@ def twist(pose: ArrayLike, rates: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DirectPoses:
-    """Poses found by Newton's method, each with its certificate; arrays of n rows.
+    """Poses found by Newton's method, each with its certificate; arrays of n rows."""
 
-    Attributes
-    ----------
-    poses
-        Shape (n, 6).
-    lengths
-        Actuator lengths that were asked for, (n, 6).
-    proved
-        True where the Newton-Kantorovich theorem proves one pose within ``radius`` of the one given.
-    h, radius
-        Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m.
-    residual
-        Euclidean norm of the lengths' errors in m.
-    iterations
-        Newton steps; -1 where the Jacobian was singular.
-    """
-
-    poses: Array
-    lengths: Array
+    poses: Array  # shape (n, 6)
+    lengths: Array  # actuator lengths that were asked for, (n, 6)
+    # true where the Newton-Kantorovich theorem proves one pose within ``radius`` of the one given
     proved: NDArray[np.bool_]
+    # h, radius: Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m
     h: Array
     radius: Array
-    residual: Array
-    iterations: NDArray[np.int64]
+    residual: Array  # euclidean norm of the lengths' errors in m
+    iterations: NDArray[np.int64]  # Newton steps; -1 where the Jacobian was singular
 
     @property
     def pose(self) -> Array:
@@ -242,10 +258,7 @@ def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> 
     A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond)
     the workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        No seed led to a proved pose.
+    Raises NoTrustworthyNumber: no seed led to a proved pose.
     """
     target, _ = poses_array(lengths, "lengths")
     starts, _ = poses_array(seeds, "seeds")
@@ -262,3 +275,118 @@ def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> 
         )
     names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
     return DirectPoses(*(getattr(found, name)[kept] for name in names))
+
+
+COORDINATES = ("tx", "ty", "tz", "ax", "ay", "az")
+# Lengths this little beyond a limit are within it: the rounding of a published limit pose.
+SLACK = 1e-9
+# Below this measure a pose counts as singular: six digits of the torques are gone.
+SINGULAR = 1e-6
+# Half widths of a box about home that holds the workspace, in m and rad: found by two million random poses.
+REACH = (0.024, 0.024, 0.02, 0.14, 0.14, 0.10)
+
+
+def inside(geometry: Geometry, poses: ArrayLike) -> NDArray[np.bool_]:
+    """True where all six actuators are within their limits, shape (n,)."""
+    array, _ = poses_array(poses)
+    lengths = inverse_kinematics(geometry, array)
+    low, high = geometry.limits
+    return np.asarray(((lengths >= low - SLACK) & (lengths <= high + SLACK)).all(axis=1))
+
+
+def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
+    """Smallest and largest singular value of the dimensionless Jacobian, shape (2,) or (n, 2)."""
+    array, one = poses_array(poses)
+    jacobian = velocity_jacobian(geometry, array)
+    jacobian[:, :, 3:] /= geometry.radius
+    sigma = np.linalg.svd(jacobian, compute_uv=False)[:, [5, 0]]
+    return np.asarray(sigma[0] if one else sigma, dtype=np.float64)
+
+
+def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
+    """The pose (6,) where it is within the workspace and not singular.
+
+    Raises InputError: an actuator beyond its limits, by number and length; NoTrustworthyNumber: a singular pose.
+    """
+    array = real_array_of_one(pose, where)
+    found, matrix = np.empty((1, 6)), np.empty((1, 6, 6))
+    kernels().jacobians(array[None], geometry.legs, geometry.c, found, matrix)
+    lengths = found[0]
+    low, high = geometry.limits
+    if lengths.min() < low - SLACK or lengths.max() > high + SLACK:
+        beyond = (lengths < low - SLACK) | (lengths > high + SLACK)
+        i = int(np.argmax(np.maximum(low - lengths, lengths - high)))
+        count = int(beyond.sum())
+        more = f" ({count} of 6 actuators are out of range)" if count > 1 else ""
+        raise InputError(
+            where,
+            f"pose out of the workspace: actuator {i + 1} would be {1e3 * lengths[i]:.6g} mm{more}",
+            f"{1e3 * low:.6g} .. {1e3 * high:.6g} mm",
+            "the limits are the parameters L_min and L_max",
+        )
+    matrix[0, :, 3:] /= geometry.radius
+    sigma = np.linalg.svd(matrix[0], compute_uv=False)
+    if not sigma[5] > SINGULAR * sigma[0]:
+        raise NoTrustworthyNumber(
+            where, f"singular pose: the Jacobian's smallest singular value is {sigma[5]:.3g}", None,
+            "the actuators cannot hold the platform there",
+        )  # fmt: skip
+    return array
+
+
+def real_array_of_one(pose: ArrayLike, where: str) -> Array:
+    """One finite pose of shape (6,)."""
+    array, one = poses_array(pose, "pose", where)
+    if not one:
+        raise InputError(where, f"{len(array)} poses", "one pose (tx, ty, tz, ax, ay, az)")
+    return array[0]
+
+
+def workspace_grid(geometry: Geometry, points: int = 5, reach: ArrayLike = REACH) -> Array:
+    """Poses (n, 6) within the workspace, from a grid of points^6 about home with the given half widths in m and rad.
+
+    The default half widths just cover the workspace of the published machine; 11 points give 13 240 poses.
+    """
+    half = real_array_of_one(reach, "workspace_grid: reach")
+    axes = [np.linspace(-width, width, points) for width in half]
+    grid = geometry.home + np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 6)
+    return grid[inside(geometry, grid)]
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionMap:
+    """Condition of the Jacobian over two coordinates of the pose; NaN out of the workspace."""
+
+    names: tuple[str, str]  # the two coordinates, of tx ty tz ax ay az
+    # first, second: their values, (n1,), (n2,)
+    first: Array
+    second: Array
+    # condition, smallest: condition number and smallest singular value, (n1, n2)
+    condition: Array
+    smallest: Array
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return dict(vars(self))
+
+
+def condition_map(
+    geometry: Geometry, names: tuple[str, str], first: ArrayLike, second: ArrayLike, pose: ArrayLike | None = None
+) -> ConditionMap:
+    """Map over the coordinates ``names``, the others as in ``pose`` (home where left out).
+
+    Raises InputError: names that are not two different coordinates of a pose.
+    """
+    if len(names) != 2 or names[0] == names[1] or any(name not in COORDINATES for name in names):
+        raise InputError("condition_map: names", f"{names!r}", f"two of {', '.join(COORDINATES)}")
+    one, two = np.atleast_1d(np.asarray(first, float)), np.atleast_1d(np.asarray(second, float))
+    poses = np.tile(
+        real_array_of_one(geometry.home if pose is None else pose, "condition_map"), (len(one), len(two), 1)
+    )
+    poses[:, :, COORDINATES.index(names[0])] = one[:, None]
+    poses[:, :, COORDINATES.index(names[1])] = two[None, :]
+    flat = poses.reshape(-1, 6)
+    sigma = np.where(inside(geometry, flat)[:, None], singularity(geometry, flat), np.nan).reshape(
+        len(one), len(two), 2
+    )
+    return ConditionMap((names[0], names[1]), one, two, sigma[..., 1] / sigma[..., 0], sigma[..., 0])

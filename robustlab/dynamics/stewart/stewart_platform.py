@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
-from robustlab.dynamics.stewart.along_motion import accelerations, derivatives, places, torques
-from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
     Geometry,
@@ -36,13 +34,88 @@ from robustlab.dynamics.stewart.geometry import (
     geometry,
     machine_parameters,
 )
-from robustlab.dynamics.stewart.kinematics import LIMIT, direct_kinematics, poses_array
-from robustlab.dynamics.stewart.workspace import SLACK, check_pose
+from robustlab.dynamics.stewart.kinematics import (
+    LIMIT,
+    SLACK,
+    check_pose,
+    direct_kinematics,
+    kernels,
+    motion_kernels,
+    poses_array,
+)
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
-__all__ = ["LinearModels", "StewartPlatform", "linear_models", "stewart_platform"]
+__all__ = ["LinearModels", "StewartPlatform", "derivatives", "linear_models", "stewart_platform"]
+
+
+NAME = "stewart-platform"
+
+
+def places(motors: bool) -> tuple[PortPlace, ...]:
+    """A torque at each nut, and with motors a voltage at each current."""
+    nuts = tuple(PortPlace(f"phidot_{i}", "joint", "N m", f"phi_{i}") for i in range(1, 7))
+    return nuts + tuple(PortPlace(f"i_{i}", "current", "V") for i in range(1, 7) if motors)
+
+
+def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
+    """Poses and twists (n, 6) of the states (n, 12 or 18).
+
+    Raises NoTrustworthyNumber: nut angles that no pose could be proved to have.
+    """
+    return _kept_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
+
+
+@lru_cache(maxsize=64)
+def _kept_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
+    """`motion`, kept: masses and motors change nothing of it."""
+    x = np.frombuffer(states).reshape(-1, 12)
+    lengths = np.ascontiguousarray(geometry.home_lengths + x[:, :6] / geometry.turns)
+    shortest = lengths.min(initial=np.inf)
+    if not shortest > 0.0:
+        row = int(np.argmin(lengths.min(axis=1)))
+        raise NoTrustworthyNumber(NAME, f"the nut angles of point {row} make an actuator shorter than nothing")
+    found = direct_kinematics(geometry, lengths)
+    if not found.proved.all():
+        raise NoTrustworthyNumber(
+            NAME, f"no pose with the nut angles of point {int(np.argmin(found.proved))} was found"
+        )
+    poses = np.ascontiguousarray(found.poses)
+    matrix = np.empty((len(x), 6, 6))
+    kernels().jacobians(poses, geometry.legs, geometry.c, lengths, matrix)
+    twists = np.linalg.solve(geometry.turns * matrix, x[:, 6:, None])[..., 0]
+    return poses, np.ascontiguousarray(twists)
+
+
+def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
+    """Motor torques (n, 6): the inputs, or with motors (18 states) what the currents and the speeds make."""
+    if x.shape[1] == 12:
+        return np.array(u, order="C")
+    return values["Km"] * x[:, 12:] - values["Kf"] * values["ratio"] * x[:, 6:12]
+
+
+def accelerations(geometry: Geometry, constants: Array, x: Array, torque: Array) -> Array:
+    """Of the nuts, (n, 6)."""
+    poses, twists = motion(geometry, x)
+    phi, rates, found = np.empty_like(poses), np.empty_like(poses), np.empty_like(poses)
+    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
+    kernels().forward_dynamics(poses, twists, torque, geometry.legs, numbers, phi, rates, found)
+    return found
+
+
+def derivatives(geometry: Geometry, constants: Array, x: Array, torque: Array) -> tuple[Array, Array, Array]:
+    """Derivatives of the nuts' accelerations over nut angles, rates and motor torques, (n, 6, 6) each.
+
+    Raises NoTrustworthyNumber: a singular pose.
+    """
+    poses, twists = motion(geometry, x)
+    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
+    stiffness, damping, gain = np.empty((3, len(x), 6, 6))
+    if not kernels().linearisations(poses, twists, torque, geometry.legs, numbers, stiffness, damping, gain):
+        raise NoTrustworthyNumber(NAME, "singular pose along the motion: no linear model in nut coordinates")
+    return stiffness, damping, gain
+
 
 _NUMBERS = range(1, 7)
 # A trim's residual beyond this share of what gravity alone would do is more than rounding.
@@ -57,19 +130,11 @@ _SHAPE = (
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
     """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached.
 
-    Parameters
-    ----------
-    preset
-        ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it.
-    motors
-        True: 18 states, voltages as inputs. False: 12 states, motor torques as inputs.
-    given
-        Parameters, each as a value or ``(value, relative tolerance)``.
+    ``preset``: ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it. ``motors``:
+    true: 18 states, voltages as inputs. False: 12 states, motor torques as inputs. ``given``: parameters, each as a
+    value or ``(value, relative tolerance)``.
 
-    Raises
-    ------
-    InputError
-        Unknown preset or parameter, NaN, a negative mass, inertias that no rigid body has.
+    Raises InputError: unknown preset or parameter, NaN, a negative mass, inertias that no rigid body has.
 
     Examples
     --------
@@ -89,22 +154,13 @@ def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: A
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StewartPlatform(NonlinearPlant):
-    """A Stewart platform; made by `stewart_platform`.
+    """A Stewart platform; made by `stewart_platform`."""
 
-    Attributes
-    ----------
-    preset, motors
-        As given.
-    geometry
-        Points, axes and lengths.
-    constants
-        The numbers of the equations of motion, (34,).
-    """
-
+    # preset, motors: as given
     preset: str
     motors: bool
-    geometry: Geometry = field(init=False)
-    constants: Array = field(init=False)
+    geometry: Geometry = field(init=False)  # points, axes and lengths
+    constants: Array = field(init=False)  # the numbers of the equations of motion, (34,)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -415,13 +471,8 @@ def linear_models(
     What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
     not checked against the workspace.
 
-    Raises
-    ------
-    InputError
-        An unknown parameter, one that shapes the legs (build the plant anew for that), values of the wrong number
-        or sign.
-    NoTrustworthyNumber
-        A singular pose.
+    Raises InputError: an unknown parameter, one that shapes the legs (build the plant anew for that), values of the
+    wrong number or sign; NoTrustworthyNumber: a singular pose.
     """
     array, _ = poses_array(poses)
     n, values = len(array), dict[str, Any](plant.values)

@@ -13,8 +13,7 @@ import numpy as np
 
 from robustlab.dynamics.parameters import Parameter, Role, Sign, overridden
 from robustlab.dynamics.plant_contract import PortPlace
-from robustlab.dynamics.symbolic.labels import labels
-from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant
+from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant, labels
 from robustlab.dynamics.symbolic.tape import tape_of
 from robustlab.errors import DependencyMissing, InputError, did_you_mean
 from robustlab.statespace import MAX_NAME, Signal
@@ -276,7 +275,7 @@ class PlantEquations:
         a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
         blocks = (rates, outputs, a, b, c, d, push)
         rows = ca.vertcat(*(ca.vec(ca.densify(block).T) for block in blocks))
-        titles = labels(self._states, self._inputs, [Signal(*o) for o in _pairs(self._outputs)], places)
+        titles = labels(self._states, self._inputs, [Signal(y, unit) for y, (_, unit) in self._outputs.items()], places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
         return Equations(
             tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
@@ -492,10 +491,6 @@ def _solved(ca: Any, factor: tuple[list[list[Any]], list[Any]], right: Any) -> A
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
-
-
-def _pairs(outputs: dict[str, tuple[Any, str]]) -> list[tuple[str, str]]:
-    return [(name, unit) for name, (_, unit) in outputs.items()]
 
 
 def _title(name: Any, where: str, kind: str) -> str:

@@ -20,7 +20,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.errors import InputError
 
-__all__ = ["MAX_OPERATIONS", "OPERATIONS", "Tape", "tape_kernels", "tape_of"]
+__all__ = ["OPERATIONS", "Tape", "tape_kernels", "tape_of"]
 
 # Name of each operation; its place is its number on a tape, in files too: new ones go to the end. The names are those
 # of CasADi without OP_.
@@ -40,21 +40,6 @@ Source = tuple[str, int]  # "input", "constant" or "result", and its number
 class Tape:
     """A function from n_in numbers to n_out numbers.
 
-    Attributes
-    ----------
-    n_in
-        Number of inputs.
-    operations, left, right
-        Of each operation its number in `OPERATIONS` and the places of its two arguments (of one argument, twice the
-        same), shape (n,). Place k < n_in is input k, then come the constants, then the results in their order.
-    constants
-        Finite numbers, shape (n_c,).
-    outputs
-        Places of the outputs, shape (n_out,).
-    n_still
-        So many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
-        these alone that stand first are done once.
-
     Raises
     ------
     InputError
@@ -70,12 +55,17 @@ class Tape:
            [ 6.]])
     """
 
-    n_in: int
+    n_in: int  # number of inputs
+    # operations, left, right: of each operation its number in `OPERATIONS` and the places of its two arguments (of one
+    # argument, twice the same), shape (n,). Place k < n_in is input k, then come the constants, then the results in
+    # their order.
     operations: Places
     left: Places
     right: Places
-    constants: Array
-    outputs: Places
+    constants: Array  # finite numbers, shape (n_c,)
+    outputs: Places  # places of the outputs, shape (n_out,)
+    # so many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
+    # these alone that stand first are done once.
     n_still: int = 0
 
     def __post_init__(self) -> None:
@@ -135,7 +125,7 @@ def _within(name: str, places: Places, limit: Any) -> None:
 @cache
 def tape_kernels() -> ModuleType:
     """Module of the compiled kernels; the first time on a machine it is compiled, for all plants at once."""
-    from robustlab.dynamics.integrator.dop853 import TABLE
+    from robustlab.dynamics.integrator.steps import TABLE
 
     here = Path(__file__).parent
     leaves = (here.parent / "integrator" / "steps.py", TABLE)
@@ -155,23 +145,10 @@ def _codes() -> dict[int, int]:
 def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable[[int], str] = str) -> Tape:
     """The tape of CasADi expressions.
 
-    Parameters
-    ----------
-    inputs
-        Column of SX symbols.
-    outputs
-        Column of SX expressions in these symbols and no others.
-    n_still
-        As of `Tape`.
-    where
-        What messages call the plant.
-    label
-        Number of an output -> what it is, for messages.
+    ``inputs``: column of SX symbols. ``outputs``: column of SX expressions in these symbols and no others. ``n_still``:
+    as of `Tape`. ``where``: what messages call the plant. ``label``: number of an output -> what it is, for messages.
 
-    Raises
-    ------
-    InputError
-        An operation that is not elementary, or a constant that is no finite number.
+    Raises InputError: an operation that is not elementary, or a constant that is no finite number.
     """
     import casadi as ca
 

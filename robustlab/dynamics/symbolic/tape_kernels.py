@@ -14,19 +14,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.integrator.dop853 import C
-from robustlab.dynamics.integrator.jit import entry, leaf
 from robustlab.dynamics.integrator.steps import (
     EXPONENT,
     LARGEST,
     MAX_STEPS,
     SAFETY,
     SMALLEST,
+    C,
     Inputs,
     dense,
+    entry,
     error_of,
     input_between,
     input_within,
+    leaf,
     norm,
     polynomial,
     stage_point,

@@ -49,46 +49,24 @@ MISSED = 0.05  # of the lines of a right model lie outside their circle
 
 @dataclass(frozen=True)
 class BestLinearApproximation(Evidence):
-    r"""Frequency response from one input to one output, measured and modelled; arrays have shape (n_f,).
+    r"""Frequency response from one input to one output, measured and modelled; arrays have shape (n_f,)."""
 
-    Attributes
-    ----------
-    method
-        ``"periods"``, ``"realisations"`` or ``"Welch H1"``.
-    frequency
-        In Hz; the excited lines only where the data are periodic.
-    response
-        The estimate, complex, in units of output per input.
-    std
-        Standard deviation of ``response``: :math:`\sqrt{E|\hat G - G|^2}`, everything included.
-    noise_std, nonlinear_std
-        The parts due to noise and to nonlinear distortions; None where the data cannot tell them apart.
-    coherence
-        Share of the measured output's power (of one period, one segment) that is linear in the inputs.
-    model
-        The model's response for an input held between samples, complex.
-    bands
-        Edges of bands in Hz, shape (n_bands + 1,).
-    relative_error
-        Per band: RMS of model minus response over RMS of the response, shape (n_bands,); None where no line lies.
-    outside
-        Per band: share of the lines at which the model lies outside the 95 % circle; about 0.05 for a right model.
-    notes
-        What a reader must know.
-    """
-
-    method: str
-    frequency: Array
-    response: ComplexArray
-    std: Array
+    method: str  # ``"periods"``, ``"realisations"`` or ``"Welch H1"``
+    frequency: Array  # in Hz; the excited lines only where the data are periodic
+    response: ComplexArray  # the estimate, complex, in units of output per input
+    std: Array  # standard deviation of ``response``: \sqrt{E|\hat G - G|^2}, everything included
+    # noise_std, nonlinear_std: the parts due to noise and to nonlinear distortions; None where the data cannot tell
+    # them apart
     noise_std: Array | None
     nonlinear_std: Array | None
-    coherence: Array
-    model: ComplexArray
-    bands: Array
+    coherence: Array  # share of the measured output's power (of one period, one segment) that is linear in the inputs
+    model: ComplexArray  # the model's response for an input held between samples, complex
+    bands: Array  # edges of bands in Hz, shape (n_bands + 1,)
+    # per band: RMS of model minus response over RMS of the response, shape (n_bands,); None where no line lies
     relative_error: tuple[float | None, ...]
+    # per band: share of the lines at which the model lies outside the 95 % circle; about 0.05 for a right model
     outside: tuple[float | None, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what a reader must know
 
     def band_coherence(self) -> list[float | None]:
         """Median coherence of each band; None where no line lies."""
@@ -136,11 +114,7 @@ class BestLinearApproximation(Evidence):
 
 
 def periodic_bla(
-    u: ArrayLike,
-    y: ArrayLike,
-    dt: float,
-    model: StateSpaceModel | None = None,
-    lines: NDArray[np.int_] | None = None,
+    u: ArrayLike, y: ArrayLike, dt: float, model: StateSpaceModel | None = None, lines: NDArray[np.int_] | None = None
 ) -> BestLinearApproximation | None:
     r"""Best linear approximation from whole periods in steady state.
 
@@ -225,13 +199,8 @@ def arbitrary_bla(
 
     with the multiple coherence :math:`\gamma^2` and m effective averages.
 
-    Parameters
-    ----------
-    t, inputs, y
-        Clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is not uniform is
-        interpolated to its mean step.
-    model
-        Model from these inputs to this output.
+    ``t``, ``inputs``, ``y``: clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is
+    not uniform is interpolated to its mean step. ``model``: model from these inputs to this output.
 
     Returns
     -------

@@ -14,8 +14,8 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.fmu.fmu_co_simulation import FmuCoSimulation
-from robustlab.dynamics.fmu.fmu_co_simulation import FreeRun as RunOfUnit
+from robustlab.dynamics.fmu.fmu_plant import FmuCoSimulation
+from robustlab.dynamics.fmu.fmu_plant import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import NoTrustworthyNumber, UsageError
 from robustlab.identification.comparison.along_motion import compare_along
@@ -25,10 +25,15 @@ from robustlab.identification.comparison.best_linear_approximation import (
     periodic_bla,
 )
 from robustlab.identification.comparison.comparison_result import Comparison, FreeRun
-from robustlab.identification.comparison.gap_scales import input_disturbance, noise_gaps, repeated, windowed_error
-from robustlab.identification.comparison.localisation import Motion, motion_of
+from robustlab.identification.comparison.localisation import (
+    Motion,
+    input_disturbance,
+    motion_of,
+    noise_gaps,
+    repeated,
+    windowed_error,
+)
 from robustlab.identification.comparison.noise_floor import NoiseFloor
-from robustlab.identification.comparison.nonlinearity import judged_lines
 from robustlab.identification.comparison.parts import (
     even_odd_test,
     excitation,
@@ -38,6 +43,7 @@ from robustlab.identification.comparison.parts import (
     samples_of,
     title,
 )
+from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.record_check.suitability import channel_warnings
 from robustlab.identification.response.response import Response, Stretch, response_of
 from robustlab.identification.response.windowed_simulation import InitialState, starting_state, windowed_simulation

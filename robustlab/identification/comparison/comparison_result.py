@@ -9,11 +9,16 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
-from robustlab.identification.comparison.gap_scales import InputDisturbance, NoiseGap
-from robustlab.identification.comparison.localisation import Bin, DirectionError, Motion, Spectrum
+from robustlab.identification.comparison.localisation import (
+    Bin,
+    DirectionError,
+    InputDisturbance,
+    Motion,
+    NoiseGap,
+    Spectrum,
+)
 from robustlab.identification.comparison.noise_floor import NoiseFloor
-from robustlab.identification.comparison.nonlinearity import EvenOdd
-from robustlab.identification.comparison.residual_tests import InputCorrelation, Whiteness
+from robustlab.identification.comparison.residual_tests import EvenOdd, InputCorrelation, Whiteness
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -38,26 +43,22 @@ class OutputGap(Evidence):
 
     Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
     :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
-
-    Attributes
-    ----------
-    name, unit, range
-        The output and its measured range.
-    peak, rms, peak_percent, rms_percent, fit
-        Free run; NaN where it does not reach the end of the record. ``peak_time`` is when its peak error occurs [s].
-    windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit
-        The same of the windowed simulation.
     """
 
+    # name, unit, range: the output and its measured range
     name: str
     unit: str
     range: float
+    # peak, rms, peak_percent, rms_percent, fit: free run; NaN where it does not reach the end of the record.
+    # ``peak_time`` is when its peak error occurs [s].
     peak: float
     rms: float
     peak_percent: float
     rms_percent: float
     fit: float
     peak_time: float
+    # windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit: the same of the windowed
+    # simulation
     windowed_peak: float
     windowed_rms: float
     windowed_peak_percent: float
@@ -67,48 +68,31 @@ class OutputGap(Evidence):
 
 @dataclass(frozen=True)
 class WindowErrors(Evidence):
-    """Error of one output window by window; all arrays have shape (n_windows,).
+    """Error of one output window by window; all arrays have shape (n_windows,)."""
 
-    Attributes
-    ----------
-    start, stop
-        First and last time of each window in s.
-    rms, share
-        RMS of the free run's error, and its share of the record's squared error (sum 1); NaN where it does not reach
-        the end of the record.
-    windowed_rms, windowed_share
-        The same of the windowed simulation.
-    worst, worst_free
-        Index of the window with the largest windowed RMS, and with the largest free-run RMS (None without).
-    """
-
+    # start, stop: first and last time of each window in s
     start: Array
     stop: Array
+    # rms, share: RMS of the free run's error, and its share of the record's squared error (sum 1); NaN where it does
+    # not reach the end of the record
     rms: Array
     share: Array
+    # windowed_rms, windowed_share: the same of the windowed simulation
     windowed_rms: Array
     windowed_share: Array
+    # worst, worst_free: index of the window with the largest windowed RMS, and with the largest free-run RMS (None
+    # without)
     worst: int
     worst_free: int | None
 
 
 @dataclass(frozen=True)
 class ResidualTests(Evidence):
-    """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`).
+    """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`)."""
 
-    Attributes
-    ----------
-    rms
-        RMS of the residual in the unit of the output.
-    whiteness
-        Autocorrelation and Ljung-Box test.
-    inputs
-        Input name -> correlation with the residual.
-    """
-
-    rms: float
-    whiteness: Whiteness
-    inputs: Mapping[str, InputCorrelation]
+    rms: float  # RMS of the residual in the unit of the output
+    whiteness: Whiteness  # autocorrelation and Ljung-Box test
+    inputs: Mapping[str, InputCorrelation]  # input name -> correlation with the residual
 
 
 @dataclass(frozen=True)
@@ -135,24 +119,15 @@ class FreeRun(Evidence):
 
 @dataclass(frozen=True)
 class Linearisation(Evidence):
-    """Windows that are linear about the recorded motion, against the nonlinear plant from the same starts.
+    """Windows that are linear about the recorded motion, against the nonlinear plant from the same starts."""
 
-    Attributes
-    ----------
-    windows
-        Times in s at which the checked windows start.
-    difference
-        Output name -> RMS of nonlinear minus linear simulation over these windows, in its unit.
-    share
-        Output name -> the same over the RMS of the error in these windows: far below 1, the error is the model's and
-        not of the linearisation.
-    broken
-        Times at which those windows start whose nonlinear simulation does not reach their end; they count nowhere.
-    """
-
-    windows: Array
+    windows: Array  # times in s at which the checked windows start
+    # output name -> RMS of nonlinear minus linear simulation over these windows, in its unit
     difference: Mapping[str, float]
+    # output name -> the same over the RMS of the error in these windows: far below 1, the error is the model's and not
+    # of the linearisation
     share: Mapping[str, float]
+    # times at which those windows start whose nonlinear simulation does not reach their end; they count nowhere
     broken: Array
 
 

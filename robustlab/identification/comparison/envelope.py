@@ -18,7 +18,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
 from robustlab.record import Record
@@ -26,48 +26,33 @@ from robustlab.result import Evidence, Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 
-__all__ = ["EnvelopeCoverage", "SignalCoverage", "cover", "deviations"]
+__all__ = ["SignalCoverage", "cover", "deviations"]
 
 
 @dataclass(frozen=True)
 class SignalCoverage(Evidence):
-    """Where one signal of a record lies with respect to the envelope; percent is of `size`.
+    """Where one signal of a record lies with respect to the envelope; percent is of `size`."""
 
-    Attributes
-    ----------
-    name, unit
-        The output, or ``"phi-rate"`` for the mean rate of the output phi.
-    size
-        Largest measured distance from the first measured value, in `unit`.
-    share
-        Share of the samples that lie inside the envelope, 0..1.
-    miss, miss_percent
-        Largest distance of a sample from the envelope; 0 where all lie inside.
-    miss_time, miss_side
-        When that is [s], and whether the record is ``"above"`` or ``"below"`` the envelope; NaN and ``""`` where none.
-    gap, gap_percent
-        Largest ``|measured - nominal|``.
-    reach, reach_percent
-        Largest ``|member - nominal|``: how far the set goes.
-    allowance
-        How far outside the envelope a sample may lie and count as inside.
-    t, measured, nominal, lower, upper
-        The series, each of shape (n,).
-    """
-
+    # name, unit: the output, or ``"phi-rate"`` for the mean rate of the output phi
     name: str
     unit: str
-    size: float
-    share: float
+    size: float  # largest measured distance from the first measured value, in `unit`
+    share: float  # share of the samples that lie inside the envelope, 0..1
+    # miss, miss_percent: largest distance of a sample from the envelope; 0 where all lie inside
     miss: float
     miss_percent: float
+    # miss_time, miss_side: when that is [s], and whether the record is ``"above"`` or ``"below"`` the envelope; NaN and
+    # ``""`` where none
     miss_time: float
     miss_side: Literal["", "above", "below"]
+    # gap, gap_percent: largest ``|measured - nominal|``
     gap: float
     gap_percent: float
+    # reach, reach_percent: largest ``|member - nominal|``: how far the set goes
     reach: float
     reach_percent: float
-    allowance: float
+    allowance: float  # how far outside the envelope a sample may lie and count as inside
+    # t, measured, nominal, lower, upper: the series, each of shape (n,)
     t: Array
     measured: Array
     nominal: Array
@@ -82,28 +67,15 @@ class SignalCoverage(Evidence):
 
 @dataclass(frozen=True)
 class EnvelopeCoverage(Evidence):
-    """Result of `cover`.
+    """Result of `cover`."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED: every response is finite, and every number follows from the series kept here.
-    record
-        Name of the record.
-    signals
-        Output name -> `SignalCoverage`; with a rate also ``"<output>-rate"``.
-    members, seed
-        How many members were simulated besides the nominal one, and the seed they were drawn with.
-    label
-        What the envelope is, and is not.
-    """
-
-    status: Status
-    record: str
-    signals: Mapping[str, SignalCoverage]
+    status: Status  # CONVERGED: every response is finite, and every number follows from the series kept here
+    record: str  # name of the record
+    signals: Mapping[str, SignalCoverage]  # output name -> `SignalCoverage`; with a rate also ``"<output>-rate"``
+    # members, seed: how many members were simulated besides the nominal one, and the seed they were drawn with
     members: int
     seed: int
-    label: str = LABEL
+    label: str = LABEL  # what the envelope is, and is not
 
     @property
     def covered(self) -> bool:
@@ -201,7 +173,7 @@ def cover(
         if lag is not None:
             seconds = lag * record.dt
             middle = 0.5 * (record.t[lag:] + record.t[:-lag])
-            rate_y, rate_0, rate_k = (_mean_rate(y, lag, seconds) for y in (measured, centre, members))
+            rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
             label, slack = f"{name}-rate", 2 * allowed[name] / seconds
             signals[label] = _judged(label, f"{unit}/s" if unit else "", middle, rate_y, rate_0, rate_k, slack)
     return EnvelopeCoverage(Status.CONVERGED, record.name, signals, len(drawn), drawn.seed)
@@ -246,11 +218,6 @@ def _judged(
     )
 
 
-def _mean_rate(y: Array, lag: int, seconds: float) -> Array:
-    """Mean rate over ``lag`` samples along the last axis."""
-    return (y[..., lag:] - y[..., :-lag]) / seconds
-
-
 def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]) -> tuple[Record, Array]:
     """The record in deviations from the operating point of the set, and that point's outputs (n_y,)."""
     point = uncertain.operating_point
@@ -275,13 +242,7 @@ def _lag(rate: float, record: Record) -> int:
 def _allowances(given: Mapping[str, float], names: tuple[str, ...], record: str) -> dict[str, float]:
     for name, value in given.items():
         if name not in names:
-            known = ", ".join(names)
-            raise InputError(
-                f"cover {record}: allowance of {name!r}",
-                "no such compared output",
-                f"one of {known}",
-                did_you_mean(name, names),
-            )
+            raise unknown_name(f"cover {record}: allowance of {name!r}", "no such compared output", name, names)
         if not (np.isfinite(value) and value >= 0):
             raise InputError(f"cover {record}: allowance of {name!r}", f"{value}", "a number that is not negative")
     return {name: float(given.get(name, 0.0)) for name in names}

@@ -1,34 +1,57 @@
-"""Where an error lives: in time, in speed and position, in frequency."""
+r"""Where an error lives: in time, in speed and position, in frequency; and the gap of a model on two other scales: as
+an addition to its input, and in multiples of the noise.
+
+An output error grows and is carried on by the model's own dynamics; where it comes from is plainer at the input. The
+record is cut into short pieces, and in each a constant :math:`d` is fitted together with the initial state,
+
+.. math:: y(t) \approx y_u(t) + S(t) x_0 + \Big( \int_0^t C e^{A s} B_j ds + D_j \Big) d,
+
+so that the model with the input :math:`u_j + d` reproduces the piece best. Sorted by speed, d shows a friction that
+the model lacks as a friction curve (with its sign turned round, in units of the input).
+
+Where a record repeats, the same gap is set against its noise floor: 1 is a model as good as the noise allows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
+from robustlab.identification.response.response import Response, Stretch
+from robustlab.identification.response.windowed_simulation import fit_state, weighted_least_squares, window_edges
 from robustlab.record import Record
 from robustlab.result import Evidence
 
 __all__ = [
     "Bin",
     "DirectionError",
+    "InputDisturbance",
     "Motion",
+    "NoiseGap",
     "Spectrum",
     "amplitude_edges",
     "bins",
     "directions",
+    "input_disturbance",
     "log_bands",
     "motion_of",
+    "noise_gaps",
     "position_edges",
+    "repeated",
+    "sorted_disturbance",
     "spectrum",
     "speed_edges",
     "time_shares",
     "uniform_samples",
     "welch_segments",
+    "windowed_error",
 ]
 
 
@@ -43,70 +66,41 @@ REST = 0.02  # speeds below this share of the largest count as rest
 
 @dataclass(frozen=True)
 class Motion(Evidence):
-    """Measured speed and position along the record, against which errors are sorted.
+    """Measured speed and position along the record, against which errors are sorted."""
 
-    Attributes
-    ----------
-    speed, position
-        Samples (n,), or None where the record has no such signal.
-    speed_unit, position_unit
-        Their units.
-    speed_source
-        ``"v"``, or ``"derivative of q (Savitzky-Golay, order 3, 49 samples)"``.
-    position_name
-        Name of the position signal.
-    """
-
+    # speed, position: samples (n,), or None where the record has no such signal
     speed: Array | None
     position: Array | None
+    # speed_unit, position_unit: their units
     speed_unit: str
     position_unit: str
-    speed_source: str
-    position_name: str
+    speed_source: str  # ``"v"``, or ``"derivative of q (Savitzky-Golay, order 3, 49 samples)"``
+    position_name: str  # name of the position signal
 
 
 @dataclass(frozen=True)
 class Bin(Evidence):
-    """Error of one output over the samples whose speed (or position) lies in ``[low, high)``.
+    """Error of one output over the samples whose speed (or position) lies in ``[low, high)``."""
 
-    Attributes
-    ----------
-    low, high
-        Edges.
-    samples
-        How many samples lie within.
-    mean, rms
-        Mean and RMS of the error in units of the output (0 where there is no sample).
-    share
-        Share of the record's squared error, 0..1; the shares of all bins sum to 1.
-    """
-
+    # low, high: Edges
     low: float
     high: float
-    samples: int
+    samples: int  # how many samples lie within
+    # mean, rms: mean and RMS of the error in units of the output (0 where there is no sample)
     mean: float
     rms: float
-    share: float
+    share: float  # share of the record's squared error, 0..1; the shares of all bins sum to 1
 
 
 @dataclass(frozen=True)
 class DirectionError(Evidence):
-    """Error of one output over the samples that move in one direction, or rest.
+    """Error of one output over the samples that move in one direction, or rest."""
 
-    Attributes
-    ----------
-    samples
-        How many samples lie within.
-    mean, rms
-        Mean and RMS of the error in units of the output; None where there is no sample.
-    share
-        Share of the record's squared error, 0..1.
-    """
-
-    samples: int
+    samples: int  # how many samples lie within
+    # mean, rms: mean and RMS of the error in units of the output; None where there is no sample
     mean: float | None
     rms: float | None
-    share: float
+    share: float  # share of the record's squared error, 0..1
 
 
 @dataclass(frozen=True)
@@ -114,45 +108,28 @@ class Spectrum(Evidence):
     r"""Power spectral densities by Welch's method, and the coherence of the inputs with the error.
 
     Hann window, half overlap, mean kept (a constant error is an error at frequency 0).
-
-    Attributes
-    ----------
-    frequency
-        Frequencies in Hz, shape (n_f,).
-    measured, simulated, error
-        One-sided densities of the measured output, the free run, and its error in unit²/Hz, shape (n_f,). The windowed
-        error has none: it starts anew in every window, so its frequencies are those of the windows.
-    coherence
-        Input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that
-        frequency that is linear in this input.
-    coherence_level
-        99 % of the coherences of independent signals lie below this.
-    bands
-        Edges of the bands in Hz, shape (n_bands + 1,).
-    error_share
-        Share of the squared error per band, shape (n_bands,), sum 1.
-    relative_error
-        RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where
-        nothing was measured.
     """
 
-    frequency: Array
+    frequency: Array  # frequencies in Hz, shape (n_f,)
+    # measured, simulated, error: One-sided densities of the measured output, the free run, and its error in unit²/Hz,
+    # shape (n_f,). The windowed error has none: it starts anew in every window, so its frequencies are those of the
+    # windows.
     measured: Array
     simulated: Array
     error: Array
+    # input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that frequency
+    # that is linear in this input
     coherence: Mapping[str, Array]
-    coherence_level: float
-    bands: Array
-    error_share: Array
+    coherence_level: float  # 99 % of the coherences of independent signals lie below this
+    bands: Array  # edges of the bands in Hz, shape (n_bands + 1,)
+    error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
+    # RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where nothing
+    # was measured
     relative_error: Array
 
     def band_table(self) -> dict[str, object]:
         """The bands only."""
-        return {
-            "bands": self.bands,
-            "error_share": self.error_share,
-            "relative_error": self.relative_error,
-        }
+        return {"bands": self.bands, "error_share": self.error_share, "relative_error": self.relative_error}
 
 
 def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:
@@ -299,3 +276,125 @@ def _band_power(f: Array, density: Array, edges: Array) -> Array:
 def _shares(power: Array) -> Array:
     total = power.sum()
     return power / total if total else power
+
+
+@dataclass(frozen=True)
+class InputDisturbance(Evidence):
+    """Constant addition to one input that reproduces each piece of the record best; arrays have shape (n_pieces,)."""
+
+    seconds: float  # length of a piece in s
+    time: Array  # middle of each piece in s
+    speed: Array | None  # mean measured speed over each piece, or None where there is no speed
+    # value, std: the addition d in the unit of the input, and its standard deviation if the error left were white; NaN
+    # in pieces where the outputs cannot tell d from the initial state
+    value: Array
+    std: Array
+    # forward, backward: means of d over the pieces that move throughout in one direction; NaN where there are none
+    forward: float
+    backward: float
+    # share of the squared error of all pieces (each with its own initial state) that d removes, 0..1
+    explained_share: float
+    speed_source: str = ""  # the speed it is sorted by, as in `robustlab.identification.comparison.localisation.Motion`
+
+
+def input_disturbance(response: Response, name: str, whole: Stretch, length: int, motion: Motion) -> InputDisturbance:
+    """Fit an addition to the input ``name`` in every piece of ``length`` samples; a shorter rest is left out.
+
+    Returns
+    -------
+    InputDisturbance
+        With as many pieces as fit.
+    """
+    t, weight = whole.t, whole.weight
+    edges = np.arange(0, len(t) + 1, length)
+    value, std = np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
+    before = after = 0.0
+    # The responses are the same in all pieces where the clock is uniform.
+    shared = _responses(response, name, t[:length]) if len(t) >= length and whole.is_uniform else None
+    for k, (first, last) in enumerate(pairwise(edges.tolist())):
+        piece = whole.cut(first, last)
+        free, held = shared or _responses(response, name, piece.t)
+        error = piece.y - response.simulate(piece.t, piece.u, np.zeros(response.n_states))
+        x0, _, rank = weighted_least_squares(free, error, weight)
+        both, spread, joint_rank = weighted_least_squares(np.concatenate([free, held], axis=2), error, weight)
+        if joint_rank == rank:
+            continue
+        value[k], std[k] = both[-1], spread[-1]
+        before += float((((error - free @ x0) * weight) ** 2).sum())
+        after += float((((error - free @ both[:-1] - held @ both[-1:]) * weight) ** 2).sum())
+    return sorted_disturbance(t, edges, value, std, 1.0 - after / before if before else 0.0, motion)
+
+
+def sorted_disturbance(
+    t: Array, edges: NDArray[np.int_], value: Array, std: Array, share: float, motion: Motion
+) -> InputDisturbance:
+    """Additions to an input in pieces between ``edges``, all equally long, sorted by the speed of a motion."""
+    length = int(edges[1] - edges[0]) if len(edges) > 1 else 0
+    middle = 0.5 * (t[edges[:-1]] + t[edges[1:] - 1])
+    seconds = length * float(t[-1] - t[0]) / (len(t) - 1)
+    if motion.speed is None or not length:
+        return InputDisturbance(seconds, middle, None, value, std, np.nan, np.nan, share)
+    pieces = motion.speed[: edges[-1]].reshape(-1, length)
+    rest = REST * float(np.abs(motion.speed).max())
+    forward, backward = _mean(value, pieces.min(axis=1) > rest), _mean(value, pieces.max(axis=1) < -rest)
+    speed = pieces.mean(axis=1)
+    return InputDisturbance(seconds, middle, speed, value, std, forward, backward, share, motion.speed_source)
+
+
+def _responses(response: Response, name: str, t: Array) -> tuple[Array, Array]:
+    """Free response, and the response to a unit step of the input."""
+    return response.free_response(t), response.step_response(name, t)
+
+
+def _mean(values: Array, chosen: NDArray[np.bool_]) -> float:
+    known = values[chosen & np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan
+
+
+@dataclass(frozen=True)
+class NoiseGap(Evidence):
+    """Gap of one output in multiples of its noise."""
+
+    std: float  # noise of a single sample of the output, in its unit (`NoiseFloor.std`)
+    # rms_percent, windowed_rms_percent: RMS of the free run's and of the windowed error in percent of ``std``: 100 is a
+    # model as good as the noise allows. None where the repeats are equal to the last bit.
+    rms_percent: float | None
+    windowed_rms_percent: float | None
+    # `Excess` of the windowed error, with windows at the same phases of every repeat. Its ``noise`` is the floor of the
+    # windowed error itself: in closed loop it is larger than ``std``, as the noise enters at the input too.
+    excess: Excess
+
+
+def repeated(floor: NoiseFloor, whole: Stretch, others: Sequence[Stretch]) -> list[Stretch]:
+    """The repeats that a floor is of, at equal phases: periods of the record, or the record and the others."""
+    if floor.source == "periods":
+        starts = floor.first + floor.samples * np.arange(floor.count)
+        return [whole.cut(int(a), int(a) + floor.samples) for a in starts]
+    return [replace(s.cut(0, floor.samples), weight=whole.weight) for s in (whole, *others)]
+
+
+def noise_gaps(
+    outputs: Sequence[str], errors: Array, floor: NoiseFloor, rms: Mapping[str, tuple[float, float]]
+) -> dict[str, NoiseGap]:
+    """Gap against the floor for every output.
+
+    ``errors``: measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
+    ``rms``: output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
+    """
+    result: dict[str, NoiseGap] = {}
+    for k, name in enumerate(outputs):
+        std = floor.std[name]
+        free, windowed = (100.0 * value / std if std else None for value in rms[name])
+        result[name] = NoiseGap(std, free, windowed, floor.excess(errors[:, :, k]))
+    return result
+
+
+def windowed_error(response: Response, part: Stretch, length: int) -> Array:
+    """Measured minus windowed simulation of one repeat, shape (samples, n_y)."""
+    edges = window_edges(len(part.t), length)
+    free = response.free_response(part.t[: int(np.diff(edges).max())])
+    error = np.empty_like(part.y)
+    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        window = part.cut(a, b)
+        error[a:b] = window.y - fit_state(response, window, free[: b - a]).y
+    return error

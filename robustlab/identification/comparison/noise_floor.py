@@ -50,68 +50,40 @@ BLOCKS = 20  # of the period, over which the local variance is taken
 
 @dataclass(frozen=True)
 class Excess(Evidence):
-    """What of a residual repeats, against what noise alone would leave in the average of the repeats.
+    """What of a residual repeats, against what noise alone would leave in the average of the repeats."""
 
-    Attributes
-    ----------
-    F
-        Mean square of the averaged residual over the mean square that noise leaves in it: 1 if nothing is left to
-        explain. None where the repeats are equal to the last bit: there is no noise to compare with.
-    p_value
-        Probability of a larger F if the residual were (Gaussian, coloured) noise alone; None as for F.
-    dof
-        Effective degrees of freedom of numerator and denominator, after the colour of the noise.
-    repeatable
-        RMS of the repeating part in the unit of the output, noise taken off (0 where noise explains all of it).
-    noise
-        Standard deviation of the residual's noise in a single sample: no model can get below it.
-    """
-
+    # mean square of the averaged residual over the mean square that noise leaves in it: 1 if nothing is left to
+    # explain. None where the repeats are equal to the last bit: there is no noise to compare with.
     F: float | None
+    # probability of a larger F if the residual were (Gaussian, coloured) noise alone; None as for F
     p_value: float | None
-    dof: tuple[float, float]
+    dof: tuple[float, float]  # effective degrees of freedom of numerator and denominator, after the colour of the noise
+    # RMS of the repeating part in the unit of the output, noise taken off (0 where noise explains all of it)
     repeatable: float
-    noise: float
+    noise: float  # standard deviation of the residual's noise in a single sample: no model can get below it
 
 
 @dataclass(frozen=True)
 class NoiseFloor(Evidence):
-    """Noise of the outputs of a record that repeats; see `noise_floor`.
+    """Noise of the outputs of a record that repeats; see `noise_floor`."""
 
-    Attributes
-    ----------
-    source
-        ``"periods"`` of one record, or ``"repeated records"``.
-    signal
-        The signal that repeats; empty where the period was stated and no recorded signal repeats exactly.
-    period
-        Its period in s; None for repeated records.
-    samples, count
-        Samples of one repeat, and the number of repeats.
-    first
-        Sample of the record at which the first whole period that is used starts. The last whole periods are used,
-        and a first one that is still a start-up transient is left out.
-    std
-        Output name -> standard deviation of the noise in a single sample, in the unit of the output.
-    level
-        Output name -> standard deviation of the level of the repeats, where it was taken off because the output
-        drifts (an integrator in open loop); 0 where it was not. Then ``std`` holds no noise slower than a period.
-    input_std
-        Input name -> the same as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back.
-    notes
-        What a reader must know.
-    """
-
-    source: str
-    signal: str
-    period: float | None
+    source: str  # ``"periods"`` of one record, or ``"repeated records"``
+    signal: str  # the signal that repeats; empty where the period was stated and no recorded signal repeats exactly
+    period: float | None  # its period in s; None for repeated records
+    # samples, count: samples of one repeat, and the number of repeats
     samples: int
     count: int
+    # sample of the record at which the first whole period that is used starts. The last whole periods are used, and a
+    # first one that is still a start-up transient is left out.
     first: int
+    # output name -> standard deviation of the noise in a single sample, in the unit of the output
     std: Mapping[str, float]
+    # output name -> standard deviation of the level of the repeats, where it was taken off because the output drifts
+    # (an integrator in open loop); 0 where it was not. Then ``std`` holds no noise slower than a period.
     level: Mapping[str, float]
+    # input name -> the same as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back
     input_std: Mapping[str, float]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what a reader must know
 
     def repeats(self, samples: ArrayLike) -> Array:
         """Samples (n,) on the clock of the record as repeats, shape (count, samples); repeats stay as they are."""
@@ -172,11 +144,7 @@ class NoiseFloor(Evidence):
 
 
 def noise_floor(
-    record: Record,
-    *,
-    period: float | None = None,
-    repeats: Sequence[Record] = (),
-    outputs: Sequence[str] | None = None,
+    record: Record, *, period: float | None = None, repeats: Sequence[Record] = (), outputs: Sequence[str] | None = None
 ) -> NoiseFloor:
     """Noise of the outputs of a record, from its own periods or from further records with the same input.
 
@@ -250,13 +218,8 @@ def noise_floor(
 def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
     """Shortest period in samples with which a signal (n,) repeats throughout, or None.
 
-    Parameters
-    ----------
-    samples
-        At least two periods of the signal.
-    tolerance
-        Largest difference between repeats of one phase; left out: one step of the signal's quantisation where it
-        has more than 200 levels, else rounding.
+    ``samples``: at least two periods of the signal. ``tolerance``: largest difference between repeats of one phase;
+    left out: one step of the signal's quantisation where it has more than 200 levels, else rounding.
 
     Returns
     -------
@@ -292,10 +255,7 @@ def effective_dof(deviation: Array) -> float:
     with the spectrum S of the deviations, averaged over the repeats, the factor P / (P - 1) for its own scatter, and
     the variances v of 20 blocks of the period. White noise of constant size: N.
 
-    Parameters
-    ----------
-    deviation
-        Deviations of the repeats from their mean, shape (P, N).
+    ``deviation``: deviations of the repeats from their mean, shape (P, N).
     """
     count, n = deviation.shape
     power = (np.abs(np.fft.fft(deviation, axis=1)) ** 2).sum(axis=0)

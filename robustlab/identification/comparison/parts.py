@@ -22,8 +22,7 @@ from robustlab.identification.comparison.localisation import (
     time_shares,
 )
 from robustlab.identification.comparison.noise_floor import NoiseFloor, noise_floor
-from robustlab.identification.comparison.nonlinearity import EvenOdd, even_odd
-from robustlab.identification.comparison.residual_tests import input_correlation, whiteness
+from robustlab.identification.comparison.residual_tests import EvenOdd, even_odd, input_correlation, whiteness
 from robustlab.identification.response.response import Stretch
 from robustlab.identification.response.windowed_simulation import WindowedSimulation
 from robustlab.record import Record
@@ -72,12 +71,8 @@ def localised(
 ) -> dict[str, Any]:
     """Gap, windows, speed, direction, position, amplitude, frequency and residual tests of every output.
 
-    Parameters
-    ----------
-    free
-        The free run (n, n_y); None where it does not reach the end of the record.
-    size
-        Input name -> magnitude (n,) over which the error is sorted.
+    ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
+    magnitude (n,) over which the error is sorted.
     """
     result: dict[str, dict[str, Any]] = {
         key: {}

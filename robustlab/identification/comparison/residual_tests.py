@@ -1,22 +1,48 @@
-r"""Tests of a residual: is it white, and is it independent of the input?
+r"""Is a residual white, and independent of the input? Is an output even or odd in its excitation?
 
-Both tests have the same reference (null hypothesis): the output-error model :math:`y = G(u) + e` with the given G and
-white noise e that is independent of u. A long record makes every deviation significant, however small; so each test
-also gives the *size* of the effect: the share of the residual's variance that its own past, or the input, explains
-linearly.
+The first two tests have the same reference (null hypothesis): the output-error model :math:`y = G(u) + e` with the
+given G and white noise e that is independent of u. A long record makes every deviation significant, however small; so
+each test also gives the *size* of the effect: the share of the residual's variance that its own past, or the input,
+explains linearly.
+
+The third asks the harmonics of a periodic excitation. A linear system answers a periodic input at its own lines only. A
+nonlinearity puts energy at other lines: an even one (x², |x|) at sums of an even number of excited harmonics, an odd
+one (x³, sgn x) at sums of an odd number. If only odd harmonics are excited, the even lines of the output hold even
+nonlinearity and nothing else; if some odd harmonics are left out as well, those lines hold odd nonlinearity. So the
+test needs no model.
+
+It needs a periodic excitation that leaves harmonics out. In closed loop the harmonics of the *reference* count, and
+the recorded input, which the controller corrects, is judged beside the outputs. Line 0 (the mean) is left out: an
+offset is no proof of x². What an odd nonlinearity does at the excited lines cannot be told from the linear response:
+the odd share is a lower bound.
+
+References
+----------
+Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), section 4.3.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.identification.comparison.noise_floor import NoiseFloor
 from robustlab.result import Evidence
 
-__all__ = ["InputCorrelation", "Whiteness", "autocorrelation", "input_correlation", "whiteness"]
+__all__ = [
+    "EvenOdd",
+    "InputCorrelation",
+    "Whiteness",
+    "autocorrelation",
+    "even_odd",
+    "input_correlation",
+    "judged_lines",
+    "whiteness",
+]
 
 
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples lie within
@@ -32,29 +58,18 @@ class Whiteness(Evidence):
 
     with :math:`N_k` the number of pairs at lag k (N - k without gaps). The residual is not centred: a constant offset
     is an error. No degree of freedom is taken off, as no parameter was fitted.
-
-    Attributes
-    ----------
-    lags, autocorrelation
-        Lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,).
-    band
-        99 % of the r_k of a white residual lie within ± this.
-    statistic, dof, p_value
-        Q, m, and the probability of a larger Q for a white residual.
-    predictable_share
-        Share of the variance that a linear predictor over the last m samples explains, 0..1.
-    samples
-        N.
     """
 
+    # lags, autocorrelation: lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,)
     lags: NDArray[np.int_]
     autocorrelation: Array
-    band: float
+    band: float  # 99 % of the r_k of a white residual lie within ± this
+    # statistic, dof, p_value: Q, m, and the probability of a larger Q for a white residual
     statistic: float
     dof: int
     p_value: float
-    predictable_share: float
-    samples: int
+    predictable_share: float  # share of the variance that a linear predictor over the last m samples explains, 0..1
+    samples: int  # N
 
 
 @dataclass(frozen=True)
@@ -67,34 +82,26 @@ class InputCorrelation(Evidence):
     with :math:`\tilde u` the input without its mean, and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
     u_{t-m}` at the :math:`N_m` samples that have all of these.
 
-    Attributes
-    ----------
-    lags, correlation
-        Lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,). Correlation at
-        negative lags means that the input was computed from the output: the record was taken in closed loop.
-    band
-        99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for
-        white ones.
-    statistic, dof, p_value
-        Q, the number of excited directions among the m + 1 lags, and the probability of a larger Q.
-    explained_share
-        R²: share of the residual's variance that the input explains over lags 0..m, 0..1.
-    samples
-        N.
-
     References
     ----------
     Ljung, *System Identification* (1999), section 16.6.
     """
 
+    # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).
+    # Correlation at negative lags means that the input was computed from the output: the record was taken in closed
+    # loop.
     lags: NDArray[np.int_]
     correlation: Array
+    # 99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for
+    # white ones
     band: float
+    # statistic, dof, p_value: Q, the number of excited directions among the m + 1 lags, and the probability of a larger
+    # Q
     statistic: float
     dof: int
     p_value: float
-    explained_share: float
-    samples: int
+    explained_share: float  # R²: share of the residual's variance that the input explains over lags 0..m, 0..1
+    samples: int  # N
 
 
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
@@ -170,3 +177,130 @@ def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
     coordinates = vectors[:, keep].T @ (lagged.T @ target)
     share = float(np.clip((coordinates**2 / values[keep]).sum() / power, 0.0, 1.0))
     return share, int(keep.sum()), len(rows)
+
+
+EXCITED = 1e-6  # of the strongest line's power: excited
+QUIET_BETWEEN = 1e-9  # not excited, among excited lines
+QUIET_BEYOND = 1e-22  # not excited, above the highest excited line: a controller may amplify there by 1e4 and more
+NOTHING = 1e-6  # a smaller share is not worth a number
+DETECTED = 0.01  # p-value below which a share is more than noise
+
+
+@dataclass(frozen=True)
+class HarmonicShares(Evidence):
+    """Where in the harmonics the repeating part of one signal lies."""
+
+    rms: float  # RMS of the signal's repeating part at all judged lines, in its unit
+    # even, odd: share of its power at even lines, and at odd lines, that are not excited, 0..1, noise taken off; None
+    # where there is no such line
+    even: float | None
+    odd: float | None
+    # even_p, odd_p: probability of that much power from noise alone; None without such lines or without noise
+    even_p: float | None
+    odd_p: float | None
+    # frequency, amplitude: the judged lines in Hz, and the amplitude of each (peak of the sine), shape (n_lines,)
+    frequency: Array
+    amplitude: Array
+    kind: NDArray[np.int_]  # 0 excited, 1 even and not excited, 2 odd and not excited, for each line, shape (n_lines,)
+    noise: Array  # amplitude that noise alone leaves at each line, shape (n_lines,)
+
+    def words(self) -> str:
+        """``even 0.13 %, odd not beyond noise`` (of the power)."""
+        parts: list[str] = []
+        for name, share, p in (("even", self.even, self.even_p), ("odd", self.odd, self.odd_p)):
+            if share is None:
+                continue
+            size = "below 0.0001 %" if share < NOTHING else f"{'at least ' if name == 'odd' else ''}{100 * share:.2g} %"
+            parts.append(f"{name} {size if p is None or p < DETECTED else 'not beyond noise'}")
+        return ", ".join(parts)
+
+    def to_json(self) -> dict[str, object]:
+        """The shares; the lines are left to the figure."""
+        return {"rms": self.rms, "even": self.even, "odd": self.odd, "even_p": self.even_p, "odd_p": self.odd_p}
+
+
+@dataclass(frozen=True)
+class EvenOdd(Evidence):
+    """Even/odd test of all signals."""
+
+    # output (and, in closed loop, input) name -> `HarmonicShares`; empty where the excitation allows no test
+    signals: Mapping[str, HarmonicShares]
+    excitation: str  # what is excited, in words; empty where nothing repeats
+    reason: str  # why there is no test, or why one half of it is missing; empty where both can be made
+
+
+def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array], dt: float) -> EvenOdd:
+    """Even/odd test of ``signals`` (n,) by name for a periodic ``excitation`` (n,) on the same clock.
+
+    ``floor``: says which samples form the periods. ``excitation``: the reference, or in open loop the input.
+    ``signals``: name -> samples. ``dt``: sample time in s.
+    """
+    lines, kind = judged_lines(floor.periodic(excitation))
+    if not len(lines):
+        return EvenOdd({}, "", "nothing is excited")
+    excited = lines[kind == 0]
+    words = f"{len(excited)} harmonics of {1.0 / (floor.samples * dt):.4g} Hz, the highest is number {excited[-1]}"
+    if (excited % 2 == 0).any():
+        which = "only even" if (excited % 2 == 0).all() else "both even and odd"
+        return EvenOdd({}, words, f"the excitation does not allow it: {which} harmonics are excited")
+    reason = ""
+    if not (kind == 1).any():
+        reason = "the excitation does not allow a test of even nonlinearity: no even line of it is quiet enough"
+    elif not (kind == 2).any():
+        reason = "the excitation does not allow a test of odd nonlinearity: no odd harmonic is left out"
+    if not (kind > 0).any():
+        return EvenOdd({}, words, "the excitation does not allow it: no line of it is quiet enough")
+    shares = {name: harmonic_shares(floor.periodic(x), lines, kind, dt) for name, x in signals.items()}
+    return EvenOdd(shares, words, reason)
+
+
+def harmonic_shares(periods: ArrayLike, lines: NDArray[np.int_], kind: NDArray[np.int_], dt: float) -> HarmonicShares:
+    """Shares of the power of ``periods`` (count, n) over lines of kind 0 excited, 1 even, 2 odd."""
+    from scipy.stats import f as fisher
+
+    x = np.asarray(periods, dtype=np.float64)
+    count, n = x.shape
+    spectra = np.fft.rfft(x, axis=1)[:, lines] * np.where(2 * lines == n, 1.0, 2.0) / n
+    mean = spectra.mean(axis=0)
+    noise = (np.abs(spectra - mean) ** 2).sum(axis=0) / (count - 1) / count
+    power = np.abs(mean) ** 2
+    # Of a transform, everything below this is rounding.
+    rounding = (1e-15 * float(np.abs(x).max())) ** 2
+    total = float(np.maximum(0.0, power - noise).sum())
+
+    def judged(chosen: NDArray[np.bool_]) -> tuple[float | None, float | None]:
+        if not chosen.any():
+            return None, None
+        signal, chance = float(power[chosen].sum()), float(noise[chosen].sum())
+        share = max(0.0, signal - chance) / total if total else 0.0
+        if chance <= chosen.sum() * rounding:
+            return share, None
+        # A line's noise estimate has the scatter of 2 (count - 1) degrees: corrected as in `effective_dof`.
+        weight = float((noise[chosen] ** 2).sum()) * (count - 1) / count
+        dof = max(2.0, min(2.0 * float(chosen.sum()), 2.0 * chance**2 / weight))
+        return share, float(fisher.sf(signal / chance, dof, dof * (count - 1)))
+
+    (even, even_p), (odd, odd_p) = judged(kind == 1), judged(kind == 2)
+    rms = float(np.sqrt(total / 2.0))
+    return HarmonicShares(rms, even, odd, even_p, odd_p, lines / (n * dt), np.abs(mean), kind, np.sqrt(noise))
+
+
+def judged_lines(excitation: ArrayLike) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Lines of a periodic excitation (count, n) that are excited or quiet, and their kind as in `HarmonicShares`.
+
+    Excited: within 60 dB of the strongest line. Quiet: 90 dB below it, and 220 dB above the
+    highest excited line. Lines
+    between are left out.
+    """
+    power = np.abs(np.fft.rfft(np.asarray(excitation, dtype=np.float64).mean(axis=0))) ** 2
+    lines = np.arange(1, len(power) - 1)
+    p = power[1:-1]
+    top = float(p.max(initial=0.0))
+    if not top:
+        return lines[:0], lines[:0]
+    excited = p > EXCITED * top
+    highest = int(lines[excited].max())
+    quiet = p < np.where(lines <= highest, QUIET_BETWEEN, QUIET_BEYOND) * top
+    kind = np.where(excited, 0, np.where(lines % 2 == 0, 1, 2))
+    keep = excited | quiet
+    return lines[keep], kind[keep]

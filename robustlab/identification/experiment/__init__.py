@@ -1,6 +1,6 @@
 """What to measure next.
 
 next_experiment   `propose_experiment`: the experiment that separates the named effects from their rivals best
-experiment_bench  experiments as records that hypotheses predict, and how far apart the hypotheses are there
-experiment_menu   the signals to choose from
+experiment_bench  experiments as records that hypotheses predict, how far apart these are, and the signals to choose
+from
 """

@@ -31,7 +31,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.identification.experiment.experiment_bench import (
     SAFE,
     Bench,
@@ -45,7 +45,7 @@ from robustlab.identification.experiment.experiment_bench import (
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.result import Evidence
 
-__all__ = ["NextExperiment", "Pair", "Tried", "propose_experiment"]
+__all__ = ["NextExperiment", "Tried", "propose_experiment"]
 
 
 CANNOT_TELL = 3.0  # noise sigmas
@@ -63,57 +63,28 @@ class Tried(NamedTuple):
 
 @dataclass(frozen=True)
 class NextExperiment(Evidence):
-    """The experiment to make next.
+    """The experiment to make next."""
 
-    Attributes
-    ----------
-    name
-        Entry of the menu.
-    description
-        Signal, duration and sensors in words.
-    advice
-        Where the experiment is not safe to separate the hypotheses: what else would.
-    t
-        Clock in s, (n,).
-    inputs, units
-        Input -> samples (n,), each held until the next; input -> unit.
-    duration
-        In s.
-    sensors, added
-        Outputs to record; those of them that were not recorded so far.
-    assumed_noise
-        Added sensor -> standard deviation that was assumed for it, in its unit.
-    separation
-        Smallest predicted refit distance d over all pairs of open hypotheses, in noise sigmas: below 3 nothing will be
-        told, beyond 10 it is safe.
-    if_named
-        The same over the pairs with the named hypothesis as the truth.
-    now
-        Smallest refit distance of the named hypothesis and a rival for the present records (`refit_distance`).
-    hypotheses
-        What is to be separated, the named one first.
-    pairs
-        d of each ordered pair.
-    menu
-        All that was tried.
-    """
-
-    name: str
-    description: str
-    advice: str
-    t: Array
+    name: str  # entry of the menu
+    description: str  # signal, duration and sensors in words
+    advice: str  # where the experiment is not safe to separate the hypotheses: what else would
+    t: Array  # clock in s, (n,)
+    # inputs, units: input -> samples (n,), each held until the next; input -> unit
     inputs: Mapping[str, Array]
     units: Mapping[str, str]
-    duration: float
+    duration: float  # in s
+    # sensors, added: outputs to record; those of them that were not recorded so far
     sensors: tuple[str, ...]
     added: tuple[str, ...]
-    assumed_noise: Mapping[str, float]
+    assumed_noise: Mapping[str, float]  # added sensor -> standard deviation that was assumed for it, in its unit
+    # smallest predicted refit distance d over all pairs of open hypotheses, in noise sigmas: below 3 nothing will be
+    # told, beyond 10 it is safe
     separation: float
-    if_named: float
-    now: float
-    hypotheses: tuple[str, ...]
-    pairs: tuple[Pair, ...]
-    menu: tuple[Tried, ...]
+    if_named: float  # the same over the pairs with the named hypothesis as the truth
+    now: float  # smallest refit distance of the named hypothesis and a rival for the present records (`refit_distance`)
+    hypotheses: tuple[str, ...]  # what is to be separated, the named one first
+    pairs: tuple[Pair, ...]  # d of each ordered pair
+    menu: tuple[Tried, ...]  # all that was tried
 
     @property
     def separates(self) -> bool:
@@ -288,8 +259,7 @@ def _travel(problem: Problem, given: Mapping[str, float] | None) -> dict[int, fl
 def _known(what: str, given: Sequence[str] | Mapping[str, object], names: Sequence[str]) -> None:
     for name in given:
         if name not in names:
-            hint = did_you_mean(name, tuple(names))
-            raise InputError(f"propose_experiment: {what}", f"no {name!r}", f"one of {', '.join(names)}", hint)
+            raise unknown_name(f"propose_experiment: {what}", f"no {name!r}", name, names)
 
 
 # --- the answer ------------------------------------------------------------------------------------------------------

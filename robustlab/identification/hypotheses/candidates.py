@@ -18,8 +18,7 @@ from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
-from robustlab.identification.hypotheses.effect_fit import Candidate
-from robustlab.identification.hypotheses.nuisance import Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -45,10 +44,7 @@ ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, wh
 
 
 def candidates(
-    plant: AnyPlant,
-    model: PortModel,
-    records: Sequence[PreparedRecord],
-    tuning: NamingTuning = TUNING,
+    plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
@@ -61,7 +57,7 @@ def candidates(
         if not effect.nameable:
             continue
         for site in effect.sites(plant, model):
-            if site.kind == "output" and not _recorded(plant, site, records):
+            if site.kind == "output" and not all(site.name in r.record.outputs for r in records):
                 continue
             if site not in known:
                 known[site] = _scales(site, plant, model, records, tuning)
@@ -91,20 +87,12 @@ def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) ->
     return replace(model, ports=ports)
 
 
-def _recorded(plant: AnyPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:
-    return all(site.name in r.record.outputs for r in records)
-
-
 def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
     return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in effect.variants(scales)]
 
 
 def _scales(
-    site: Site,
-    plant: AnyPlant,
-    model: PortModel,
-    records: Sequence[PreparedRecord],
-    tuning: NamingTuning,
+    site: Site, plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning
 ) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
     if site.kind == "input":
@@ -159,21 +147,13 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
     q = s.x @ port.position if port.position is not None else np.zeros(len(v))
     # The smoother's forces are those of the joints, in the order of the ports; a current port has none.
     pushed = port.force.reshape(-1, port.force.shape[-1]).mean(axis=0)[: len(record.push)]
-    j = int(np.argmax(np.abs(pushed @ _directions(record.push)))) if record.push.shape[1] else 0
+    # Dual directions of the pushes, so that each one is seen by itself alone.
+    j = int(np.argmax(np.abs(pushed @ np.linalg.pinv(record.push).T))) if record.push.shape[1] else 0
     return q, v, s.d[:, j], s.d_std[:, j]
 
 
-def _directions(push: Array) -> Array:
-    """Dual directions of the pushes, so that each one is seen by itself alone."""
-    return np.linalg.pinv(push).T
-
-
 def _orders_at_output(
-    plant: AnyPlant,
-    model: PortModel,
-    site: Site,
-    records: Sequence[PreparedRecord],
-    tuning: NamingTuning,
+    plant: AnyPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord], tuning: NamingTuning
 ) -> tuple[float, ...]:
     """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
     row = model.C[..., [s.name for s in plant.outputs].index(site.name), :].reshape(-1, model.C.shape[-1])[0]
@@ -298,15 +278,10 @@ def _between(power: Array, k: int) -> float:
 def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
     """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit.
 
-    Parameters
-    ----------
-    given
-        Name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the parameter.
+    ``given``: name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the
+    parameter.
 
-    Raises
-    ------
-    InputError
-        An unknown name, a negative tolerance, a share of the value 0.
+    Raises InputError: an unknown name, a negative tolerance, a share of the value 0.
     """
     asked: dict[str, float] = {}
     for name, value in (given or {}).items():

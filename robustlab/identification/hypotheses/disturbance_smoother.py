@@ -48,7 +48,7 @@ from robustlab.statespace import StateSpaceModel, real_array
 if TYPE_CHECKING:
     from robustlab.identification.hypotheses.smoother_kernels import Filter
 
-__all__ = ["Jump", "SmoothedRecord", "smooth_disturbance"]
+__all__ = ["SmoothedRecord", "smooth_disturbance"]
 
 WHERE = "smooth_disturbance"
 
@@ -77,47 +77,26 @@ class Jump(Evidence):
 
 @dataclass(frozen=True)
 class SmoothedRecord(Evidence):
-    """States and forces given the whole record.
+    """States and forces given the whole record."""
 
-    Attributes
-    ----------
-    t
-        Clock in s, (n,).
-    x, x_std
-        States and their standard deviations, (n, n_x); in deviations from the operating point where the model has
-        one. A state that the outputs do not tell has the std it was given before the record (much more than the
-        record's range).
-    covariance
-        Joint covariance of the states at each sample, (n, n_x, n_x).
-    d, d_std
-        Force at each port and its standard deviation, (n, m), in the unit of the port.
-    noise_std
-        Noise of each output, (n_y,).
-    bandwidth
-        Frequency in Hz up to which the record tells each force, (m,).
-    intensity
-        q_j, in the port's unit squared per second, (m,).
-    innovations
-        Whitened one-step prediction errors, (n, n_y): standard normal and independent where the model holds. NaN
-        where a sample is missing.
-    jumps
-        Jumps of the forces, in order of time.
-    log_likelihood
-        Of the innovations after the first n_x + m samples.
-    """
-
-    t: Array
+    t: Array  # clock in s, (n,)
+    # x, x_std: states and their standard deviations, (n, n_x); in deviations from the operating point where the model
+    # has one. A state that the outputs do not tell has the std it was given before the record (much more than the
+    # record's range).
     x: Array
     x_std: Array
-    covariance: Array
+    covariance: Array  # joint covariance of the states at each sample, (n, n_x, n_x)
+    # d, d_std: force at each port and its standard deviation, (n, m), in the unit of the port
     d: Array
     d_std: Array
-    noise_std: Array
-    bandwidth: Array
-    intensity: Array
+    noise_std: Array  # noise of each output, (n_y,)
+    bandwidth: Array  # frequency in Hz up to which the record tells each force, (m,)
+    intensity: Array  # q_j, in the port's unit squared per second, (m,)
+    # whitened one-step prediction errors, (n, n_y): standard normal and independent where the model holds. NaN where a
+    # sample is missing.
     innovations: Array
-    jumps: tuple[Jump, ...]
-    log_likelihood: float
+    jumps: tuple[Jump, ...]  # jumps of the forces, in order of time
+    log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
 def smooth_disturbance(

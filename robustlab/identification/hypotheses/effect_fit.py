@@ -36,12 +36,10 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
-from robustlab.dynamics.ports.sampled_input import Hold
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
-from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -52,12 +50,34 @@ __all__ = [
     "FitPlan",
     "Hypothesis",
     "NoiseModel",
+    "Nuisance",
     "Problem",
-    "Setting",
     "predicted",
     "refit_distance",
     "simulated_outputs",
 ]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
+    """
+
+    # label, names: of the group, and its parameters
+    label: str
+    names: tuple[str, ...]
+    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
+    spread: float
+    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
+    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
+    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
 
 
 Effects = Sequence[tuple[Effect, Site]]
@@ -133,34 +153,18 @@ class NoiseModel:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """One fitted hypothesis.
+    """One fitted hypothesis."""
 
-    Attributes
-    ----------
-    hypothesis
-        What was fitted.
-    z
-        Standardised parameters: nuisances, then those of each effect.
-    starts
-        Standardised shifts of the window starts, one array (n_windows, n_x) a record.
-    cost
-        V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row.
-    hessian
-        Of V / 2 over z, starts eliminated, prior included.
-    noise
-        The noise model that V was measured with.
-    covariance
-        Of z from the scatter of the windows' gradients (sandwich), where it was asked for.
-    """
-
-    hypothesis: Hypothesis
-    z: Array
-    starts: tuple[Array, ...]
+    hypothesis: Hypothesis  # what was fitted
+    z: Array  # standardised parameters: nuisances, then those of each effect
+    starts: tuple[Array, ...]  # standardised shifts of the window starts, one array (n_windows, n_x) a record
+    # V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row
     cost: float
     window_cost: Array
-    hessian: Array
-    noise: NoiseModel
+    hessian: Array  # of V / 2 over z, starts eliminated, prior included
+    noise: NoiseModel  # the noise model that V was measured with
     evaluations: int
+    # of z from the scatter of the windows' gradients (sandwich), where it was asked for
     covariance: Array | None = None
 
     @property
@@ -180,29 +184,15 @@ class Fit:
 
 @dataclass(frozen=True)
 class FitPlan:
-    """When a fit ends, and what is wanted of it.
+    """When a fit ends, and what is wanted of it."""
 
-    Attributes
-    ----------
-    iterations
-        At most.
-    tolerance
-        Fall of V, reached or to be expected, below which it ends.
-    fixed
-        The parameters stay and only the window starts are fitted: a prediction of data that the fit did not see.
-    robust
-        With the sandwich covariance.
-    draft
-        The Hessian may be that of the point before: the cost is compared, or it is fitted further.
-    ceiling
-        It is given up after its first step where twice the fall that can be expected does not bring V below this.
-    """
-
-    iterations: int = 12
-    tolerance: float = 0.05
+    iterations: int = 12  # at most
+    tolerance: float = 0.05  # fall of V, reached or to be expected, below which it ends
+    # the parameters stay and only the window starts are fitted: a prediction of data that the fit did not see
     fixed: bool = False
-    robust: bool = False
-    draft: bool = False
+    robust: bool = False  # with the sandwich covariance
+    draft: bool = False  # the Hessian may be that of the point before: the cost is compared, or it is fitted further
+    # it is given up after its first step where twice the fall that can be expected does not bring V below this
     ceiling: float = np.inf
 
 

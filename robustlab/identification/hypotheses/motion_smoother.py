@@ -28,7 +28,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["SmoothedMotion", "lacking_forces", "smooth_motion"]
+__all__ = ["lacking_forces", "smooth_motion"]
 
 ROUNDS = 2  # of smoothing with known inputs from the motion before
 UNMEASURED_ROUNDS = 4  # of linear runs of the states that no sensor shows
@@ -39,17 +39,11 @@ EDGE = 20  # samples at which a motion is asked for its plant's output rows
 
 @dataclass(frozen=True, eq=False)
 class SmoothedMotion:
-    """A record's states and forces.
+    """A record's states and forces."""
 
-    Attributes
-    ----------
-    smoothed
-        As the smoother of a linear plant gives them; forces ``d`` at the joints, in the order of the plant's places.
-    told, constant
-        As in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`.
-    """
-
+    # as the smoother of a linear plant gives them; forces ``d`` at the joints, in the order of the plant's places
     smoothed: SmoothedRecord
+    # told, constant: as in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`
     told: Array
     constant: Array
 
@@ -83,18 +77,11 @@ class _Chain:
 def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> SmoothedMotion:
     """States along a record.
 
-    Parameters
-    ----------
-    t, u, y
-        Uniform clock (n,), inputs (n, n_u), measured outputs (n, n_measured), NaN where a sample is missing.
-    columns
-        Index of each measured output among the plant's outputs.
+    ``t``, ``u``, ``y``: uniform clock (n,), inputs (n, n_u), measured outputs (n, n_measured), NaN where a sample is
+    missing. ``columns``: index of each measured output among the plant's outputs.
 
-    Raises
-    ------
-    InputError
-        A joint whose position is not measured, a measured output that shows more than one state, a plant that no motion
-        of the record suits.
+    Raises InputError: a joint whose position is not measured, a measured output that shows more than one state, a plant
+    that no motion of the record suits.
     """
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
@@ -105,16 +92,8 @@ def lacking_forces(
 ) -> tuple[Array, Array]:
     """Force at each joint that the plant lacks beside known rates, (n, n_joints), and its standard deviation.
 
-    Parameters
-    ----------
-    t, u, y, columns
-        As for `smooth_motion`.
-    x
-        The motion, (n, n_x).
-    rates
-        What is known of the rates from each sample to the next, (n, n_x), effects included.
-    least
-        Lowest bandwidth of the forces in Hz.
+    ``t``, ``u``, ``y``, ``columns``: as for `smooth_motion`. ``x``: the motion, (n, n_x). ``rates``: what is known of
+    the rates from each sample to the next, (n, n_x), effects included. ``least``: lowest bandwidth of the forces in Hz.
     """
     chains, offset = _chains(plant, u, y, columns)
     course = Course(plant, x, u, float(t[1] - t[0]))

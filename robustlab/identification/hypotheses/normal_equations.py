@@ -23,7 +23,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 
-__all__ = ["Linearised", "Reduced", "damped", "sandwich"]
+__all__ = ["Linearised", "damped", "sandwich"]
 
 
 class Reduced(NamedTuple):

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.dynamics.extended.simulator import Windows, rising
+from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
-from robustlab.dynamics.ports.sampled_input import SampledInput
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
@@ -31,55 +30,30 @@ CONTENT = 0.99  # share of an output's power up to which its frequencies count a
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecord:
-    """One record, cut into windows.
+    """One record, cut into windows."""
 
-    Attributes
-    ----------
-    record
-        On a uniform clock.
-    u, y
-        Inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample.
-    columns
-        Index of each measured output among the plant's outputs.
-    windows
-        All windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is
-        a guess.
-    x0, x0_std
-        Smoothed states at the window starts and the standard deviation that a fit may move them by,
-        (n_windows, n_x).
-    smoothed
-        What the smoother found along the record.
-    told
-        Share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records.
-    constant
-        What one unit more of each output at all samples is in the smoothed states, (n_measured, n, n_x).
-    push
-        Directions of the unknown forces, (n_x, n_forces).
-    thin
-        Samples averaged into one point of the error.
-    resolution
-        Smallest step of each measured output, (n_measured,); 0 where it has none.
-    motion
-        Of a nonlinear plant: the states about which it is linear, (n, n_x); None for a linear one.
-    begun
-        Time in s by which it began later than a record whose time an effect counts by (`in_phase`).
-    """
-
-    record: Record
+    record: Record  # on a uniform clock
+    # u, y: inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample
     u: Array
     y: Array
-    columns: tuple[int, ...]
+    columns: tuple[int, ...]  # index of each measured output among the plant's outputs
+    # all windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is a
+    # guess
     windows: Windows
+    # x0, x0_std: smoothed states at the window starts and the standard deviation that a fit may move them by,
+    # (n_windows, n_x)
     x0: Array
     x0_std: Array
-    smoothed: SmoothedRecord
+    smoothed: SmoothedRecord  # what the smoother found along the record
+    # share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records
     told: Array
-    constant: Array
-    push: Array
-    thin: int
-    resolution: Array
+    constant: Array  # what one unit more of each output at all samples is in the smoothed states, (n_measured, n, n_x)
+    push: Array  # directions of the unknown forces, (n_x, n_forces)
+    thin: int  # samples averaged into one point of the error
+    resolution: Array  # smallest step of each measured output, (n_measured,); 0 where it has none
+    # of a nonlinear plant: the states about which it is linear, (n, n_x); None for a linear one
     motion: Array | None = None
-    begun: float = 0.0
+    begun: float = 0.0  # time in s by which it began later than a record whose time an effect counts by (`in_phase`)
 
     @property
     def count(self) -> int:
@@ -92,11 +66,7 @@ class PreparedRecord:
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
     def starts_seen(
-        self,
-        lag: float,
-        shown: Mapping[int, float],
-        biased: Mapping[int, float] = {},
-        late: Mapping[int, float] = {},
+        self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}, late: Mapping[int, float] = {}
     ) -> Array:
         """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
 
@@ -165,10 +135,7 @@ def ports_of(plant: AnyPlant, record: Record) -> PortModel:
 
 
 def window_length(
-    plant: AnyPlant,
-    records: Sequence[Record],
-    tuning: NamingTuning = TUNING,
-    model: PortModel | None = None,
+    plant: AnyPlant, records: Sequence[Record], tuning: NamingTuning = TUNING, model: PortModel | None = None
 ) -> int:
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
     the slowest resonance, as far as four windows fit.
@@ -199,19 +166,11 @@ def prepare(
 ) -> PreparedRecord:
     """Cut a uniform record into windows of ``length`` samples and smooth it.
 
-    Parameters
-    ----------
-    model
-        Ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
-    valid
-        Output name -> mask of the samples that were measured (all where left out).
-    outputs
-        The outputs that count, those of the record where left out; what the record has not is missing at all samples.
+    ``model``: ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
+    ``valid``: output name -> mask of the samples that were measured (all where left out). ``outputs``: the outputs that
+    count, those of the record where left out; what the record has not is missing at all samples.
 
-    Raises
-    ------
-    InputError
-        An input of the plant or every output is missing; fewer than four windows, or four without gaps.
+    Raises InputError: an input of the plant or every output is missing; fewer than four windows, or four without gaps.
     """
     names = [s.name for s in plant.outputs]
     u, y, columns = _signals(plant, record, outputs)

@@ -255,12 +255,7 @@ def _solve_covariance(S, b):
         b[i] /= S[i, i]
 
 
-@njit(
-    [(types.NamedTuple(_KEPT, Kept), types.int64, _2, _3, _2, _2)],
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@njit([(types.NamedTuple(_KEPT, Kept), types.int64, _2, _3, _2, _2)], cache=True, nogil=True, error_model="numpy")
 def backward(kept, n_x, mean, covariance, shock, precision):
     """Smoothed mean (n, n_z) and covariance (n, n_z, n_z), and what speaks for a jump of the states from n_x on.
 

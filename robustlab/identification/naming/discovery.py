@@ -4,46 +4,208 @@ The way: the records are checked and cut into windows; sets of effects of the ca
 together with the nominal parameters within their tolerances and the clocks of the inputs; the search moves from set to
 set by evidence, on what is fitted and on what is held out; the posterior over all sets that it judged says what is
 named, what could stand in its place, and what remains unknown.
+
+Where it stands is told every few seconds: a line with the time passed and the time to go. A search has parts, and how
+many of them is known at its end only. So the time to go is that of the present part; a count that is smaller than the
+last one is the next part's.
+
+The clock only prints. What a search does never depends on it, so that the answer is the same on a busy machine.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (
+    FEWEST_PERIODS,
     candidates,
     nuisance_parameters,
+    periods_seen,
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Clock, Hypothesis, Problem
-from robustlab.identification.hypotheses.nuisance import Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
-from robustlab.identification.naming.admissible import admissible
 from robustlab.identification.naming.answer import Case, answer
-from robustlab.identification.naming.clock import clock_nuisances
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.progress import Progress
-from robustlab.identification.naming.search import search_sets
+from robustlab.identification.naming.search import clock_nuisances, search_sets
 from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
 from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["discover"]
+__all__ = ["Progress", "admissible", "beyond_tolerance", "discover"]
+
+
+LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simulation shows
+
+
+def admissible(
+    plant: AnyPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
+) -> Callable[[Problem, Fit], bool]:
+    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen.
+
+    ``stated``: parameter -> (relative tolerance, whether it was assumed). ``fitted``, ``held``: the records: a force
+    over the position must be seen for two of its periods in both.
+    """
+    limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
+    positions = _positions(plant, fitted)
+
+    def allowed(problem: Problem, fit: Fit) -> bool:
+        _, values = problem.split(fit.hypothesis, fit.z)
+        for candidate, own in zip(fit.hypothesis.candidates, values, strict=True):
+            if not beyond_tolerance(problem, fit, candidate, limits):
+                return False
+            window = problem.records[0].windows.length * problem.records[0].record.dt
+            if candidate.effect.lag(own) > LONGEST_LAG * window:
+                return False
+            if candidate.effect.spatial and "k" in own:
+                position = positions[candidate.site.name]
+                if min(periods_seen(own["k"], position, p.records) for p in (fitted, held)) < FEWEST_PERIODS:
+                    return False
+        return True
+
+    return allowed
+
+
+def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
+    """False for a parameter effect whose factor lies within the parameter's tolerance: nothing is missing then."""
+    if candidate.site.kind != "parameter":
+        return True
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
+    own = candidate.effect.factors(problem.plant, candidate.site, values[k])
+    if not candidate.effect.scale:  # shifts: a coordinate of the value 0 has its tolerance in its unit
+        p = problem.plant.parameters
+        return any(abs(p[n].reference * f - p[n].value) > p[n].radius for n, f in own.items())
+    name = next(iter(own))
+    total = np.log(factors.get(name, 1.0) * own[name])
+    return bool(abs(total) > np.log1p(limits[candidate.site.name]))
+
+
+def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
+    """Row of the states that is the position at each joint, and what each output shows."""
+    model = problem.simulators(Hypothesis(()))[0].model({}, [])
+    shown = model.C.reshape(-1, *model.C.shape[-2:])[0]
+    rows = {s.name: row for s, row in zip(plant.outputs, shown, strict=True)}
+    return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}
+
+
+EVERY = 4.0  # s between lines, with a second to spare: the user hears every five
+
+
+@runtime_checkable
+class Counting(Protocol):
+    """A listener that shows the numbers itself, and then needs no lines with times in them."""
+
+    def __call__(self, text: str) -> None:
+        """A text that is told at once."""
+
+    def part(self, done: float, expected: float, text: str) -> None:
+        """What `Progress.step` was told."""
+
+
+class Progress:
+    """Lines of progress for a callable; inside a ``with`` block they come even while a step takes long.
+
+    Parameters
+    ----------
+    say
+        Takes a line of text, from a thread of its own too; None says nothing. One that is `Counting` gets the numbers.
+    clock
+        Seconds, from any beginning.
+    """
+
+    def __init__(self, say: Callable[[str], None] | None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._say, self._clock = say, clock
+        self._counting = say if isinstance(say, Counting) else None
+        self._began = self._told = self._part_began = clock()
+        self._part_from = 0.0
+        self._now: tuple[float, float, str] = (0.0, 0.0, "begun")
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._beat = threading.Thread(target=self._go_on, daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._say is not None:
+            self._beat.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._beat.is_alive():
+            self._beat.join()
+
+    def step(self, done: float, expected: float, text: str) -> None:
+        """What is being done now; said with times where the last line is some seconds old.
+
+        ``done``, ``expected``: work done in this part, and in all of it as far as is known now, in any unit; the time
+        to go is in proportion. ``text``: what is being done.
+        """
+        if self._counting is not None:
+            self._counting.part(done, expected, text)
+            return
+        if done < self._now[0] or expected <= 0:
+            self._part_began, self._part_from = self._clock(), done
+        self._now = (done, expected, text)
+        self._say_if_due()
+
+    def tell(self, text: str) -> None:
+        """Say a text at once: a part of the search has ended, and how long the next one takes is not known."""
+        self._now = (0.0, 0.0, text)
+        self._part_began, self._part_from = self._clock(), 0.0
+        if self._counting is not None:
+            self._counting.part(0.0, 0.0, text)
+        if self._say is not None:
+            with self._lock:
+                self._told = self._clock()
+                self._say(text)
+
+    def _say_if_due(self) -> None:
+        if self._say is None or self._counting is not None:
+            return
+        with self._lock:
+            now = self._clock()
+            if now - self._told >= EVERY:
+                self._told = now
+                done, expected, text = self._now
+                times = _times(now - self._began, now - self._part_began, done - self._part_from, expected - done)
+                self._say(f"{text} ({times})")
+
+    def _go_on(self) -> None:
+        while not self._over.wait(EVERY / 8.0):
+            try:
+                self._say_if_due()
+            except OSError:  # nobody reads any more; the search itself meets that where it prints its result
+                return
+
+
+def _times(elapsed: float, in_part: float, done: float, left: float) -> str:
+    """Time passed in all and to go in this part, of which ``done`` took ``in_part`` seconds."""
+    passed = f"{_duration(elapsed)} so far"
+    if done <= 0.0 or left < 0.0:
+        return passed
+    return f"{passed}, about {_duration(in_part * left / done)} to go in this part"
+
+
+def _duration(seconds: float) -> str:
+    """``38 s``, ``2 min 5 s``."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 @one_thread()
@@ -156,7 +318,7 @@ def _from_near(
     plant: AnyPlant, measured: list[Record], kept_out: list[Record]
 ) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
     """The records with positions that are far from zero counted from within the strokes, and a word on it."""
-    from robustlab.identification.record_check.position_datum import counted_from, position_datum
+    from robustlab.identification.record_check.resampling import counted_from, position_datum
 
     datum = position_datum(plant, [*measured, *kept_out]) if isinstance(plant, LinearPlant) else {}
     told = tuple(

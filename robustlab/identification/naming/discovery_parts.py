@@ -58,65 +58,37 @@ class NominalValue(Evidence):
 
 @dataclass(frozen=True)
 class Rival(Evidence):
-    """An effect that these records cannot separate from a named one.
+    """An effect that these records cannot separate from a named one."""
 
-    Attributes
-    ----------
-    name, title, site
-        The rival.
-    instead_of
-        Id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
-        probable as none: the tolerances of other parameters may hide it.
-    distance
-        Refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
-        effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
-        model stays from what the rival predicts.
-    evidence
-        Log evidence relative to the named effect (negative: behind).
-    probability
-        Of the most probable set that has it in that place.
-    parameters
-        As it was fitted.
-    """
-
+    # name, title, site: the rival
     name: str
     title: str
     site: str
+    # id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
+    # probable as none: the tolerances of other parameters may hide it
     instead_of: str
+    # refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
+    # effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
+    # model stays from what the rival predicts.
     distance: float
-    evidence: float
-    probability: float
-    parameters: tuple[EffectValue, ...]
+    evidence: float  # log evidence relative to the named effect (negative: behind)
+    probability: float  # of the most probable set that has it in that place
+    parameters: tuple[EffectValue, ...]  # as it was fitted
 
 
 @dataclass(frozen=True)
 class NamedEffect(Evidence):
-    """One effect that the records show.
+    """One effect that the records show."""
 
-    Attributes
-    ----------
-    name
-        Id in the catalogue.
-    title, equation, site
-        In words; as a formula; where it sits.
-    parameters
-        Fitted values with intervals.
-    confidence
-        Its probability: that of all sets of effects that contain it, 0..1.
-    evidence
-        Log evidence over the model without it.
-    rivals
-        Ids that these records cannot separate from it; empty where the name is unique.
-    """
-
-    name: str
+    name: str  # id in the catalogue
+    # title, equation, site: in words; as a formula; where it sits
     title: str
     equation: str
     site: str
-    parameters: tuple[EffectValue, ...]
-    confidence: float
-    evidence: float
-    rivals: tuple[str, ...]
+    parameters: tuple[EffectValue, ...]  # fitted values with intervals
+    confidence: float  # its probability: that of all sets of effects that contain it, 0..1
+    evidence: float  # log evidence over the model without it
+    rivals: tuple[str, ...]  # ids that these records cannot separate from it; empty where the name is unique
 
 
 def wave_amplitude(values: Mapping[str, float]) -> float | None:
@@ -148,30 +120,15 @@ class Gap(Evidence):
 
 @dataclass(frozen=True)
 class SetProbability(Evidence):
-    """A set of effects and how probable it is among all that the search visited.
+    """A set of effects and how probable it is among all that the search visited."""
 
-    Attributes
-    ----------
-    effects
-        Its effects with their places, ``"coulomb-friction@omega"``; empty: nothing is missing.
-    names
-        Their ids in the catalogue.
-    probability
-        Of this set, 0..1; over all visited sets it sums to one.
-    evidence
-        Log evidence, prior of the set included, relative to the most probable one.
-    distance
-        Refit distance from the most probable set in standard deviations of the noise (3 tell); NaN where not asked.
-    unnamed
-        The unnamed force that belongs to it (``"force over speed"``), empty where none does.
-    """
-
-    effects: tuple[str, ...]
-    names: tuple[str, ...]
-    probability: float
-    evidence: float
+    effects: tuple[str, ...]  # its effects with their places, ``"coulomb-friction@omega"``; empty: nothing is missing
+    names: tuple[str, ...]  # their ids in the catalogue
+    probability: float  # of this set, 0..1; over all visited sets it sums to one
+    evidence: float  # log evidence, prior of the set included, relative to the most probable one
+    # refit distance from the most probable set in standard deviations of the noise (3 tell); NaN where not asked
     distance: float = math.nan
-    unnamed: str = ""
+    unnamed: str = ""  # the unnamed force that belongs to it (``"force over speed"``), empty where none does
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,18 @@ if TYPE_CHECKING:
     from robustlab.identification.unnamed.unnamed_effect import ResidualForce, UnnamedForce
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["LINEAR", "Discovery", "Verdict", "chance", "compared", "headline", "in_words", "overall", "with_interval"]
+__all__ = [
+    "AS_LARGE",
+    "Discovery",
+    "LINEAR",
+    "Verdict",
+    "chance",
+    "compared",
+    "headline",
+    "in_words",
+    "overall",
+    "with_interval",
+]
 
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs

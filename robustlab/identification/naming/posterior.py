@@ -30,8 +30,14 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
-from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, noise_ratio, white, window_errors
-from robustlab.identification.hypotheses.phase import in_phase
+from robustlab.identification.hypotheses.noise import (
+    clearly_larger,
+    held_out_fit,
+    in_phase,
+    noise_ratio,
+    white,
+    window_errors,
+)
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
@@ -44,7 +50,7 @@ from robustlab.identification.hypotheses.unnamed_force import (
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["Alternative", "Posterior", "Weighed", "weigh"]
+__all__ = ["Alternative", "Posterior", "weigh"]
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 HARDLY = 0.005  # probability below which a set changes no verdict

@@ -2,7 +2,13 @@ r"""What is left of the unknown force once the named effects are in the model, a
 
 The named effects' forces, the input as the plant sees it, and what the sensors add to the outputs are known from the
 simulation of the windows. With them as known inputs the model is linear again, and the smoother tells the force that
-still lacks, with its standard deviation, sample by sample.
+still lacks, with its standard deviation, sample by sample. Along the recorded motion a nonlinear plant with its effects
+gives the rates
+
+.. math:: A_e \begin{bmatrix} \bar x \\ z \end{bmatrix} + B u + E\,(f(\bar x, u) - A \bar x - B u) + \sum_j b_j F_j
+
+with the effects' states z and forces :math:`F_j` as simulated (A and E with what effects have changed). What the
+sensors tell beyond these is smoothed joint by joint.
 
 A screw, a gear or a magnet repeats with the position, hum and unbalanced auxiliaries repeat with time. Such a line may
 be too weak to make simulations of unseen data better, so that no effect is named for it, and be certain all the same:
@@ -29,14 +35,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
+from robustlab.identification.hypotheses.motion_smoother import lacking_forces
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.naming.residual_along_motion import joint_residuals
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.identification.unnamed.block_regression import (
     BlockRegression,
@@ -56,35 +63,77 @@ from robustlab.identification.unnamed.unnamed_effect import (
 )
 from robustlab.statespace import StateSpaceModel
 
-__all__ = [
-    "LeftOver",
-    "left_over",
-    "remaining_lines",
-]
+__all__ = ["LeftOver", "left_over", "remaining_lines"]
+
+
+@dataclass(frozen=True, eq=False)
+class JointResiduals:
+    """Forces left along one record at all joints."""
+
+    ports: tuple[Port, ...]  # of the joints, in the order of the columns
+    # force, std: (n, n_joints)
+    force: Array
+    std: Array
+    x: Array  # the motion, (n, n_x)
+    used: Indices  # samples of the record, (n,)
+
+
+def joint_residuals(problem: Problem, fit: Fit, k: int, simulator: Simulator, least: float) -> JointResiduals | None:
+    """Of one record of a nonlinear plant; None where its windows lie in pieces, or there is no joint.
+
+    ``least``: lowest bandwidth of the forces in Hz.
+    """
+    plant, record = problem.plant, problem.records[k]
+    assert isinstance(plant, NonlinearPlant)
+    assert record.motion is not None
+    windows = Windows(record.windows.starts, record.windows.length)
+    used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+    factors, values, shift = problem.setting(fit.hypothesis, fit.z)
+    x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
+    motion, about, model = simulator.run_along(factors, values, x0, windows, shift)
+    assert about is not None
+    names = [p.name for p in plant.port_places if p.kind == "joint"]
+    if np.any(np.diff(used) != 1) or not names:
+        return None
+    n, own, n_u = len(used), model.own, len(plant.inputs)
+    mean = simulator.seen_input(values, shift)[0][used]
+    x = record.motion[used]
+    middle = np.vstack([0.5 * (x[1:] + x[:-1]), x[-1:]])
+    z = motion.states.reshape(n, -1)[:, own:]
+    steps = len(about.steps) // n  # a sample
+    rates, point = about.rates[::steps], about.points
+    total = (model.A[point, :own] @ np.hstack([middle, z])[..., None])[..., 0]
+    total += (model.B[point, :own] @ np.hstack([mean, rates])[..., None])[..., 0]
+    # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
+    forces = motion.forces.reshape(n, -1)
+    forces = np.vstack([forces[1:], forces[-1:]])
+    for j, law in enumerate(simulator.laws(values)):
+        total += model.ports[law.port].force[point, :own] * forces[:, j : j + 1]
+    columns = list(record.columns)
+    plain = simulator.plain_outputs(motion.states, about, model, mean.reshape(*motion.states.shape[:2], n_u))
+    added = (motion.outputs - plain)[:, :, columns].reshape(n, -1)
+    try:
+        t = record.record.dt * np.arange(n)
+        force, std = lacking_forces(plant, t, record.u[used], record.y[used] - added, columns, x, total, least)
+    except NoTrustworthyNumber:
+        return None
+    return JointResiduals(tuple(model.ports[name] for name in names), force, std, x, used)
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOver:
-    """The residual force at the first joint (or the first input) with the named effects in the model.
+    """The residual force at the first joint (or the first input) with the named effects in the model."""
 
-    Attributes
-    ----------
-    port, unit
-        The joint and the unit of the force.
-    force, std, coordinates, blocks
-        Samples over all records, (n,); coordinates by name; block label of each sample.
-    structure
-        Whether anything systematic remains.
-    """
-
+    # port, unit: the joint and the unit of the force
     port: str
     unit: str
     units: dict[str, str]
+    # force, std, coordinates, blocks: samples over all records, (n,); coordinates by name; block label of each sample
     force: Array
     std: Array
     coordinates: dict[str, Array]
     blocks: NDArray[np.int_]
-    structure: StructureTest
+    structure: StructureTest  # whether anything systematic remains
 
     def curves(self) -> ResidualForce:
         """The force over each coordinate."""

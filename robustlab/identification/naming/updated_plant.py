@@ -20,7 +20,7 @@ from robustlab.errors import InputError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 
-__all__ = ["fitted_together", "uncertain_from", "updated_plant"]
+__all__ = ["uncertain_from", "updated_plant"]
 
 
 ONE_FACTOR = "scaled by one factor"

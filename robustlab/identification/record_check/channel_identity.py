@@ -14,6 +14,10 @@ A channel is called wrong only where turning it (its sign, its unit, its name) e
 channel as it is *together with* the effects a model may lack: friction, viscous damping and springs with the sign
 that physics asks for at every force equation, gains from 0.05 to 2.5, delays up to 20 ms. So a real missing effect
 stays one, and is left to naming.
+
+Of a nonlinear plant signs are looked at along its motion: with another sign of one channel it follows the record far
+worse, or not at all, since what is missing is then as large as the channel itself. A channel is said to be turned only
+where turning it takes nearly all of the error away, which no missing effect could do.
 """
 
 from __future__ import annotations
@@ -26,18 +30,71 @@ from itertools import combinations
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.identification.response.windowed_response import ResponseWindows, explained
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.motion_model import Course
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.hypotheses.motion_smoother import smooth_motion
+from robustlab.identification.response.motion_response import MotionResponse, fit_windows
+from robustlab.identification.response.response import Stretch, stretch_of
+from robustlab.identification.response.windowed_simulation import ResponseWindows, explained
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
 
-__all__ = [
-    "Contradiction",
-    "contradictions",
-    "derivative_pairs",
-    "derivative_slope",
-    "unit_factors",
-]
+__all__ = ["Contradiction", "contradictions", "derivative_pairs", "derivative_slope", "turned_channels", "unit_factors"]
+
+
+LONGEST = 600  # samples that are looked at
+WINDOW = 100  # samples
+SUSPECT = 10.0  # times the sensors' scatter: a smaller error is no channel's
+LEFT = 0.1  # share of the squared error that a turned channel may leave
+
+
+def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
+    """The channel whose sign is wrong, with the share of the squared error that it leaves when turned; empty for none.
+
+    The record is on a uniform clock, with all inputs of the plant; an InputError says that the position of a joint is
+    not in it, a NoTrustworthyNumber that the plant cannot have such a motion, whichever channel is turned.
+    """
+    names = [s.name for s in plant.outputs if s.name in record.outputs]
+    first = max(0, (record.n - LONGEST) // 2)
+    whole = stretch_of(record, [s.name for s in plant.inputs], names).cut(first, first + LONGEST)
+    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
+    u = np.column_stack(list(whole.u.values()))
+    reason: NoTrustworthyNumber | None = None
+    try:
+        error = _error(plant, whole, u, whole.y, columns)
+    except NoTrustworthyNumber as none:
+        error, reason = np.inf, none
+    if error < SUSPECT**2:
+        return {}
+    left = {}
+    for kind, signals, labels in (("u", u, list(whole.u)), ("y", whole.y, names)):
+        for j, name in enumerate(labels):
+            turned = signals.copy()
+            turned[:, j] *= -1.0
+            try:
+                left[name] = _error(plant, whole, *((turned, whole.y) if kind == "u" else (u, turned)), columns)
+            except NoTrustworthyNumber:
+                left[name] = np.inf
+    best = min(left, key=lambda name: left[name])
+    if reason is not None and not left[best] < SUSPECT**2:
+        raise reason
+    share = left[best] / error
+    return {best: share} if share < LEFT else {}
+
+
+def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]) -> float:
+    """Mean square of the windowed error in units of the sensors' scatter."""
+    smoothed = smooth_motion(plant, whole.t, u, y, columns).smoothed
+    noise = np.maximum(smoothed.noise_std, 1e-6 / whole.weight)
+    judged = Stretch(whole.t, whole.u, y, 1.0 / noise)
+    response = MotionResponse(Course(plant, smoothed.x, u, float(whole.t[1] - whole.t[0])), tuple(columns), judged)
+    length = min(WINDOW, len(whole.t))
+    starts = np.arange(0, len(whole.t) - length + 1, length)
+    left = [fit_windows(w, response.errors(w), judged.weight).left for w in response.responses(starts, length)]
+    return float(np.mean(np.concatenate(left) ** 2))
+
 
 Fits = Sequence[ResponseWindows]
 
@@ -75,27 +132,14 @@ SLOPE_MATCH = 1.3
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A channel that is not what the model takes it for.
+    """A channel that is not what the model takes it for."""
 
-    Attributes
-    ----------
-    kind
-        "sign", "unit", "swapped-outputs" or "swapped-inputs".
-    channels
-        The channel; two where they are swapped, or where one of two is wrong and the record cannot say which.
-    factor
-        The recorded values are this many times those the model expects (NaN for swapped channels).
-    unit
-        Unit in which a channel of kind "unit" seems to be recorded; empty where not known.
-    evidence
-        The figures behind it.
-    """
-
-    kind: str
+    kind: str  # "sign", "unit", "swapped-outputs" or "swapped-inputs"
+    # the channel; two where they are swapped, or where one of two is wrong and the record cannot say which
     channels: tuple[str, ...]
-    factor: float
-    unit: str
-    evidence: dict[str, object]
+    factor: float  # the recorded values are this many times those the model expects (NaN for swapped channels)
+    unit: str  # unit in which a channel of kind "unit" seems to be recorded; empty where not known
+    evidence: dict[str, object]  # the figures behind it
 
 
 def unit_factors(unit: str) -> dict[float, str]:
@@ -118,16 +162,9 @@ def contradictions(
 ) -> list[Contradiction]:
     """Channels that contradict the model, the surest test first.
 
-    Parameters
-    ----------
-    model
-        Linear model; outputs that are not named in ``outputs`` are left aside.
-    record
-        Record on a uniform clock, with the model's inputs and the named outputs.
-    good
-        Samples that were measured, shape (n,).
-    fits
-        The same record in windows: `robustlab.identification.response.windowed_response.response_windows`.
+    ``model``: linear model; outputs that are not named in ``outputs`` are left aside. ``record``: record on a uniform
+    clock, with the model's inputs and the named outputs. ``good``: samples that were measured, shape (n,). ``fits``:
+    the same record in windows: `robustlab.identification.response.windowed_simulation.response_windows`.
     """
     found = _from_derivatives(model, outputs, record, good, fits)
     taken = {name for one in found for name in one.channels}

@@ -1,4 +1,5 @@
-r"""Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock.
+r"""Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock; and from where
+positions are counted, where nothing in a plant depends on it.
 
 On the clock :math:`\tau_k = \tau_0 + k\,\Delta t` the inputs are held, as a D/A converter holds them, and the outputs
 go straight between two samples:
@@ -9,11 +10,16 @@ go straight between two samples:
 
 Where the two samples are further apart than one and a half sample times, a sample is missing between them: what stands
 there is marked as not measured. A time :math:`\tau` that meets a stamp takes over its sample unchanged.
+
+A multi-turn encoder may begin anywhere, thousands of turns from zero. An effect over the position, such as
+:math:`A_c \cos kq + A_s \sin kq`, then has a phase that no record tells: an error of k turns it by q times as much, and
+no fit finds its way. So positions far from zero are counted from a point within the strokes; of an angle by whole
+turns, which leaves all that repeats with the turn as it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,11 +36,12 @@ from robustlab.clocks import (
     interpolated,
     summarise_clock,
 )
+from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = ["Gap", "UniformRecord", "clock_step", "join_clocks", "uniform"]
+__all__ = ["UniformRecord", "counted_from", "join_clocks", "position_datum", "uniform"]
 
 
 class Gap(NamedTuple):
@@ -47,21 +54,11 @@ class Gap(NamedTuple):
 
 @dataclass(frozen=True)
 class UniformRecord(Evidence):
-    """A record on a uniform clock, and what of it was measured.
+    """A record on a uniform clock, and what of it was measured."""
 
-    Attributes
-    ----------
-    record
-        The resampled record.
-    valid
-        Output name -> True where samples on both sides are near, shape (n,).
-    gaps
-        Where samples are missing, in order; the inputs are held over them, which is a guess.
-    """
-
-    record: Record
-    valid: Mapping[str, Mask]
-    gaps: tuple[Gap, ...]
+    record: Record  # the resampled record
+    valid: Mapping[str, Mask]  # output name -> True where samples on both sides are near, shape (n,)
+    gaps: tuple[Gap, ...]  # where samples are missing, in order; the inputs are held over them, which is a guess
 
     def pieces(self, shortest: int = 2) -> tuple[Record, ...]:
         """The stretches between the gaps as records of their own, of ``shortest`` samples at least."""
@@ -99,17 +96,11 @@ class UniformRecord(Evidence):
 def uniform(record: Record, dt: float | None = None) -> UniformRecord:
     """Bring a record on a uniform clock that begins at its first stamp.
 
-    Parameters
-    ----------
-    record
-        Any record; one that is uniform already, and ``dt`` left out, comes back as it is.
-    dt
-        Sample time in s; the record's own (`clock_step`) where left out.
+    ``record``: any record; one that is uniform already, and ``dt`` left out, comes back as it is. ``dt``: sample time
+    in s; the record's own (`clock_step`) where left out.
 
-    Raises
-    ------
-    InputError
-        A sample time that is not positive, longer than the record, or a hundred times finer than the record's own.
+    Raises InputError: a sample time that is not positive, longer than the record, or a hundred times finer than the
+    record's own.
 
     Examples
     --------
@@ -147,17 +138,10 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
 
     What the clocks are like and what was done stands in the meaning of ``t``.
 
-    Parameters
-    ----------
-    first, second
-        Records without a signal in common.
-    dt
-        Sample time of the joint clock in s.
+    ``first``, ``second``: records without a signal in common. ``dt``: sample time of the joint clock in s.
 
-    Raises
-    ------
-    InputError
-        A signal in both, times that do not overlap by two samples, missing samples in one of them, a bad ``dt``.
+    Raises InputError: a signal in both, times that do not overlap by two samples, missing samples in one of them, a bad
+    ``dt``.
 
     Examples
     --------
@@ -213,3 +197,46 @@ def _cut(r: Record, first: int, last: int) -> Record:
         r.name,
         r.meaning,
     )
+
+
+FAR = 3.0  # strokes from zero
+RANK = 1e-9
+
+
+def position_datum(plant: LinearPlant, records: Sequence[Record]) -> dict[str, float]:
+    """Output -> what is to be taken off it in all of the records; empty where no position is far from zero.
+
+    A datum is free where the equations are the same at every place: along the one null vector of A that moves outputs.
+
+    Examples
+    --------
+    >>> from robustlab.dynamics import plant
+    >>> t = np.arange(200) * 1e-3
+    >>> far = Record(t, {"u": np.sin(t)}, {"phi": 3000.0 + np.sin(9 * t)}, {"u": "V", "phi": "rad"})
+    >>> round(position_datum(plant("dc-motor"), [far])["phi"] / (2 * np.pi), 9)
+    478.0
+    """
+    model = plant.state_space()
+    _, sigma, right = np.linalg.svd(model.A)
+    null = right[sigma <= RANK * sigma.max(initial=0.0)]
+    if len(null) != 1:
+        return {}
+    moves = model.C @ null[0]
+    names = [s.name for s in plant.outputs if any(s.name in r.outputs for r in records)]
+    moved = {s.name: float(c) for s, c in zip(plant.outputs, moves, strict=True) if s.name in names and abs(c) > RANK}
+    if not moved:
+        return {}
+    first = max(moved, key=lambda name: abs(moved[name]))
+    seen = [r.outputs[first] for r in records if first in r.outputs]
+    centre = 0.5 * (min(float(y.min()) for y in seen) + max(float(y.max()) for y in seen))
+    if abs(centre) <= FAR * max(float(np.ptp(y)) for y in seen):
+        return {}
+    if next(s.unit for s in plant.outputs if s.name == first) == "rad":
+        centre = 2 * np.pi * round(centre / (2 * np.pi))
+    return {name: centre * share / moved[first] for name, share in moved.items()}
+
+
+def counted_from(record: Record, datum: dict[str, float]) -> Record:
+    """The record with its positions counted from there."""
+    outputs = {name: y - datum.get(name, 0.0) for name, y in record.outputs.items()}
+    return Record(record.t, record.inputs, outputs, record.units, record.name, record.meaning)

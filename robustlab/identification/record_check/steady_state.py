@@ -27,14 +27,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.result import Evidence, Status
 
-__all__ = [
-    "BalanceCheck",
-    "Explanation",
-    "FrictionLevel",
-    "SheetPoint",
-    "SteadyStateComparison",
-    "compare_steady_state",
-]
+__all__ = ["SheetPoint", "compare_steady_state"]
 
 
 QUANTITIES = ("voltage", "speed", "current", "torque")
@@ -93,64 +86,40 @@ class SheetPoint:
 
 @dataclass(frozen=True)
 class Explanation(Evidence):
-    """An effect that would close a contradicted balance on its own.
+    """An effect that would close a contradicted balance on its own."""
 
-    Attributes
-    ----------
-    effect
-        Its name in the catalogue, for example ``"viscous-friction"``.
-    factor
-        What its parameters are to be multiplied with; NaN for a structural effect, which has no nominal value.
-    parameters
-        Parameter (or size of the structural effect) -> value that closes the balance.
-    unit
-        Unit of those values where they share one, else empty.
-    breaks
-        Balances (``"point: balance"``) that agreed before and no longer do; such an effect is no explanation.
-    """
-
-    effect: str
+    effect: str  # its name in the catalogue, for example ``"viscous-friction"``
+    # what its parameters are to be multiplied with; NaN for a structural effect, which has no nominal value
     factor: float
-    parameters: Mapping[str, float]
-    unit: str
+    parameters: Mapping[str, float]  # parameter (or size of the structural effect) -> value that closes the balance
+    unit: str  # unit of those values where they share one, else empty
+    # balances (``"point: balance"``) that agreed before and no longer do; such an effect is no explanation
     breaks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class BalanceCheck(Evidence):
-    """One balance of one point.
+    """One balance of one point."""
 
-    Attributes
-    ----------
-    point, balance
-        Names; the balance is ``"torque"``, ``"voltage"``, or ``"both"`` with ``eliminated`` as their common unknown.
-    eliminated
-        That unknown, or empty.
-    residual, misfit
-        What is left over at the nominal parameters, in ``unit``, and its share of the sum of all terms, 0..1.
-    low, high
-        Range of the residual over all tolerances; contradicted where it does not hold zero.
-    contradicted
-        Whether it is.
-    effect, factor
-        The parameters' role that explains it best, and how many times too large (or small) its nominal value is: >= 1;
-        empty and NaN where it is not contradicted or nothing explains it alone.
-    explanations
-        All that would close it, those that break nothing first.
-    """
-
+    # point, balance: names; the balance is ``"torque"``, ``"voltage"``, or ``"both"`` with ``eliminated`` as their
+    # common unknown
     point: str
     balance: str
-    eliminated: str
+    eliminated: str  # that unknown, or empty
     unit: str
+    # residual, misfit: what is left over at the nominal parameters, in ``unit``, and its share of the sum of all terms,
+    # 0..1
     residual: float
     misfit: float
+    # low, high: range of the residual over all tolerances; contradicted where it does not hold zero
     low: float
     high: float
-    contradicted: bool
+    contradicted: bool  # whether it is
+    # effect, factor: the parameters' role that explains it best, and how many times too large (or small) its nominal
+    # value is: >= 1; empty and NaN where it is not contradicted or nothing explains it alone
     effect: str = ""
     factor: float = math.nan
-    explanations: tuple[Explanation, ...] = ()
+    explanations: tuple[Explanation, ...] = ()  # all that would close it, those that break nothing first
 
     @property
     def rivals(self) -> tuple[str, ...]:
@@ -165,54 +134,30 @@ class BalanceCheck(Evidence):
 
 @dataclass(frozen=True)
 class FrictionLevel(Evidence):
-    """What the points say about friction: drive minus load at every speed other than zero.
+    """What the points say about friction: drive minus load at every speed other than zero."""
 
-    Attributes
-    ----------
-    points, speed, loss
-        Names, |speed| (n,), and the torque that is lost there (n,), positive.
-    separable
-        Whether two speeds differ by 20 % or more, so that dry and viscous friction can be told apart.
-    viscous, coulomb
-        Where separable, both from one line through the points; else each if it were the only one.
-    """
-
+    # points, speed, loss: names, |speed| (n,), and the torque that is lost there (n,), positive
     points: tuple[str, ...]
     speed: Array
     loss: Array
-    separable: bool
+    separable: bool  # whether two speeds differ by 20 % or more, so that dry and viscous friction can be told apart
+    # viscous, coulomb: where separable, both from one line through the points; else each if it were the only one
     viscous: float
     coulomb: float
 
 
 @dataclass(frozen=True)
 class SteadyStateComparison(Evidence):
-    """Result of `compare_steady_state`.
+    """Result of `compare_steady_state`."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED; INCONCLUSIVE where the points leave no balance to check.
-    plant
-        Name of the plant.
-    checks
-        All balances that the points fix.
-    unchecked
-        Points that state too little to check any.
-    friction
-        What the points say about friction; None where none does.
-    suspected_units
-        Point -> remark, where one number read in another unit would mend a balance and break none.
-    parameters, unit
-        Nominal parameters and the unit of torques, for the summary.
-    """
-
-    status: Status
-    plant: str
-    checks: tuple[BalanceCheck, ...]
-    unchecked: tuple[str, ...]
-    friction: FrictionLevel | None
+    status: Status  # CONVERGED; INCONCLUSIVE where the points leave no balance to check
+    plant: str  # name of the plant
+    checks: tuple[BalanceCheck, ...]  # all balances that the points fix
+    unchecked: tuple[str, ...]  # points that state too little to check any
+    friction: FrictionLevel | None  # what the points say about friction; None where none does
+    # point -> remark, where one number read in another unit would mend a balance and break none
     suspected_units: Mapping[str, str]
+    # parameters, unit: nominal parameters and the unit of torques, for the summary
     parameters: Mapping[str, float]
     unit: str
 

@@ -37,25 +37,14 @@ from robustlab.arrays import Array
 from robustlab.clocks import summarise_clock
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
-from robustlab.identification.record_check.motion_identity import turned_channels
+from robustlab.identification.record_check.channel_identity import Contradiction, contradictions, turned_channels
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
 from robustlab.identification.response.response import Response, longest_period, matched, response_of
-from robustlab.identification.response.windowed_response import response_windows
+from robustlab.identification.response.windowed_simulation import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = [
-    "ChannelSummary",
-    "Finding",
-    "RecordCheck",
-    "Suitability",
-    "channel_warnings",
-    "check_record",
-    "clipped_runs",
-    "quantisation_step",
-    "suitability",
-]
+__all__ = ["Finding", "channel_warnings", "check_record", "clipped_runs", "quantisation_step", "suitability"]
 
 
 SHORTEST_CLIP = 5  # samples that must stand still at the end of the range
@@ -169,29 +158,16 @@ FEWEST_DIFFERENCES = 10
 
 @dataclass(frozen=True)
 class Finding(Evidence):
-    """One thing about a record that matters for naming.
+    """One thing about a record that matters for naming."""
 
-    Attributes
-    ----------
-    kind
-        One of the kinds in the module's table.
-    channel
-        Signal, or ``"t"`` for the clock; two signals are separated by a comma.
-    found, expected, hint
-        In words: what was found, what would have been right, what to do.
-    fatal
-        Naming must not go on.
-    evidence
-        The figures behind it.
-    """
-
-    kind: str
-    channel: str
+    kind: str  # one of the kinds in the module's table
+    channel: str  # signal, or ``"t"`` for the clock; two signals are separated by a comma
+    # found, expected, hint: in words: what was found, what would have been right, what to do
     found: str
     expected: str
     hint: str
-    fatal: bool
-    evidence: dict[str, object]
+    fatal: bool  # naming must not go on
+    evidence: dict[str, object]  # the figures behind it
 
     @property
     def message(self) -> str:
@@ -206,18 +182,10 @@ class Finding(Evidence):
 
 @dataclass(frozen=True)
 class Suitability(Evidence):
-    """What `suitability` found.
+    """What `suitability` found."""
 
-    Attributes
-    ----------
-    record
-        Name of the record.
-    findings
-        Fatal ones first.
-    """
-
-    record: str
-    findings: tuple[Finding, ...]
+    record: str  # name of the record
+    findings: tuple[Finding, ...]  # fatal ones first
 
     @property
     def fatal(self) -> tuple[Finding, ...]:

@@ -40,65 +40,35 @@ SHORTEST_START = 20  # samples
 
 @dataclass(frozen=True, eq=False)
 class WindowResponses:
-    """Responses in windows of one length that start at the samples ``starts`` (n_windows,).
-
-    Attributes
-    ----------
-    y
-        Outputs from ``x0``, (n_windows, length, n_y).
-    x0
-        The motion's states at the starts, (n_windows, n_x).
-    free
-        Outputs per unit more of each state at the start, (n_windows, length, n_y, n_x).
-    held
-        Outputs per unit more of each input throughout the window, (n_windows, length, n_y, n_u).
-    """
+    """Responses in windows of one length that start at the samples ``starts`` (n_windows,)."""
 
     starts: Indices
-    y: Array
-    x0: Array
-    free: Array
-    held: Array
+    y: Array  # outputs from ``x0``, (n_windows, length, n_y)
+    x0: Array  # the motion's states at the starts, (n_windows, n_x)
+    free: Array  # outputs per unit more of each state at the start, (n_windows, length, n_y, n_x)
+    held: Array  # outputs per unit more of each input throughout the window, (n_windows, length, n_y, n_u)
 
 
 @dataclass(frozen=True, eq=False)
 class FitOfWindows:
-    """Least-squares fits of the states at the starts of windows.
+    """Least-squares fits of the states at the starts of windows."""
 
-    Attributes
-    ----------
-    x0, std, rank
-        States (n_windows, n_x), their standard deviations for white errors, and how many directions of each are told.
-    left
-        What they leave of the weighted errors, (n_windows, length * n_y).
-    basis
-        Orthonormal basis of what they can do to these, padded with zeros, (n_windows, length * n_y, n_x).
-    """
-
+    # x0, std, rank: states (n_windows, n_x), their standard deviations for white errors, and how many directions of
+    # each are told
     x0: Array
     std: Array
     rank: Indices
-    left: Array
-    basis: Array
+    left: Array  # what they leave of the weighted errors, (n_windows, length * n_y)
+    basis: Array  # orthonormal basis of what they can do to these, padded with zeros, (n_windows, length * n_y, n_x)
 
 
 @dataclass(frozen=True, eq=False)
 class MotionResponse:
-    """A nonlinear plant about the motion of one record.
+    """A nonlinear plant about the motion of one record."""
 
-    Attributes
-    ----------
-    course
-        The motion.
-    columns
-        Index of each compared output among the plant's.
-    whole
-        The compared signals; its weight is one over the noise of each sensor.
-    """
-
-    course: Course
-    columns: tuple[int, ...]
-    whole: Stretch
+    course: Course  # the motion
+    columns: tuple[int, ...]  # index of each compared output among the plant's
+    whole: Stretch  # the compared signals; its weight is one over the noise of each sensor
 
     @property
     def plant(self) -> NonlinearPlant:
@@ -115,10 +85,7 @@ class MotionResponse:
     ) -> Iterator[WindowResponses]:
         """Windows of ``length`` samples, as many side by side as the memory takes.
 
-        Parameters
-        ----------
-        added
-            What `WindowResponses.held` is the answer to, samples (n, n_u); ones where left out.
+        ``added``: what `WindowResponses.held` is the answer to, samples (n, n_u); ones where left out.
         """
         n_x, n_u = self.n_states, self.course.u.shape[1]
         size = length * (len(self.columns) * (1 + n_x + n_u) + STEPS * n_x * (2 * n_x + n_u))
@@ -169,10 +136,7 @@ class MotionResponse:
 def fit_windows(windows: WindowResponses, error: Array, weight: Array) -> FitOfWindows:
     """States at the starts that suit the windows best, by weighted least squares.
 
-    Parameters
-    ----------
-    error, weight
-        As of `MotionResponse.errors`, and the factor of each output's error (n_y,).
+    ``error``, ``weight``: as of `MotionResponse.errors`, and the factor of each output's error (n_y,).
     """
     count, n_x = windows.x0.shape
     lhs = (windows.free * weight[:, None]).reshape(count, -1, n_x)

@@ -36,23 +36,12 @@ INTEGRATOR = 1e-9
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a record at the compared signals.
+    """A stretch of a record at the compared signals."""
 
-    Attributes
-    ----------
-    t
-        Clock in s, shape (n,).
-    u
-        Input name -> samples (n,).
-    y
-        Measured outputs, shape (n, n_y).
-    weight
-        Factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record.
-    """
-
-    t: Array
-    u: Mapping[str, Array]
-    y: Array
+    t: Array  # clock in s, shape (n,)
+    u: Mapping[str, Array]  # input name -> samples (n,)
+    y: Array  # measured outputs, shape (n, n_y)
+    # factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record
     weight: Array
 
     @property
@@ -69,21 +58,11 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Response:
-    """Response of one linear model at the outputs that a record holds.
+    """Response of one linear model at the outputs that a record holds."""
 
-    Attributes
-    ----------
-    model
-        The model; its other outputs are not compared.
-    outputs
-        The compared outputs, with their unit as recorded or else as in the model.
-    warnings
-        What was noticed while model and record were matched.
-    """
-
-    model: StateSpaceModel
-    outputs: tuple[Signal, ...]
-    warnings: tuple[str, ...]
+    model: StateSpaceModel  # the model; its other outputs are not compared
+    outputs: tuple[Signal, ...]  # the compared outputs, with their unit as recorded or else as in the model
+    warnings: tuple[str, ...]  # what was noticed while model and record were matched
 
     @property
     def n_states(self) -> int:
@@ -173,13 +152,9 @@ def slowest_time_constant(model: StateSpaceModel) -> float:
 def response_of(plant_or_model: Any, record: Record) -> Response:
     """Match a linear plant or model with a record by signal names, and check units and sample time.
 
-    Raises
-    ------
-    InputError
-        An input of the model is not recorded, no output is, a discrete model has another sample time than the
-        record, or the plant is nonlinear.
-    UnitMismatch
-        A signal carries a unit in the model and another one in the record.
+    Raises InputError: an input of the model is not recorded, no output is, a discrete model has another sample time
+    than the record, or the plant is nonlinear; UnitMismatch: a signal carries a unit in the model and another one in
+    the record.
     """
     if isinstance(plant_or_model, NonlinearPlant):
         # Its linear model would be compared silently, without the effects that were put in.
@@ -206,12 +181,8 @@ def matched(
 ) -> tuple[tuple[Signal, ...], tuple[str, ...]]:
     """The outputs that a record shares with a model, with their unit as recorded or else as in the model; warnings.
 
-    Raises
-    ------
-    InputError
-        An input is not recorded, or no output is.
-    UnitMismatch
-        A signal carries a unit in the model and another one in the record.
+    Raises InputError: an input is not recorded, or no output is; UnitMismatch: a signal carries a unit in the model and
+    another one in the record.
     """
     where = f"compare {record.name}"
     for signal in inputs:

@@ -17,10 +17,10 @@ from robustlab.errors import InputError
 from robustlab.statespace import real_array
 
 __all__ = [
-    "STIFFNESS",
     "Basis",
     "BlockRegression",
     "MovingSamples",
+    "STIFFNESS",
     "coordinate_bases",
     "held_out",
     "hysteresis_basis",

@@ -75,83 +75,45 @@ CHANCE, LEAST, MOST = 16.0, 0.02, 0.25  # share that chance reaches, times indep
 
 @dataclass(frozen=True)
 class ForceCurve(Evidence):
-    """Residual force over one coordinate.
+    """Residual force over one coordinate."""
 
-    Attributes
-    ----------
-    coordinate, unit
-        Name and unit of the coordinate.
-    x, value, low, high
-        Middle of each bin, mean force in it, and its 95 % band; shape (n_bins,), in order of x.
-    count
-        Samples in each bin.
-    share
-        Share of the variance that a curve over this coordinate explains in blocks it was not fitted to, 0..1.
-    p_value
-        Chance of such a share where the force does not depend on the coordinate.
-    """
-
+    # coordinate, unit: name and unit of the coordinate
     coordinate: str
     unit: str
+    # x, value, low, high: middle of each bin, mean force in it, and its 95 % band; shape (n_bins,), in order of x
     x: Array
     value: Array
     low: Array
     high: Array
-    count: NDArray[np.int_]
+    count: NDArray[np.int_]  # samples in each bin
+    # share of the variance that a curve over this coordinate explains in blocks it was not fitted to, 0..1
     share: float
-    p_value: float
+    p_value: float  # chance of such a share where the force does not depend on the coordinate
 
 
 @dataclass(frozen=True)
 class ResidualForce(Evidence):
-    """The residual force over each coordinate.
+    """The residual force over each coordinate."""
 
-    Attributes
-    ----------
-    unit
-        Unit of the force.
-    rms
-        Of the force.
-    noise_share
-        Share of its variance that the estimate's own std accounts for.
-    curves
-        Coordinate -> curve.
-    dry_share
-        Coordinate x -> further held-out share of sgn(v) f(x) on top of the curve over the speed; empty without one.
-    joint_share
-        Held-out share of all coordinates together, added up.
-    blocks
-        Number of blocks.
-    """
-
-    unit: str
-    rms: float
-    noise_share: float
-    curves: Mapping[str, ForceCurve]
+    unit: str  # unit of the force
+    rms: float  # of the force
+    noise_share: float  # share of its variance that the estimate's own std accounts for
+    curves: Mapping[str, ForceCurve]  # coordinate -> curve
+    # coordinate x -> further held-out share of sgn(v) f(x) on top of the curve over the speed; empty without one
     dry_share: Mapping[str, float]
-    joint_share: float
-    blocks: int
+    joint_share: float  # Held-out share of all coordinates together, added up
+    blocks: int  # number of blocks
 
 
 @dataclass(frozen=True)
 class StructureTest(Evidence):
-    """Does anything systematic remain in a residual force?
+    """Does anything systematic remain in a residual force?"""
 
-    Attributes
-    ----------
-    share
-        Held-out share of the mean square that ``strongest`` explains, 0..1.
-    p_value
-        Chance that any of the looked-for structures looks as strong in a force without structure.
-    strongest
-        The strongest of them: "constant", "f(x)", "sgn(v) f(x)", "ripple over x (k per unit)", "hysteresis over x".
-    smallest_share
-        Smaller shares also come about by chance, since a slow force has few independent values: 0.02 to 0.25.
-    """
-
-    share: float
-    p_value: float
+    share: float  # Held-out share of the mean square that ``strongest`` explains, 0..1
+    p_value: float  # chance that any of the looked-for structures looks as strong in a force without structure
+    # the strongest of them: "constant", "f(x)", "sgn(v) f(x)", "ripple over x (k per unit)", "hysteresis over x"
     strongest: str
+    # smaller shares also come about by chance, since a slow force has few independent values: 0.02 to 0.25
     smallest_share: float
 
     @property
@@ -190,30 +152,14 @@ class ForceTable(Evidence):
 
 @dataclass(frozen=True)
 class UnnamedForce(Evidence):
-    """A correction without a name: an additive map, the honest last resort.
+    """A correction without a name: an additive map, the honest last resort."""
 
-    Attributes
-    ----------
-    name
-        "unnamed".
-    unit
-        Unit of the force.
-    constant
-        Part that depends on nothing.
-    components
-        Tables, strongest first; none where nothing explains held-out blocks.
-    speed
-        Name of the coordinate whose sign dry components take, or None.
-    gain
-        Held-out share of the variance (of the mean square, with the constant) that the map removes, 0..1.
-    """
-
-    name: str
-    unit: str
-    constant: float
-    components: tuple[ForceTable, ...]
-    speed: str | None
-    gain: float
+    name: str  # "unnamed"
+    unit: str  # unit of the force
+    constant: float  # part that depends on nothing
+    components: tuple[ForceTable, ...]  # tables, strongest first; none where nothing explains held-out blocks
+    speed: str | None  # name of the coordinate whose sign dry components take, or None
+    gain: float  # Held-out share of the variance (of the mean square, with the constant) that the map removes, 0..1
 
     def tables(self) -> dict[str, tuple[Array, Array]]:
         """``"kind coordinate" -> (grid, value)``, contiguous arrays for a compiled kernel."""

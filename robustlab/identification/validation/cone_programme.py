@@ -55,10 +55,7 @@ def solved_cones(
     The budget limits the iterations; a time limit, where there is one, is the solver's too, which needs a second.
     Whatever the solver says of its accuracy, an answer counts only as far as its replay and its certificate go.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The solver breaks down, or gives no numbers.
+    Raises NoTrustworthyNumber: the solver breaks down, or gives no numbers.
     """
     clarabel: Any = import_module("clarabel")  # its types are not published
     sparse = sparse_matrices()

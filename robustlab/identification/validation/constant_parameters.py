@@ -282,31 +282,16 @@ def _orthonormal(F: Array) -> Array:
 
 @dataclass(frozen=True)
 class Parameters:
-    """What `smallest_parameters` found: bounds of the largest ``|delta|``, the best delta, and its noise.
+    """What `smallest_parameters` found: bounds of the largest ``|delta|``, the best delta, and its noise."""
 
-    Attributes
-    ----------
-    lower, upper
-        Bounds; the lower one from boxes that were tested at points.
-    delta
-        Normalised values of the real blocks, in order.
-    noise
-        Noise that is left (n, n_y), over its bound.
-    boxes
-        How many boxes were examined.
-    finished
-        Whether the search came to its end before its budget did.
-    least_excess
-        Smallest noise over its bound that was found anywhere.
-    """
-
+    # lower, upper: bounds; the lower one from boxes that were tested at points
     lower: float
     upper: float
-    delta: Array
-    noise: Array
-    boxes: int
-    finished: bool
-    least_excess: float
+    delta: Array  # normalised values of the real blocks, in order
+    noise: Array  # noise that is left (n, n_y), over its bound
+    boxes: int  # how many boxes were examined
+    finished: bool  # whether the search came to its end before its budget did
+    least_excess: float  # smallest noise over its bound that was found anywhere
 
 
 def smallest_parameters(recorded: Recorded, blocks: Sequence[Block], search: Search) -> Parameters:

@@ -104,27 +104,17 @@ def _summed(sheared: Array, diagonals: Array) -> Array:
 
 @dataclass(frozen=True)
 class Barrier:
-    """Value and derivatives of the barrier: slope and curve are those in (H as (n, r, c) raveled); the rest in gamma.
+    """Value and derivatives of the barrier: slope and curve over (H as (n, r, c) raveled), the rest over gamma."""
 
-    Attributes
-    ----------
-    value
-        The barrier itself.
-    slope, curve
-        (n r c,) and (n r c, n r c).
-    slope_gamma, curve_gamma, cross
-        First and second derivative in gamma, and the mixed ones (n r c,).
-    pull
-        ``2 (gamma^2 I - T T')^-1 T``, whose diagonal sums are the slope; the matrix of the dual norm.
-    """
-
-    value: float
+    value: float  # the barrier itself
+    # slope, curve: (n r c,) and (n r c, n r c)
     slope: Array
     curve: Array
+    # slope_gamma, curve_gamma, cross: first and second derivative in gamma, and the mixed ones (n r c,)
     slope_gamma: float
     curve_gamma: float
     cross: Array
-    pull: Array
+    pull: Array  # ``2 (gamma^2 I - T T')^-1 T``, whose diagonal sums are the slope; the matrix of the dual norm
 
 
 def barrier(h: Array, gamma: float) -> Barrier:

@@ -190,7 +190,8 @@ def data_cover(
     if len(set(names)) < len(names):
         raise InputError("data_cover", "two records of one name", "names of their own")
     made = effect_loads(plant, sigmas, records, margin)
-    bare = _unmodelled(UncertainModel(made.model.nominal.select(_inputs(made.model), list(noise)), []), made, 1.0)
+    seen = made.model.nominal.select([s.name for s in made.model.inputs], list(noise))
+    bare = _unmodelled(UncertainModel(seen, []), made, 1.0)
     found: dict[str, Validation] = {}
     reached: dict[str, float] = {}
     for record in (*records, *held_out):
@@ -218,10 +219,6 @@ def data_cover(
         loads=made.loads,
         validations=found,
     )
-
-
-def _inputs(model: UncertainModel) -> list[str]:
-    return [s.name for s in model.inputs]
 
 
 def _unmodelled(whole: UncertainModel, made: EffectLoads, radius: float) -> UncertainModel:

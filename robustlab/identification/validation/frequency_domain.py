@@ -218,40 +218,23 @@ class LineMultipliers:
 
 @dataclass(frozen=True)
 class SpectralSizes:
-    """What `smallest_by_lines` found.
+    """What `smallest_by_lines` found."""
 
-    Attributes
-    ----------
-    lower, upper
-        Bounds of gamma; both inf where no Delta of any size explains the data.
-    w
-        (n, q); zeros where nothing was found.
-    multipliers
-        Those of the lower bound.
-    least_noise
-        By what factor the noise bound would have to grow for any Delta at all to explain the data; at most 1: none.
-    known
-        Whether z is known, and the test thereby convex.
-    recheck
-        The lower bound once more, from the multipliers alone.
-    """
-
+    # lower, upper: bounds of gamma; both inf where no Delta of any size explains the data
     lower: float
     upper: float
-    w: ComplexArray
-    multipliers: LineMultipliers
+    w: ComplexArray  # (n, q); zeros where nothing was found
+    multipliers: LineMultipliers  # those of the lower bound
+    # by what factor the noise bound would have to grow for any Delta at all to explain the data; at most 1: none
     least_noise: float
-    known: bool
-    recheck: Callable[[], float] | None
+    known: bool  # whether z is known, and the test thereby convex
+    recheck: Callable[[], float] | None  # the lower bound once more, from the multipliers alone
 
 
 def smallest_by_lines(problem: SpectralProblem, search: Search) -> SpectralSizes:
     """Bounds over the blocks that are scaled; the others keep the size 1.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The solver gives no answer, or an impossibility that its multipliers do not prove.
+    Raises NoTrustworthyNumber: the solver gives no answer, or an impossibility that its multipliers do not prove.
     """
     programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)

@@ -26,33 +26,21 @@ REPLAYED = 1e-3
 
 @dataclass(frozen=True)
 class BlockSize(Evidence):
-    """One block of Delta.
+    """One block of Delta."""
 
-    Attributes
-    ----------
-    name, kind
-        Its name, and ``"constant"``, ``"time-invariant"`` or ``"time-varying"``.
-    size
-        How large it is in the explanation; NaN where nothing explains the record.
-    lower, upper
-        Bounds of the smallest scaling of this block alone, the others kept within their size 1; NaN where not asked.
-    value
-        What it is: a number for a constant, pulse responses (n, rows, cols) for a time-invariant system; a time-varying
-        one is given by its signals w and z, which exist by the theorem.
-    physical
-        Value and unit of the parameter that a constant stands for.
-    impossible
-        What physics asks of that parameter and the value does not meet; empty where it may exist.
-    """
-
+    # name, kind: its name, and ``"constant"``, ``"time-invariant"`` or ``"time-varying"``
     name: str
     kind: Literal["constant", "time-invariant", "time-varying"]
-    size: float
+    size: float  # how large it is in the explanation; NaN where nothing explains the record
+    # lower, upper: bounds of the smallest scaling of this block alone, the others kept within their size 1; NaN where
+    # not asked
     lower: float
     upper: float
+    # what it is: a number for a constant, pulse responses (n, rows, cols) for a time-invariant system; a time-varying
+    # one is given by its signals w and z, which exist by the theorem
     value: Any = None
-    physical: tuple[float, str] | None = None
-    impossible: str = ""
+    physical: tuple[float, str] | None = None  # value and unit of the parameter that a constant stands for
+    impossible: str = ""  # what physics asks of that parameter and the value does not meet; empty where it may exist
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,10 +240,7 @@ def in_own_units(
 def require_replay(error: float, record: str) -> None:
     """Refuse an explanation whose replay differs from it by ``error`` of the noise bound.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        It differs by more than a thousandth.
+    Raises NoTrustworthyNumber: it differs by more than a thousandth.
     """
     if not error <= REPLAYED:
         found = f"the explanation is off by {error:.1e} of the noise bound when replayed"

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.comparison.envelope import deviations
 from robustlab.identification.response.response import response_of
 from robustlab.record import Record
@@ -55,44 +55,22 @@ SHOWN = 1e-9
 
 @dataclass(frozen=True)
 class Recorded:
-    """A record matched with an uncertain model.
+    """A record matched with an uncertain model."""
 
-    Attributes
-    ----------
-    uncertain
-        The set, with the compared outputs only.
-    t
-        Clock in s, shape (n,).
-    u, y
-        Inputs (n, n_u) and outputs (n, n_y) in the order of the model, in deviations from its operating point.
-    outputs
-        Compared outputs with their units.
-    bound
-        Noise bound of each output, shape (n_y,): largest value, or root mean square.
-    norm
-        Which of the two.
-    used
-        False where a sample of an output is missing, shape (n, n_y).
-    counts
-        Over how many samples of each output a root mean square is bounded, (n_y,): those of the whole record, in a part
-        of it, too. The noise of a part may be larger than that of the whole.
-    starts
-        First sample of each window.
-    at_rest
-        Whether the first window starts at the state zero; all others have a free state.
-    """
-
-    uncertain: UncertainModel
-    t: Array
+    uncertain: UncertainModel  # the set, with the compared outputs only
+    t: Array  # clock in s, shape (n,)
+    # u, y: inputs (n, n_u) and outputs (n, n_y) in the order of the model, in deviations from its operating point
     u: Array
     y: Array
-    outputs: tuple[Signal, ...]
-    bound: Array
-    norm: NoiseNorm
-    used: NDArray[np.bool_]
+    outputs: tuple[Signal, ...]  # compared outputs with their units
+    bound: Array  # noise bound of each output, shape (n_y,): largest value, or root mean square
+    norm: NoiseNorm  # which of the two
+    used: NDArray[np.bool_]  # false where a sample of an output is missing, shape (n, n_y)
+    # over how many samples of each output a root mean square is bounded, (n_y,): those of the whole record, in a part
+    # of it, too. The noise of a part may be larger than that of the whole.
     counts: NDArray[np.int_]
-    starts: tuple[int, ...]
-    at_rest: bool
+    starts: tuple[int, ...]  # first sample of each window
+    at_rest: bool  # whether the first window starts at the state zero; all others have a free state
 
     @property
     def dt(self) -> float:
@@ -121,12 +99,8 @@ def prepared(
 ) -> Recorded:
     """Match model and record; refuse what cannot be judged.
 
-    Raises
-    ------
-    InputError
-        Signals that do not fit, an output without a noise bound, windows that are too short.
-    NoTrustworthyNumber
-        A clock that is not uniform, or a noise bound of zero: the noise model is singular.
+    Raises InputError: signals that do not fit, an output without a noise bound, windows that are too short;
+    NoTrustworthyNumber: a clock that is not uniform, or a noise bound of zero: the noise model is singular.
     """
     where = f"validate {record.name}"
     if not record.is_uniform:
@@ -151,48 +125,33 @@ def prepared(
 
 @dataclass(frozen=True)
 class SampledProblem:
-    """The affine maps of this module for one choice of the real parameters.
+    """The affine maps of this module for one choice of the real parameters."""
 
-    Attributes
-    ----------
-    A, B, C1, D11, C2, D21
-        Sampled model from w to z and to the noise, in scaled signals.
-    z0, e
-        Shape (n, p) and (n, n_y).
-    used
-        Shape (n, n_y).
-    norm, radius
-        Noise norm, and the bound of each output in its scaled unit (n_y,): 1 for peaks, root of the count for rms.
-    starts, at_rest
-        As in `Recorded`.
-    free
-        Orthonormal basis of the state directions that the outputs show, shape (n_x, k): there the state of a window is
-        free.
-    blocks
-        For each dynamic block its slices of w and z, and whether it is one system repeated.
-    names
-        Their names.
-    scale
-        Signals w and z of each block are divided by this.
-    """
-
+    # A, B, C1, D11, C2, D21: sampled model from w to z and to the noise, in scaled signals
     A: Array
     B: Array
     C1: Array
     D11: Array
     C2: Array
     D21: Array
+    # z0, e: shape (n, p) and (n, n_y)
     z0: Array
     e: Array
-    used: NDArray[np.bool_]
+    used: NDArray[np.bool_]  # shape (n, n_y)
+    # norm, radius: noise norm, and the bound of each output in its scaled unit (n_y,): 1 for peaks, root of the count
+    # for rms
     norm: NoiseNorm
     radius: Array
+    # starts, at_rest: as in `Recorded`
     starts: tuple[int, ...]
     at_rest: bool
+    # orthonormal basis of the state directions that the outputs show, shape (n_x, k): there the state of a window is
+    # free
     free: Array
+    # for each dynamic block its slices of w and z, and whether it is one system repeated
     blocks: tuple[tuple[slice, slice, bool], ...]
-    names: tuple[str, ...]
-    scale: Array
+    names: tuple[str, ...]  # their names
+    scale: Array  # signals w and z of each block are divided by this
 
     @property
     def n(self) -> int:
@@ -401,12 +360,7 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
         raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:
         if name not in names:
-            raise InputError(
-                f"{where}: noise of {name!r}",
-                "no such compared output",
-                f"one of {', '.join(names)}",
-                did_you_mean(name, names),
-            )
+            raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)
     for name in names:
         if name not in noise:
             hint = f"noise={{{name!r}: ...}} in its unit: what the sensor may be off"
@@ -428,12 +382,7 @@ def _used(missing: Mapping[str, Sequence[int]], names: tuple[str, ...], n: int, 
     used = np.ones((n, len(names)), dtype=bool)
     for name, samples in missing.items():
         if name not in names:
-            raise InputError(
-                f"{where}: missing {name!r}",
-                "no such compared output",
-                f"one of {', '.join(names)}",
-                did_you_mean(name, names),
-            )
+            raise unknown_name(f"{where}: missing {name!r}", "no such compared output", name, names)
         index = np.asarray(samples)
         if index.dtype == bool and index.shape != (n,):
             raise InputError(f"{where}: missing {name!r}", f"a mask of shape {index.shape}", f"({n},)")

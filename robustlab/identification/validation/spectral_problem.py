@@ -136,35 +136,20 @@ class FrequencyData(Tabular, Evidence):
 
 @dataclass(frozen=True)
 class SpectralProblem:
-    """The affine maps of this module, in scaled signals.
+    """The affine maps of this module, in scaled signals."""
 
-    Attributes
-    ----------
-    omega
-        Frequencies in rad/s, shape (n,).
-    M11, M21, z0, e
-        (n, p, q), (n, n_y, q), (n, p), (n, n_y).
-    weight
-        How often a line counts in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency.
-    real
-        Lines at which every spectrum of a real signal is real (n,).
-    total
-        True: ``sum_k weight_k |n_kj|^2 <= radius_j^2`` for each output. False: ``|n_kj| <= 1`` at each line.
-    radius
-        (n_y,).
-    blocks, names, scale
-        Slices of w and z of each block, names, and what w and z of the block are divided by.
-    """
-
-    omega: Array
+    omega: Array  # frequencies in rad/s, shape (n,)
+    # M11, M21, z0, e: (n, p, q), (n, n_y, q), (n, p), (n, n_y)
     M11: ComplexArray
     M21: ComplexArray
     z0: ComplexArray
     e: ComplexArray
+    # how often a line counts in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
     weight: Array
-    real: NDArray[np.bool_]
-    total: bool
-    radius: Array
+    real: NDArray[np.bool_]  # lines at which every spectrum of a real signal is real (n,)
+    total: bool  # true: ``sum_k weight_k |n_kj|^2 <= radius_j^2`` for each output. False: ``|n_kj| <= 1`` at each line.
+    radius: Array  # (n_y,)
+    # blocks, names, scale: slices of w and z of each block, names, and what w and z of the block are divided by
     blocks: tuple[tuple[slice, slice], ...]
     names: tuple[str, ...]
     scale: Array
@@ -226,34 +211,20 @@ class SpectralProblem:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """A `SpectralProblem` and what stands behind it.
+    """A `SpectralProblem` and what stands behind it."""
 
-    Attributes
-    ----------
-    problem
-        The maps.
-    outputs, bound
-        Judged outputs with units, and the noise bound of each.
-    t, y, nominal
-        One mean period of the record, the outputs (n_t, n_y), and the nominal steady state; for a frequency response
-        its frequencies and the magnitudes.
-    complex_y
-        The measured spectrum (n, n_y), in the units of the outputs.
-    unit_noise
-        What ``e`` was divided by, shape (n, n_y) or (1, n_y).
-    said
-        What is taken for granted.
-    """
-
-    problem: SpectralProblem
+    problem: SpectralProblem  # the maps
+    # outputs, bound: judged outputs with units, and the noise bound of each
     outputs: tuple[Signal, ...]
     bound: Mapping[str, float]
+    # t, y, nominal: one mean period of the record, the outputs (n_t, n_y), and the nominal steady state; for a
+    # frequency response its frequencies and the magnitudes
     t: Array
     y: Array
     nominal: Array
-    complex_y: ComplexArray
-    unit_noise: Array
-    said: tuple[str, ...]
+    complex_y: ComplexArray  # the measured spectrum (n, n_y), in the units of the outputs
+    unit_noise: Array  # what ``e`` was divided by, shape (n, n_y) or (1, n_y)
+    said: tuple[str, ...]  # what is taken for granted
 
 
 def spectrum_of_record(

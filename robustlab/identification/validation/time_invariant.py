@@ -50,38 +50,19 @@ SMALLEST, HUGE = 1e-6, 1e100
 
 @dataclass(frozen=True)
 class PulseResponses:
-    """What `smallest_pulse_responses` found, in the scaled signals of the problem.
+    """What `smallest_pulse_responses` found, in the scaled signals of the problem."""
 
-    Attributes
-    ----------
-    lower
-        Bound that was derived from ``dual`` outside of the search; 0 where the problem is not convex.
-    upper
-        Largest gain of the scaled blocks, from the pulse responses; inf where none explain the record.
-    h
-        For each block (n, r, c); of one channel where it is a repeated scalar.
-    states
-        Free states (k,), one start after the other.
-    w, z, noise
-        Signals of the replay.
-    sizes
-        Gain of each block.
-    dual
-        Multipliers of the noise (n, n_y).
-    recheck
-        Derives the lower bound again from the dual point.
-    """
-
-    lower: float
-    upper: float
-    h: tuple[Array, ...]
-    states: Array
+    lower: float  # bound that was derived from ``dual`` outside of the search; 0 where the problem is not convex
+    upper: float  # largest gain of the scaled blocks, from the pulse responses; inf where none explain the record
+    h: tuple[Array, ...]  # for each block (n, r, c); of one channel where it is a repeated scalar
+    states: Array  # free states (k,), one start after the other
+    # w, z, noise: signals of the replay
     w: Array
     z: Array
     noise: Array
-    sizes: Array
-    dual: Array
-    recheck: Callable[[], float] | None = None
+    sizes: Array  # gain of each block
+    dual: Array  # multipliers of the noise (n, n_y)
+    recheck: Callable[[], float] | None = None  # derives the lower bound again from the dual point
 
 
 class _Maps:
@@ -180,12 +161,7 @@ def smallest_pulse_responses(
 ) -> PulseResponses | None:
     """Bounds over the blocks that are scaled, the others at most 1; None where nothing was found.
 
-    Parameters
-    ----------
-    guess
-        Size to start from.
-    z_guess
-        z of another explanation, where z is not known.
+    ``guess``: size to start from. ``z_guess``: z of another explanation, where z is not known.
     """
     maps, scaled = _Maps(problem), search.scaled
     rest = np.zeros(sum(maps.counts) + maps.n_free)

@@ -43,7 +43,7 @@ from robustlab.identification.validation.sampled_problem import SampledProblem
 from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence
 
-__all__ = ["Contractions", "Multipliers", "lagrangian_maximum", "largest_disproved", "smallest_contractions"]
+__all__ = ["Contractions", "largest_disproved", "smallest_contractions"]
 
 
 # A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
@@ -167,36 +167,21 @@ def largest_disproved(problem: SampledProblem, multipliers: Multipliers, search:
 
 @dataclass(frozen=True)
 class Contractions:
-    """What `smallest_contractions` found; signals in the scaled units of the problem.
+    """What `smallest_contractions` found; signals in the scaled units of the problem."""
 
-    Attributes
-    ----------
-    lower, upper
-        Bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf where none was found).
-    w, z, noise
-        Shapes (n, q), (n, p), (n, n_y); empty where nothing explains the record.
-    states
-        Start of window -> jump of its state.
-    sizes
-        Gain of each block in this explanation.
-    multipliers
-        Those of the lower bound.
-    least_noise
-        Where no Delta explains the record: by what factor the noise bound would have to grow, else 1.
-    convex
-        Whether z is known.
-    """
-
+    # lower, upper: bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf where none
+    # was found)
     lower: float
     upper: float
+    # w, z, noise: shapes (n, q), (n, p), (n, n_y); empty where nothing explains the record
     w: Array
     z: Array
     noise: Array
-    states: Mapping[int, Array]
-    sizes: Array
-    multipliers: Multipliers
-    least_noise: float
-    convex: bool
+    states: Mapping[int, Array]  # start of window -> jump of its state
+    sizes: Array  # gain of each block in this explanation
+    multipliers: Multipliers  # those of the lower bound
+    least_noise: float  # where no Delta explains the record: by what factor the noise bound would have to grow, else 1
+    convex: bool  # whether z is known
 
 
 def smallest_contractions(problem: SampledProblem, search: Search) -> Contractions:

@@ -13,7 +13,7 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.budget import MILLION, Budget
 
-__all__ = ["TUNING", "Search", "ValidationTuning"]
+__all__ = ["Search", "TUNING", "ValidationTuning"]
 
 
 @dataclass(frozen=True)
@@ -104,24 +104,12 @@ TUNING = ValidationTuning()
 
 @dataclass(frozen=True)
 class Search:
-    """What every search for the smallest gamma is given.
+    """What every search for the smallest gamma is given."""
 
-    Attributes
-    ----------
-    scaled
-        The blocks that gamma scales, (n_blocks,); the others keep the size 1.
-    precision
-        Relative width of the bounds to be reached.
-    budget
-        Work it may take.
-    tuning
-        Its numbers.
-    """
-
-    scaled: Mask
-    precision: float
-    budget: Budget
-    tuning: ValidationTuning = TUNING
+    scaled: Mask  # the blocks that gamma scales, (n_blocks,); the others keep the size 1
+    precision: float  # relative width of the bounds to be reached
+    budget: Budget  # work it may take
+    tuning: ValidationTuning = TUNING  # its numbers
 
     def gammas(self, gamma: float) -> Array:
         """Sizes of the blocks that belong to a gamma."""

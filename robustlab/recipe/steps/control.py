@@ -444,7 +444,7 @@ def _followed(
     from robustlab.dynamics import linearise, trim
     from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
     from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow, follow_with_torques, torque_loop
-    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
     from robustlab.dynamics.stewart.kinematics import nut_angles
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
     from robustlab.statespace import as_model
@@ -479,7 +479,7 @@ def _largest(errors: Any, late: Any) -> Any:
 
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
     """A member's loop with effects; one at a control acts on what the controller commands."""
-    from robustlab.dynamics.extended.driver_in_loop import driver_in_loop
+    from robustlab.dynamics.control.controlled_plant import driver_in_loop
 
     made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
     at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]

@@ -233,7 +233,7 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
 def _at_pose(plant: Any, pose: list[float]) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
     """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
     from robustlab.dynamics.extended.effect_loads import loaded_model
-    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 
     at = rl.trim(plant, pose=pose)
     return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())

@@ -184,7 +184,7 @@ def _worst(model: Any, found: Comparison) -> dict[str, Any]:
     """The output that is furthest off, its worst window, and the pose of a Stewart platform in the middle of that."""
     import numpy as np
 
-    from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
     gap = max(found.outputs.values(), key=lambda gap: gap.windowed_rms_percent)

@@ -72,9 +72,9 @@ def test_the_catalogue_is_that_of_the_specification():
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_file_id_and_words(name):
+def test_class_id_and_words(name):
     known = effect(name)
-    assert type(known).__module__.endswith("." + name.replace("-", "_"))
+    assert type(known).__name__.lower() == name.replace("-", "")
     assert known.title
     assert known.equation
     assert known.refines is None or known.refines in IDS

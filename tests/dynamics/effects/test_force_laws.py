@@ -14,19 +14,20 @@ from scipy.integrate import quad
 from scipy.special import ellipk
 
 import robustlab as rl
-from robustlab.dynamics.effects.asymmetric_viscous_friction import asymmetric_force
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.cogging import cogging_force
+from robustlab.dynamics.effects.circuit_effects import heating_drop
 from robustlab.dynamics.effects.contract import Scales, Site
-from robustlab.dynamics.effects.coulomb_friction import dry_force
-from robustlab.dynamics.effects.cubic_stiffness import cubic_force
-from robustlab.dynamics.effects.end_stop import stop_force
-from robustlab.dynamics.effects.gear_efficiency import loss_force
-from robustlab.dynamics.effects.position_dependent_friction import uneven_force
-from robustlab.dynamics.effects.presliding import presliding_force
-from robustlab.dynamics.effects.quadratic_drag import drag_force
-from robustlab.dynamics.effects.resistance_heating import heating_drop
-from robustlab.dynamics.effects.stribeck_friction import stribeck_force
+from robustlab.dynamics.effects.friction_effects import (
+    asymmetric_force,
+    drag_force,
+    dry_force,
+    loss_force,
+    presliding_force,
+    stribeck_force,
+    uneven_force,
+)
+from robustlab.dynamics.effects.load_effects import cogging_force
+from robustlab.dynamics.effects.spring_effects import cubic_force, stop_force
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.statespace import Signal, StateSpaceModel

@@ -19,7 +19,7 @@ from robustlab.identification.hypotheses.noise import first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import prepare, window_length
 
 FILE = """
-from robustlab.dynamics.effects.signal_effect import SignalGain
+from robustlab.dynamics.effects.signal_effects import SignalGain
 
 
 class DisplayGain(SignalGain):

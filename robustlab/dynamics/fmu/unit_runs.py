@@ -1,4 +1,5 @@
-r"""Model exchange in the child: rates, outputs and derivatives at points, and integration with events.
+r"""What a unit is asked for in the child. Model exchange: rates, outputs and derivatives at points, and integration
+with events; co-simulation: it steps itself from one communication point to the next.
 
 Integration is by DOP853 with the local error held; a step that carries an event indicator through zero is cut there by
 bisection of its dense output. Events in time, in state, and those that the unit asks for after a step are handled;
@@ -17,7 +18,8 @@ from robustlab.arrays import Array, Mask
 from robustlab.dynamics.fmu.native_unit import NativeUnit
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["evaluated", "integrated", "started"]
+__all__ = ["evaluated", "integrated", "linear_matrices", "started", "stepped"]
+
 
 # Steps of the differences as shares of a state's or input's size: the first is the most exact for smooth equations, the
 # others stay in the domain of stiff ones. Richardson's two central differences leave an error of the fourth order.
@@ -304,3 +306,31 @@ class _Run:
             else:
                 low = middle
         return high, between(high)
+
+
+def stepped(unit: NativeUnit, values: Mapping[str, float], t: Array, u: Array, longest: float) -> list[Array]:
+    """Outputs (n, n_y) at the times t for inputs (n, n_u) held between them; steps of at most ``longest`` s."""
+    unit.begin(values, float(t[0]), u[0])
+    found = np.empty((len(t), unit.outputs.n))
+    for k, time in enumerate(t.tolist()):
+        unit.set_inputs(u[k])
+        found[k] = unit.get_outputs()
+        if not np.isfinite(found[k]).all():
+            j = int(np.argmin(np.isfinite(found[k])))
+            raise unit.failed(f"{unit.description['outputs'][j]['name']} is {found[k, j]:g} at t = {time:.9g} s")
+        if k + 1 < len(t):
+            length = t[k + 1] - time
+            pieces = max(int(np.ceil(length / longest - 1e-9)), 1)
+            for piece in range(pieces):
+                unit.step(time + piece * length / pieces, length / pieces)
+    return [found]
+
+
+def linear_matrices(unit: NativeUnit, values: Mapping[str, float], u: Array) -> list[Array]:
+    """``[[A, B], [C, D]]`` at the unit's initial state, by its directional derivatives; and the outputs there."""
+    unit.begin(values, 0.0, u)
+    slopes = unit.directional(unit.states.n + unit.inputs.n)
+    if not np.isfinite(slopes).all():
+        raise NoTrustworthyNumber(unit.name, "its directional derivatives are not finite", None)
+    states = np.array([unit.value(v["reference"]) for v in unit.description["states"]])
+    return [slopes, states, unit.get_outputs()]

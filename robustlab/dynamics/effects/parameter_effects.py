@@ -16,25 +16,17 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
 
-__all__ = ["ParameterEffect", "has_ground_term"]
+__all__ = ["EFFECTS"]
 
 
 class ParameterEffect(Effect):
-    """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`).
-
-    Attributes
-    ----------
-    spread
-        Standard deviation of log s.
-    quantity
-        What is scaled, in words.
-    """
+    """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`)."""
 
     site_kind = "parameter"
     gain_like = True
     scale = "s"
-    spread: float
-    quantity: str
+    spread: float  # standard deviation of log s
+    quantity: str  # what is scaled, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         """The factor s."""
@@ -104,20 +96,12 @@ class MotorEffect(ParameterEffect):
 
 
 class MisplacedEffect(ParameterEffect):
-    """Coordinates that are not what the plant says: each is shifted, zero or not.
-
-    Attributes
-    ----------
-    components
-        Names of the shifts; the plant has as many parameters of the effect's role.
-    unit
-        Of the shifts.
-    """
+    """Coordinates that are not what the plant says: each is shifted, zero or not."""
 
     gain_like = False
     scale = ""
-    components: tuple[str, ...]
-    unit: str
+    components: tuple[str, ...]  # names of the shifts; the plant has as many parameters of the effect's role
+    unit: str  # of the shifts
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         found = super().sites(plant, model)
@@ -143,17 +127,10 @@ class MisplacedEffect(ParameterEffect):
 class GroundedEffect(ParameterEffect):
     """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in
     the joint's position or velocity, whose coefficient is the parameter named `symbol`.
-
-    Attributes
-    ----------
-    symbol
-        Name of the coefficient at a joint.
-    of
-        What the force is proportional to: ``"position"`` or ``"velocity"``.
     """
 
-    symbol: str
-    of: str
+    symbol: str  # name of the coefficient at a joint
+    of: str  # what the force is proportional to: ``"position"`` or ``"velocity"``
 
     def at_joint(self, scales: Scales) -> EffectParameter:
         """The coefficient at a joint, with its prior."""
@@ -195,3 +172,149 @@ class GroundedEffect(ParameterEffect):
         if self.symbol not in values:
             return super().checked(values)
         return self._checked(values, self.parameters(Scales(force_unit="N")))
+
+
+class Inertia(ParameterEffect):
+    r"""Misjudged inertia: the true value is a multiple of the nominal one.
+
+    .. math:: J' = s\,J
+    """
+
+    id = "inertia"
+    title = "Misjudged inertia"
+    equation = "J' = s J"
+    independently = "weigh the parts, or add a known inertia and compare"
+    spread = 0.4
+    tolerance = 0.05
+    quantity = "inertia or mass"
+
+
+class CentreOfMass(MisplacedEffect):
+    r"""A centre of mass that is not where the plant has it.
+
+    .. math:: c' = c + (x, y, z)
+    """
+
+    id = "centre-of-mass"
+    title = "Misplaced centre of mass"
+    equation = "c' = c + (x, y, z)"
+    independently = "balance the body on an edge in two positions, or hang it from two points"
+    components = ("x", "y", "z")
+    unit = "m"
+    spread = 0.03
+    tolerance = 0.0
+    quantity = "shift of the centre of mass"
+
+
+class GravityDirection(MisplacedEffect):
+    r"""A base that does not stand level: gravity acts in another direction than the plant says.
+
+    .. math:: t' = t + (x, y)
+    """
+
+    id = "gravity-direction"
+    title = "Base that is not level"
+    equation = "t' = t + (x, y)"
+    independently = "lay a level on the base, along both axes"
+    components = ("x", "y")
+    unit = "rad"
+    spread = 0.05
+    tolerance = 0.0
+    quantity = "tilt of the base"
+
+
+class Resistance(MotorEffect):
+    r"""Misjudged resistance: the true value is a multiple of the nominal one.
+
+    .. math:: R' = s\,R
+
+    Of a plant with several motors that of all of them, or of one: the term of its current in its own equation.
+    """
+
+    id = "resistance"
+    title = "Misjudged resistance"
+    equation = "R' = s R"
+    independently = "measure the winding with an ohmmeter, rotor held, in several positions"
+    spread = 0.3
+    tolerance = 0.05
+    quantity = "resistance"
+
+    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
+        return [(current, current)]
+
+
+class TorqueConstant(MotorEffect):
+    r"""Misjudged torque constant: the true value is a multiple of the nominal one.
+
+    .. math:: K_m' = s\,K_m, \qquad K_b' = s\,K_b
+
+    Of a plant with several motors the constants of all of them, or those of one: what its current does to other states,
+    and what their speeds do to it.
+    """
+
+    id = "torque-constant"
+    title = "Misjudged torque constant"
+    equation = "K' = s K (torque and back-EMF)"
+    independently = "turn the motor from outside and measure its open-circuit voltage per speed"
+    spread = 0.12
+    tolerance = 0.03
+    quantity = "torque constant and back-EMF constant"
+
+    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
+        others = [k for k in range(model.own) if k != current]
+        return [(k, current) for k in others] + [(current, k) for k in others]
+
+
+class Stiffness(GroundedEffect):
+    r"""Stiffness: a misjudged spring, or a spring to ground at a joint that has none.
+
+    .. math:: k' = s\,k \quad\text{(parameter)}, \qquad f = -k\,q \quad\text{(joint; zero force at the position's zero)}
+    """
+
+    id = "stiffness"
+    title = "Stiffness, misjudged or missing"
+    equation = "k' = s k; f = -k q at a joint without a spring"
+    independently = "push with known forces and read the displacement"
+    spread = 0.4
+    tolerance = 0.05
+    quantity = "stiffness"
+    symbol = "k"
+    of = "position"
+
+    def at_joint(self, scales: Scales) -> EffectParameter:
+        unit = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
+        prior = Prior("log", 0.3 * scales.force / scales.position, 1.5)
+        return EffectParameter("k", unit, "stiffness of a spring to ground", prior)
+
+
+class ViscousFriction(GroundedEffect):
+    r"""Viscous friction: a misjudged coefficient, or friction at a joint whose equation has none.
+
+    .. math:: b' = s\,b \quad\text{(parameter)}, \qquad f = -b\,v \quad\text{(joint)}
+    """
+
+    id = "viscous-friction"
+    title = "Viscous friction, misjudged or missing"
+    equation = "b' = s b; f = -b v at a joint without friction"
+    independently = "measure the no-load current at several speeds"
+    spread = 1.5
+    tolerance = 1.0
+    quantity = "viscous friction"
+    symbol = "b"
+    of = "velocity"
+
+    def at_joint(self, scales: Scales) -> EffectParameter:
+        unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.speed_unit else ""
+        prior = Prior("log", 0.1 * scales.force / scales.speed, 1.5)
+        return EffectParameter("b", unit, "viscous friction to ground", prior)
+
+
+EFFECTS = (
+    Inertia(),
+    CentreOfMass(),
+    GravityDirection(),
+    Resistance(),
+    TorqueConstant(),
+    Stiffness(),
+    ViscousFriction(),
+)

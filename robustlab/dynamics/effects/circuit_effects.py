@@ -1,12 +1,4 @@
-r"""A winding that warms up: a resistance that grows with the heat it has taken.
-
-.. math:: f = -\Delta R\, i, \qquad T\, \dot{\Delta R} = \kappa\, i^2 - \Delta R
-
-f is a voltage. One thermal body that is cold at the beginning of the run: at a steady current the resistance grows by
-:math:`\kappa i^2 (1 - e^{-t/T})`. :math:`\kappa` is in ohm per square ampere: 0.39 % of the winding's resistance per K
-(copper), times its thermal resistance, times the resistance that heats it. A record much shorter than T shows the
-ratio :math:`\kappa / T` alone.
-"""
+"""Effects at a motor's current: what its brushes and its warming take of the voltage."""
 
 from __future__ import annotations
 
@@ -14,9 +6,37 @@ import math
 from collections.abc import Mapping
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.friction_effects import dry_force
 from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
 
-__all__ = ["EFFECT", "heating_drop"]
+__all__ = ["EFFECTS", "heating_drop"]
+
+
+class BrushDrop(Effect):
+    r"""Voltage drop of brushes: a constant voltage against the current.
+
+    .. math::
+        f = -V_b \operatorname{sgn} i, \qquad |f| \le V_b \text{ and } i = 0 \text{ while no current breaks through}
+
+    The same law as dry friction, at a current.
+    """
+
+    id = "brush-drop"
+    title = "Brush voltage drop"
+    equation = "f = -Vb sgn(i), |f| <= Vb at i = 0"
+    independently = "measure voltage and current at the terminals with the rotor held"
+    constant_loss = "voltage"
+    site_kind = "current"
+    force = dry_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("log", 0.05 * scales.force, 1.2)
+        return (EffectParameter("Vb", scales.force_unit, "voltage drop", prior),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Describing function of the relay at a sine of the current amplitude a: 4 Vb / (pi a).
+        gain = 4.0 * values["Vb"] / (math.pi * amplitude)
+        return Footprint(site.name, "current", 0.0, gain, offset=values["Vb"], describing=gain)
 
 
 @law
@@ -31,7 +51,15 @@ def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class ResistanceHeating(Effect):
-    """Resistance that grows with the temperature of the winding."""
+    r"""A winding that warms up: a resistance that grows with the heat it has taken.
+
+    .. math:: f = -\Delta R\, i, \qquad T\, \dot{\Delta R} = \kappa\, i^2 - \Delta R
+
+    f is a voltage. One thermal body that is cold at the beginning of the run: at a steady current the resistance grows
+    by :math:`\kappa i^2 (1 - e^{-t/T})`. :math:`\kappa` is in ohm per square ampere: 0.39 % of the winding's resistance
+    per K (copper), times its thermal resistance, times the resistance that heats it. A record much shorter than T shows
+    the ratio :math:`\kappa / T` alone.
+    """
 
     id = "resistance-heating"
     title = "Heating of the winding"
@@ -62,4 +90,4 @@ def _rise(scales: Scales) -> float:
     return 0.2 * scales.force / scales.current / (scales.current / 3.0) ** 2
 
 
-EFFECT = ResistanceHeating()
+EFFECTS = (BrushDrop(), ResistanceHeating())

@@ -1,0 +1,522 @@
+"""Effects that are friction at a joint: dry, elastic, uneven, of a gear, viscous, of a fluid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numba as nb
+
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.load_effects import order_parameter, orders_or_usual, wave_mean
+from robustlab.dynamics.ports.law_kernel import (
+    CLOSE,
+    GQ,
+    GV,
+    Q0,
+    SECANTS,
+    STEP,
+    V0,
+    Q,
+    V,
+    bracket,
+    dry_mean_force,
+    guess,
+    is_open,
+    law,
+    narrowed,
+)
+
+__all__ = [
+    "EFFECTS",
+    "asymmetric_force",
+    "drag_force",
+    "dry_force",
+    "loss_force",
+    "presliding_force",
+    "stribeck_force",
+    "uneven_force",
+]
+
+
+@law
+def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Mean over the step of p = (F_c,), exact for a constant drive, with sticking and reversals."""
+    return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
+
+
+class CoulombFriction(Effect):
+    r"""Dry friction: a force of constant size against the motion that holds the joint at rest.
+
+    .. math:: f = -F_c \operatorname{sgn} v, \qquad |f| \le F_c \text{ and } v = 0 \text{ while the joint sticks}
+    """
+
+    id = "coulomb-friction"
+    title = "Coulomb (dry) friction"
+    equation = "f = -Fc sgn(v), |f| <= Fc at rest"
+    independently = "measure the breakaway force or torque with a spring balance in both directions"
+    person = "Coulomb"
+    constant_loss = "torque"
+    site_kind = "joint"
+    force = dry_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("log", 0.1 * scales.force, 1.2)
+        return (EffectParameter("Fc", scales.force_unit, "friction level", prior),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all
+        # speeds up to the amplitude reaches from there down to nothing at all above it, as damping.
+        gain = 4.0 * values["Fc"] / (math.pi * amplitude)
+        return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"], describing=gain)
+
+
+ROUNDING = 1e-13
+
+
+@law
+def uneven_dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Mean over the step of p = (F_+, F_-), exact for a constant drive."""
+    level, load = 0.5 * (p[0] + p[1]), 0.5 * (p[0] - p[1])
+    force = dry_mean_force(seen[V0], seen[V] - seen[GV] * load, seen[GV], level, 0.0, 1.0) - load
+    sticks = -seen[V] / seen[GV]
+    return sticks if abs(force - sticks) <= ROUNDING * level else force  # at rest exactly, whatever the load rounded
+
+
+class AsymmetricCoulombFriction(Effect):
+    r"""Dry friction whose level differs between the directions.
+
+    .. math:: f = -F_+ \ (v > 0), \qquad f = F_- \ (v < 0), \qquad -F_+ \le f \le F_- \text{ while the joint sticks}
+
+    With :math:`\bar F = (F_+ + F_-)/2` and :math:`d = (F_+ - F_-)/2` this is Coulomb friction of the level :math:`\bar
+    F` and a constant load d, sliding as well as sticking: no record of the motion tells the two apart. What does is to
+    change the load (turn the machine on its side): the friction keeps its difference, a load goes with gravity.
+    """
+
+    id = "asymmetric-coulomb-friction"
+    title = "Direction-dependent Coulomb friction"
+    equation = "f = -F_pos for v > 0, F_neg for v < 0, -F_pos <= f <= F_neg at rest"
+    independently = "turn the machine on its side: a load changes, friction does not"
+    site_kind = "joint"
+    force = uneven_dry_force
+    refines = "coulomb-friction"
+    equals = ("coulomb-friction", "constant-load")
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("log", 0.1 * scales.force, 1.2)
+        return (
+            EffectParameter("F_pos", scales.force_unit, "friction level forwards", prior),
+            EffectParameter("F_neg", scales.force_unit, "friction level backwards", prior),
+        )
+
+    def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        return {"Fc": 0.5 * (values["F_pos"] + values["F_neg"])}
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # At a sine of the speed amplitude a the first harmonic is that of the mean level, 4 F / (pi a).
+        gain = 2.0 * (values["F_pos"] + values["F_neg"]) / (math.pi * amplitude)
+        return Footprint(site.name, "speed", 0.0, gain, offset=max(values["F_pos"], values["F_neg"]), describing=gain)
+
+
+@law
+def stribeck_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Mean over the step of p = (F_c, dF, v_s), with sticking, breakaway and reversals."""
+    return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], p[1], p[2])
+
+
+class StribeckFriction(Effect):
+    r"""Stribeck friction: dry friction whose level falls from breakaway to sliding as the joint gathers speed.
+
+    .. math::
+        f = -\left(F_c + \Delta F\, e^{-(v/v_s)^2}\right) \operatorname{sgn} v,
+        \qquad |f| \le F_c + \Delta F \text{ at rest}
+
+    References
+    ----------
+    Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
+    control of machines with friction*, Automatica 30 (1994), eq. 5.
+    """
+
+    id = "stribeck-friction"
+    title = "Stribeck friction"
+    equation = "f = -(Fc + dF exp(-(v/vs)^2)) sgn(v), |f| <= Fc + dF at rest"
+    independently = "measure the breakaway force and the force at a slow constant speed with a spring balance"
+    person = "Stribeck"
+    site_kind = "joint"
+    force = stribeck_force
+    refines = "coulomb-friction"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        force, speed = scales.force, scales.speed
+        return (
+            EffectParameter("Fc", scales.force_unit, "friction level at speed", Prior("log", 0.1 * force, 1.2)),
+            EffectParameter("dF", scales.force_unit, "breakaway above that level", Prior("log", 0.1 * force, 1.2)),
+            EffectParameter("vs", scales.speed_unit, "Stribeck velocity", Prior("log", 0.02 * speed, 1.2)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        level = 0.1 * scales.force
+        return tuple({"Fc": level, "dF": level, "vs": share * scales.speed} for share in (0.005, 0.03))
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Describing function at a sine of this speed amplitude a, with D Dawson's integral and r = a / vs:
+        # 4 (Fc + dF D(r) / r) / (pi a). The force always opposes the motion.
+        from scipy.special import dawsn
+
+        ratio = amplitude / values["vs"]
+        gain = 4.0 * (values["Fc"] + values["dF"] * float(dawsn(ratio)) / ratio) / (math.pi * amplitude)
+        level = values["Fc"] + values["dF"]
+        return Footprint(site.name, "speed", 0.0, gain, offset=level, describing=gain)
+
+
+@nb.njit(cache=True)
+def _contact_stretch(deflection, way, limit):  # type: ignore[no-untyped-def]
+    """Deflection after the contact has moved by ``way``, and its mean over that way; ``limit`` is g."""
+    x = abs(way) / limit
+    end = math.copysign(limit, way)
+    left = math.exp(-x)
+    mean = 1.0 - 0.5 * x if x < 1e-8 else -math.expm1(-x) / x
+    return end + (deflection - end) * left, end + (deflection - end) * mean
+
+
+@nb.njit(cache=True)
+def _contact(force, args):  # type: ignore[no-untyped-def]
+    """Deflection at the end of the step under this force, and the deflection whose force acts over the step."""
+    v0, v_free, compliance, h, start, limit, stiffness = args
+    v1 = v_free + compliance * force
+    stiff = (0.5 * compliance * h * stiffness) ** 4
+    if v0 * v1 < 0.0:
+        share = v0 / (v0 - v1)
+        turned, mean = _contact_stretch(start, 0.5 * share * h * v0, limit)
+        end, back = _contact_stretch(turned, 0.5 * (1.0 - share) * h * v1, limit)
+        acting = end
+        if abs(v_free - v0) > compliance * stiffness * limit:  # what drives it cannot be held: it slides back
+            acting = share * mean + (1.0 - share) * end
+        return end, (share * mean + (1.0 - share) * back + stiff * acting) / (1.0 + stiff)
+    end, mean = _contact_stretch(start, 0.5 * h * (v0 + v1), limit)
+    return end, (mean + stiff * end) / (1.0 + stiff)
+
+
+@nb.njit(cache=True)
+def _contact_residual(force, args):  # type: ignore[no-untyped-def]
+    return force + args[6] * _contact(force, args)[1]
+
+
+@law
+def presliding_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (F_c, sigma_0); the residual rises with the force at a slope of at least one."""
+    limit = p[0] / p[1]
+    start = min(max(z[0], -limit), limit)
+    args = (seen[V0], seen[V], seen[GV], seen[STEP], start, limit, p[1])
+    b = bracket(-p[0], _contact_residual(-p[0], args), p[0], _contact_residual(p[0], args))
+    while is_open(b):
+        force = guess(b)
+        b = narrowed(b, force, _contact_residual(force, args))
+    force = b[0]
+    z_next[0] = _contact(force, args)[0]
+    return force
+
+
+class Presliding(Effect):
+    r"""Presliding: dry friction whose contact gives way like a spring before it slides.
+
+    .. math:: f = -\sigma_0 z, \qquad \dot z = v - \frac{|v|\, z}{g}, \qquad g = \frac{F_c}{\sigma_0}
+
+    Over a stretch s in one direction the contact's deflection is exactly :math:`z \to \pm g + (z \mp g) e^{-|s|/g}`, at
+    any speed (Dahl; LuGre without its damping). The step is one such stretch, or two where the velocity turns. The
+    force is the mean over the way, whose work is exactly what the contact stores and dissipates. A contact that is
+    stiffer than the step can follow would ring: there the force is the one at the end of the step, with which it comes
+    to rest; only of a first stretch that is followed by sliding the other way its mean counts for its share of the
+    step. With :math:`c = \sigma_0 g_v h / 2`, half the square of the contact's frequency in steps, the force is
+    :math:`(f_\mathrm{mean} + c^4 f_\mathrm{end}) / (1 + c^4)`.
+
+    References
+    ----------
+    Dahl, *A solid friction model* (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, *A new model for control of
+    systems with friction*, IEEE Trans. Automatic Control 40 (1995).
+    """
+
+    id = "presliding"
+    title = "Presliding (elastic dry friction)"
+    equation = "f = -sigma0 z, z' = v - |v| z sigma0 / Fc"
+    site_kind = "joint"
+    force = presliding_force
+    memory = 1
+    refines = "coulomb-friction"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        unit = f"{scales.force_unit}/{scales.speed_unit.removesuffix('/s')}" if scales.force_unit else ""
+        stiffness = 0.1 * scales.force / (1e-3 * scales.position)
+        return (
+            EffectParameter("Fc", scales.force_unit, "friction level", Prior("log", 0.1 * scales.force, 1.2)),
+            EffectParameter("sigma0", unit, "stiffness of the contact", Prior("log", stiffness, 2.5)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        level = 0.1 * scales.force
+        return tuple({"Fc": level, "sigma0": level / (g * scales.position)} for g in (1e-4, 1e-3, 1e-2))
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # In a steady loop of the position amplitude a the force stays within Fc tanh(sigma0 a / Fc); its first harmonic
+        # is at most 4/pi of that.
+        level = values["Fc"]
+        gain = 4.0 / math.pi * level * math.tanh(values["sigma0"] * amplitude / level) / amplitude
+        return Footprint(site.name, "position", 0.0, gain, offset=level)
+
+
+@nb.njit(cache=True)
+def _level_force(level, args):  # type: ignore[no-untyped-def]
+    return dry_mean_force(args[0], args[1], args[2], level, 0.0, 1.0)
+
+
+@nb.njit(cache=True)
+def _level_residual(level, args):  # type: ignore[no-untyped-def]
+    """Excess of a level over the one on the way that its friction leaves."""
+    _, _, _, q0, q_free, gq, fc, pc, ps, k = args
+    return level - max(0.0, fc + wave_mean(q0, q_free + gq * _level_force(level, args), pc, ps, k))
+
+
+@law
+def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (F_c, P_c, P_s, k)."""
+    args = (seen[V0], seen[V], seen[GV], seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2], p[3])
+    most = max(0.0, p[0]) + abs(p[1]) + abs(p[2])
+    # The friction hardly changes the way: a secant from the mean level is there in three or four looks.
+    before, r_before = max(0.0, p[0]), _level_residual(max(0.0, p[0]), args)
+    level = before - r_before
+    for _ in range(SECANTS):
+        r = _level_residual(level, args)
+        if abs(r) <= CLOSE * most:
+            return _level_force(level, args)
+        if abs(r) > 0.5 * abs(r_before):
+            break
+        before, r_before, level = level, r, level - r * (level - before) / (r - r_before)
+    b = bracket(0.0, _level_residual(0.0, args), most, _level_residual(most, args))
+    while is_open(b):
+        level = guess(b)
+        b = narrowed(b, level, _level_residual(level, args))
+    return _level_force(b[0], args)
+
+
+class PositionDependentFriction(Effect):
+    r"""Dry friction whose level goes up and down over the position: a bent shaft, an uneven screw or gear.
+
+    .. math:: f = -\max(0,\ F_c + P_c \cos kq + P_s \sin kq) \operatorname{sgn} v
+
+    The level of a step is its mean over the way of the step, at the way that the force itself brings about.
+    """
+
+    id = "position-dependent-friction"
+    title = "Position-dependent friction"
+    equation = "f = -max(0, Fc + Pc cos(k q) + Ps sin(k q)) sgn(v)"
+    site_kind = "joint"
+    amplitude = ("P", "Pc", "Ps")
+    needs_position = True
+    force = uneven_force
+    refines = "coulomb-friction"
+    spatial = True
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        wave = Prior("linear", 0.0, 0.1 * scales.force)
+        return (
+            EffectParameter("Fc", scales.force_unit, "mean friction level", Prior("log", 0.1 * scales.force, 1.2)),
+            EffectParameter("Pc", scales.force_unit, "cosine part of the level", wave),
+            EffectParameter("Ps", scales.force_unit, "sine part of the level", wave),
+            order_parameter(scales),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        # Both parts start at zero, where every phase is equally near.
+        level = 0.1 * scales.force
+        return tuple({"Fc": level, "Pc": 0.0, "Ps": 0.0, "k": k} for k in orders_or_usual(scales))
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # As Coulomb friction of the highest level: 4 F / (pi a) at a sine of the speed amplitude a.
+        most = values["Fc"] + math.hypot(values["Pc"], values["Ps"])
+        return Footprint(site.name, "speed", 0.0, 4.0 * most / (math.pi * amplitude), offset=most)
+
+
+@law
+def loss_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (1 - eta,)."""
+    level = p[0] * abs(seen[V] - seen[V0]) / seen[GV]
+    return dry_mean_force(seen[V0], seen[V], seen[GV], level, 0.0, 1.0)
+
+
+class GearEfficiency(Effect):
+    r"""Gear losses: dry friction in proportion to the force that drives the joint.
+
+    .. math:: f = -(1 - \eta)\, |T| \operatorname{sgn} v
+
+    T is the net force of the step at the joint without this loss, :math:`T = (v_\mathrm{free} - v_0)/g_v`: what
+    accelerates the inertia behind the gear. The joint speeds up with :math:`\eta T` and slows down with :math:`(2 -
+    \eta) T`.
+    """
+
+    id = "gear-efficiency"
+    title = "Gear efficiency"
+    equation = "f = -(1 - eta) |T| sgn(v), T the net force at the joint"
+    independently = "measure the input torque at two known loads"
+    site_kind = "joint"
+    force = loss_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return (EffectParameter("eta", "", "efficiency of the transmission", Prior("share", 0.85, 1.0)),)
+
+    def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        return (1.0 - values["eta"],)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # A gain on the driving force between -(1 - eta) (driving) and 1 - eta (braking), at any amplitude.
+        loss = 1.0 - values["eta"]
+        return Footprint(site.name, "force", -loss, loss)
+
+
+@law
+def directional_loss(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Mean over the step of p = (k_d, k_b), exact for a constant drive; beyond k_d = 1 nothing sets it in motion."""
+    drive = seen[V] - seen[V0]  # T times the compliance
+    driven = min(p[0], 1.0)
+    if seen[V0] * drive >= 0.0:
+        return -driven * drive / seen[GV]
+    share = abs(seen[V0]) / ((1.0 + p[1]) * abs(drive))  # of the step until it stops
+    if share >= 1.0:
+        return p[1] * drive / seen[GV]
+    return ((1.0 - share) * (1.0 - driven) * drive - seen[V]) / seen[GV]
+
+
+class LoadDependentFriction(Effect):
+    r"""Friction in proportion to the load that a gear passes on, with one share while driven and another while braking.
+
+    .. math::
+        f = -k\, |T| \operatorname{sgn} v, \qquad k = k_d \text{ where } T v > 0 \text{ (driving)}, \quad
+        k_b \text{ where } T v < 0 \text{ (back-driving)}
+
+    T is the net force of the step at the joint without this friction, as in
+    `GearEfficiency`, which is :math:`k_d = k_b = 1 - \eta`: a worm gear takes more while it is driven from behind. A
+    constant part is Coulomb friction. What rests on the gear without moving it (a weight held by the motor) is not in
+    T; where loads are held, the friction of the gear grows by more than this.
+
+    Under a constant T a step is known in closed form: on with :math:`(1 - k_d) T`, or slower by :math:`(1 + k_b) |T|`
+    to a stop, and from there the other way.
+
+    References
+    ----------
+    Duclusaud, Passault, Padois, Ly, *Extended Friction Models for the Physics Simulation of Servo Actuators*, arXiv
+    2410.08650 (2024): load-dependent and directional models, there of the torques of motor and load.
+    """
+
+    id = "load-dependent-friction"
+    title = "Load-dependent friction, driven and back-driven"
+    equation = "f = -k |T| sgn(v), k = kd while T drives, kb while it brakes; T the net force at the joint"
+    independently = "measure the input torque while lifting and while lowering a known load"
+    site_kind = "joint"
+    force = directional_loss
+    refines = "gear-efficiency"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return (
+            EffectParameter("kd", "", "share lost while driven", Prior("share", 0.15, 1.0)),
+            EffectParameter("kb", "", "share lost while back-driven", Prior("log", 0.15, 1.0)),
+        )
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # A gain on the driving force between -kd (driving) and kb (braking), at any amplitude.
+        most = max(values["kd"], values["kb"])
+        return Footprint(site.name, "force", -most, most)
+
+
+# The half that pushes along is cut at this share of the velocity per half step: beyond, it would gather speed faster
+# than the step can follow (a time constant below the step).
+MOST_PUSH = 0.5
+
+
+@law
+def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Force of p = (dF_v,) at the mean of the speed over the step."""
+    v0, v1, gv = seen[V0], seen[V], seen[GV]
+    free = 0.5 * (v0 + v1)  # mean velocity without the force
+    gain = 0.5 * gv * p[0]
+    opposing = gain if free > 0.0 else -gain
+    force = -p[0] * abs(free) / (1.0 + max(opposing, -MOST_PUSH))
+    if v0 * (v1 + gv * force) >= 0.0:
+        return force
+    way = 1.0 if v1 > v0 else -1.0
+    linear, last = way * (v1 - v0) + 2.0 * gain * v1, p[0] * (v0 * v0 + v1 * v1)
+    inside = linear * linear - gv * (2.0 * way + p[0] * gv) * last
+    if linear <= 0.0 or inside < 0.0:  # the force itself turns the motion within the step
+        return force
+    return -last / (linear + math.sqrt(inside))
+
+
+class AsymmetricViscousFriction(Effect):
+    r"""Viscous friction that differs between the directions: the plant's own, more one way and less the other.
+
+    .. math:: f = -\Delta F_v\, |v|
+
+    that is, :math:`+\Delta F_v` on the viscous coefficient forwards and :math:`-\Delta F_v` backwards. Over a step the
+    force is that of the mean of :math:`|v|`; where the velocity runs from :math:`v_0` through zero to :math:`v_1`, this
+    is :math:`(v_0^2 + v_1^2) / (2 |v_1 - v_0|)`, and the force solves a quadratic equation.
+    """
+
+    id = "asymmetric-viscous-friction"
+    title = "Direction-dependent viscous friction"
+    equation = "f = -dFv |v|: viscous coefficient +dFv forwards, -dFv backwards"
+    site_kind = "joint"
+    force = asymmetric_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.force_unit else ""
+        prior = Prior("linear", 0.0, 0.3 * scales.force / scales.speed)
+        return (EffectParameter("dFv", unit, "half of the difference of the directions' coefficients", prior),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Sector of -dFv |v| over v: either sign, at any amplitude.
+        size = abs(values["dFv"])
+        return Footprint(site.name, "speed", -size, size)
+
+
+@law
+def drag_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (c,); the mean velocity v solves v + (gv c / 2) v |v| = its value without the drag."""
+    free = 0.5 * (seen[V0] + seen[V])
+    v = 2.0 * free / (1.0 + math.sqrt(1.0 + 2.0 * seen[GV] * p[0] * abs(free)))
+    return -p[0] * v * abs(v)
+
+
+class QuadraticDrag(Effect):
+    r"""Quadratic drag: fans, fluids, windage.
+
+    .. math:: f = -c\, v |v|
+
+    Over a step, at the mean of the velocities at its start and its end: a quadratic equation for the force.
+    """
+
+    id = "quadratic-drag"
+    title = "Quadratic drag"
+    equation = "f = -c v |v|"
+    independently = "let it run down from full speed without drive"
+    site_kind = "joint"
+    force = drag_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        unit = f"{scales.force_unit}/({scales.speed_unit})2" if scales.force_unit else ""
+        prior = Prior("log", 0.1 * scales.force / scales.speed**2, 1.5)
+        return (EffectParameter("c", unit, "drag coefficient", prior),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Sector of c v |v| over |v| <= a; its describing function is 8 c a / (3 pi), inside.
+        return Footprint(site.name, "speed", 0.0, values["c"] * amplitude)
+
+
+EFFECTS = (
+    CoulombFriction(),
+    AsymmetricCoulombFriction(),
+    StribeckFriction(),
+    Presliding(),
+    PositionDependentFriction(),
+    GearEfficiency(),
+    LoadDependentFriction(),
+    AsymmetricViscousFriction(),
+    QuadraticDrag(),
+)

@@ -1,0 +1,268 @@
+"""Effects that are a load: constant, of gravity, or periodic over the position or the time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numba as nb
+
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import CLOSE, GQ, Q0, STEP, TIME, Q, bracket, guess, is_open, law, narrowed
+from robustlab.dynamics.ports.port_model import Port
+
+__all__ = ["EFFECTS", "cogging_force", "order_parameter", "order_prior", "orders_or_usual", "wave_mean"]
+
+
+SMALL_ANGLE = 0.1  # below: the series of sin(x)/x to x^6 is exact to 3e-14
+USUAL_TURNS = (1.0, 2.0, 4.0)  # rad per rad: once, twice, four times a turn
+USUAL_PERIODS = (5.0, 10.0, 20.0)  # periods in the range of a straight axis
+
+
+@nb.njit(cache=True)
+def wave_mean(start, end, cosine, sine, k):  # type: ignore[no-untyped-def]
+    """Mean of ``cosine cos(k q) + sine sin(k q)`` over the way from ``start`` to ``end``."""
+    return wave_mean_and_slope(start, end, cosine, sine, k)[0]
+
+
+@nb.njit(cache=True)
+def wave_mean_and_slope(start, end, cosine, sine, k):  # type: ignore[no-untyped-def]
+    """The same, and its slope over ``end``, good to the square of half the angle of the way."""
+    half, middle = 0.5 * k * (end - start), 0.5 * k * (start + end)
+    x = half * half
+    shrink = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0)) if abs(half) < SMALL_ANGLE else math.sin(half) / half
+    c, s = math.cos(middle), math.sin(middle)
+    return shrink * (cosine * c + sine * s), 0.5 * k * shrink * (sine * c - cosine * s)
+
+
+def orders_or_usual(scales: Scales) -> tuple[float, ...]:
+    """Spatial frequencies to start from: the three strongest lines seen, else the usual ones."""
+    if scales.orders:
+        return scales.orders[:3]
+    if scales.position_unit == "rad":
+        return USUAL_TURNS
+    return tuple(2.0 * math.pi * n / scales.position for n in USUAL_PERIODS)
+
+
+def order_parameter(scales: Scales) -> EffectParameter:
+    """The spatial frequency k of a force over the position."""
+    unit = f"rad/{scales.position_unit}" if scales.position_unit else ""
+    return EffectParameter("k", unit, "spatial frequency", order_prior(scales))
+
+
+def order_prior(scales: Scales) -> Prior:
+    """Prior of a spatial frequency: half a line's width around the line that was seen, else a decade."""
+    centre = orders_or_usual(scales)[0]
+    if not scales.orders:
+        return Prior("log", centre, 1.2)
+    periods = centre * scales.position / (2.0 * math.pi)
+    return Prior("log", centre, min(0.3, 0.5 / periods))
+
+
+@law
+def load_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (T_0,)."""
+    return -p[0]
+
+
+class ConstantLoad(Effect):
+    r"""Constant load: gravity along the axis, a preload, or an offset.
+
+    .. math:: f = -T_0
+    """
+
+    id = "constant-load"
+    title = "Constant load"
+    equation = "f = -T0"
+    independently = "turn the machine on its side or take the weight off"
+    site_kind = "joint"
+    force = load_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("linear", 0.0, 0.3 * scales.force)
+        return (EffectParameter("T0", scales.force_unit, "load against the positive direction", prior),)
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        """On either side: beside dry friction, which a load holds at rest, no load may be the bottom of a valley."""
+        return tuple({"T0": side * 0.15 * scales.force} for side in (1.0, -1.0))
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        return Footprint(site.name, "speed", 0.0, 0.0, offset=abs(values["T0"]))
+
+
+LOOKS = 6  # before the root is bracketed
+
+
+@nb.njit(cache=True)
+def _wave_residual(force, args):  # type: ignore[no-untyped-def]
+    q0, q_free, gq, cosine, sine, k = args
+    return force - wave_mean(q0, q_free + gq * force, cosine, sine, k)
+
+
+@law
+def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (A_c, A_s, k)."""
+    most = abs(p[0]) + abs(p[1])
+    args = (seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2])
+    # The force hardly changes the way: Newton steps from no force at all are there after two looks. What it does back
+    # to its mean is at most `feedback`; the slope at one place says less: none where a crest is the middle of the way.
+    force, feedback = 0.0, 0.5 * seen[GQ] * abs(p[2]) * most
+    for _ in range(LOOKS if feedback < 0.5 else 0):
+        mean, slope = wave_mean_and_slope(seen[Q0], seen[Q] + seen[GQ] * force, p[0], p[1], p[2])
+        r = force - mean
+        force -= r / (1.0 - seen[GQ] * slope)
+        if abs(r) * feedback <= CLOSE * most:
+            return force
+    b = bracket(-most, _wave_residual(-most, args), most, _wave_residual(most, args))
+    while is_open(b):
+        force = guess(b)
+        b = narrowed(b, force, _wave_residual(force, args))
+    return b[0]
+
+
+class Cogging(Effect):
+    r"""Cogging, torque ripple: a force that is periodic in the position and the same both ways.
+
+    .. math:: f = A_c \cos kq + A_s \sin kq
+
+    Over a step it is the mean over the way of the step, at the way that the force itself brings about; its work is then
+    exactly the difference of the potential, so that the step neither makes nor loses energy.
+    """
+
+    id = "cogging"
+    title = "Cogging (force ripple)"
+    equation = "f = Ac cos(k q) + As sin(k q)"
+    independently = "turn it slowly by hand without power"
+    site_kind = "joint"
+    amplitude = ("A", "Ac", "As")
+    needs_position = True
+    force = cogging_force
+    spatial = True
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        wave = Prior("linear", 0.0, 0.2 * scales.force)
+        return (
+            EffectParameter("Ac", scales.force_unit, "cosine part", wave),
+            EffectParameter("As", scales.force_unit, "sine part", wave),
+            order_parameter(scales),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        # Both parts start at zero, where every phase is equally near.
+        return tuple({"Ac": 0.0, "As": 0.0, "k": k} for k in orders_or_usual(scales))
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Its slope over the position, a stiffness of either sign, lies within k A; its size within A.
+        size = math.hypot(values["Ac"], values["As"])
+        return Footprint(site.name, "position", -values["k"] * size, values["k"] * size, offset=size)
+
+
+class PendulumGravity(Effect):
+    r"""Gravity of a pendulum: a weight off the axis of a joint that turns.
+
+    .. math:: f = -(G \sin q + H \cos q) = -m g l\, \sin(q - q_0), \qquad m g l = \sqrt{G^2 + H^2}, \quad
+       q_0 = -\operatorname{atan2}(H, G)
+
+    :math:`q_0` is the reading of the position at which the weight hangs straight down; the encoder's zero need not be
+    there. The period is a turn by nature and no parameter: over a short stroke it is this that tells gravity from a
+    cogging of any period. Over a step the force is that of `Cogging`: its work is exactly the difference of the
+    potential.
+    """
+
+    id = "pendulum-gravity"
+    title = "Gravity of a pendulum"
+    equation = "f = -(G sin(q) + H cos(q)), m g l = sqrt(G^2 + H^2)"
+    independently = "weigh the load at a known distance from the axis, or turn the axis upright"
+    site_kind = "joint"
+    amplitude = ("m g l", "G", "H")
+    needs_position = True
+    force = cogging_force
+
+    def fits(self, port: Port) -> bool:
+        return super().fits(port) and port.position_unit == "rad"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("linear", 0.0, 0.5 * scales.force)
+        return (
+            EffectParameter("G", scales.force_unit, "m g l times the cosine of the position of rest", prior),
+            EffectParameter("H", scales.force_unit, "-m g l times the sine of the position of rest", prior),
+        )
+
+    def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        return -values["H"], -values["G"], 1.0
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Its slope over the position, a stiffness of either sign, lies within m g l; so does its size.
+        size = math.hypot(values["G"], values["H"])
+        return Footprint(site.name, "position", -size, size, offset=size)
+
+
+MAINS = (50.0, 100.0, 60.0, 120.0)  # Hz: of both kinds of mains, and of what a rectifier makes of them
+
+
+@law
+def ripple_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (A_c, A_s, f); outside of time (no finite TIME) its mean."""
+    if not math.isfinite(seen[TIME]):
+        return 0.0
+    return wave_mean(seen[TIME], seen[TIME] + seen[STEP], p[0], p[1], 2.0 * math.pi * p[2])
+
+
+class TorqueRipple(Effect):
+    r"""Ripple of the force over time: mains, a beat of two clocks, an unbalanced neighbour.
+
+    .. math:: f = A_c \cos 2 \pi f t + A_s \sin 2 \pi f t
+
+    t counts from the first sample of the record (`robustlab.dynamics.extended.simulator.Simulator` from its ``t0``): of
+    two records that were not started by the ripple itself, each has phases of its own. Over a step the force is its
+    mean over the step's time.
+    """
+
+    id = "torque-ripple"
+    title = "Ripple over time"
+    equation = "f = Ac cos(2 pi f t) + As sin(2 pi f t)"
+    independently = "record the position while the machine stands under power"
+    site_kind = "joint"
+    amplitude = ("A", "Ac", "As")
+    force = ripple_force
+    timed = "f"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        wave = Prior("linear", 0.0, 0.2 * scales.force)
+        return (
+            EffectParameter("Ac", scales.force_unit, "cosine part", wave),
+            EffectParameter("As", scales.force_unit, "sine part", wave),
+            EffectParameter("f", "Hz", "frequency", _frequency_prior(scales)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        # Both parts start at zero, where every phase is equally near.
+        return tuple({"Ac": 0.0, "As": 0.0, "f": f} for f in _lines_or_mains(scales))
+
+    def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
+        angle = 2.0 * math.pi * values["f"] * later
+        turn, ac, as_ = complex(math.cos(angle), math.sin(angle)), values["Ac"], values["As"]
+        wave = complex(ac, -as_) * turn  # Ac cos + As sin is the real part of (Ac - i As) exp(2 pi i f t)
+        return {**values, "Ac": wave.real, "As": -wave.imag}
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # No gain of the motion at all: a bounded load.
+        return Footprint(site.name, "time", 0.0, 0.0, offset=math.hypot(values["Ac"], values["As"]))
+
+
+def _lines_or_mains(scales: Scales) -> tuple[float, ...]:
+    """Frequencies to start from: the lines seen, else those of the mains that the sampling shows."""
+    shown = tuple(f for f in MAINS if f < 0.5 / scales.dt)
+    return scales.lines or shown or (0.1 / scales.dt,)
+
+
+def _frequency_prior(scales: Scales) -> Prior:
+    """Prior of the frequency: half a line's width around the line that was seen, else the range of the mains."""
+    starts = _lines_or_mains(scales)
+    centre = math.exp(sum(map(math.log, starts)) / len(starts))
+    if len(scales.lines) == 1:
+        return Prior("log", centre, min(0.3, 0.5 / (centre * scales.duration)))
+    return Prior("log", centre, 0.5)
+
+
+EFFECTS = (ConstantLoad(), Cogging(), PendulumGravity(), TorqueRipple())

@@ -1,0 +1,497 @@
+"""Effects that are springs, stops and couplings at a joint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numba as nb
+import numpy as np
+
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
+from robustlab.dynamics.ports.port_model import PortModel, with_load_side
+
+__all__ = ["DAMPING", "EFFECTS", "cubic_force", "stop_force"]
+
+
+@nb.njit(cache=True)
+def _cubic_residual(force, args):  # type: ignore[no-untyped-def]
+    q0, q_free, gq, k3 = args
+    q1 = q_free + gq * force
+    return force + 0.25 * k3 * (q1 + q0) * (q1 * q1 + q0 * q0)
+
+
+@law
+def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (k_3,); hardening, the residual has a slope of at least one: -residual(0) bounds the root, and so
+    does the force that takes the mass to the mirror image of its start, where the spring has done no work.
+
+    A softening spring goes beyond that bound; twice the bound holds it as long as the step resolves the motion.
+    """
+    args = (seen[Q0], seen[Q], seen[GQ], p[0])
+    bound = -_cubic_residual(0.0, args)
+    if p[0] < 0.0:
+        bound *= 2.0
+    elif abs(seen[Q] + seen[Q0]) < seen[GQ] * abs(bound):
+        bound = -(seen[Q] + seen[Q0]) / seen[GQ]
+    low, high = min(bound, 0.0), max(bound, 0.0)
+    b = bracket(low, _cubic_residual(low, args), high, _cubic_residual(high, args))
+    while is_open(b):
+        force = guess(b)
+        b = narrowed(b, force, _cubic_residual(force, args))
+    return b[0]
+
+
+class CubicStiffness(Effect):
+    r"""Cubic stiffness: a spring that hardens (or softens) away from the position's zero.
+
+    .. math:: f = -k_3\, q^3
+
+    Over a step from :math:`q_0` to :math:`q_1` the force is :math:`-\tfrac{k_3}{4}(q_1^3 + q_1^2 q_0 + q_1 q_0^2 +
+    q_0^3)`, whose work is exactly the difference of the potential :math:`k_3 q^4 / 4` (a discrete gradient): the step
+    neither makes nor loses energy.
+
+    References
+    ----------
+    Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Science 6 (1996).
+    """
+
+    id = "cubic-stiffness"
+    title = "Cubic stiffness"
+    equation = "f = -k3 q^3"
+    independently = "push with known forces and read the displacement"
+    site_kind = "joint"
+    needs_position = True
+    force = cubic_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        unit = f"{scales.force_unit}/{scales.position_unit}3" if scales.position_unit else ""
+        prior = Prior("linear", 0.0, scales.force / (0.5 * scales.position) ** 3)
+        return (EffectParameter("k3", unit, "cubic stiffness; negative: softening", prior),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Sector of k3 q^3 over |q| <= a; its describing function is 3/4 k3 a^2, inside.
+        most = values["k3"] * amplitude**2
+        return Footprint(site.name, "position", min(0.0, most), max(0.0, most))
+
+
+@nb.njit(cache=True)
+def _push_residual(push, args):  # type: ignore[no-untyped-def]
+    """Excess of a push over the one of the contact that it leaves."""
+    before, free, v_free, gq, gv, h, stiffness, damping = args
+    after, v = free - gq * push, v_free - gv * push
+    if before <= 0.0 and after <= 0.0:
+        return push
+    if before >= 0.0 and after >= 0.0:
+        spring, share = 0.5 * stiffness * (before + after), 1.0
+    else:
+        inside = max(before, after)
+        share = inside / abs(after - before)
+        spring = 0.5 * stiffness * inside * share
+    stiff = (0.5 * damping * gv) ** 4
+    rate = ((max(after, 0.0) - max(before, 0.0)) / h + stiff * share * v) / (1.0 + stiff)
+    return push - max(0.0, spring + damping * rate)
+
+
+@nb.njit(cache=True)
+def _push(before, free, v_free, gq, gv, h, stiffness, damping):  # type: ignore[no-untyped-def]
+    if before <= 0.0 and free <= 0.0:
+        return 0.0
+    fastest = max(v_free, (max(free, 0.0) - max(before, 0.0)) / h, 0.0)
+    most = stiffness * max(before, free, 0.0) + damping * fastest
+    args = (before, free, v_free, gq, gv, h, stiffness, damping)
+    b = bracket(0.0, _push_residual(0.0, args), most, _push_residual(most, args))
+    while is_open(b):
+        push = guess(b)
+        b = narrowed(b, push, _push_residual(push, args))
+    return b[0]
+
+
+@law
+def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (q_min, q_max, k_c, d_c)."""
+    h = seen[STEP]
+    upper = _push(seen[Q0] - p[1], seen[Q] - p[1], seen[V], seen[GQ], seen[GV], h, p[2], p[3])
+    if upper > 0.0:
+        return -upper
+    return _push(p[0] - seen[Q0], p[0] - seen[Q], -seen[V], seen[GQ], seen[GV], h, p[2], p[3])
+
+
+class EndStop(Effect):
+    r"""End stops: springs with damping beyond the limits of the travel, which push and never pull.
+
+    For the upper stop, with the depth :math:`\delta = q - q_\max`,
+
+    .. math:: f = -\max(0,\ k_c\, \delta + d_c\, v) \quad (\delta > 0), \qquad f = 0 \quad (\delta \le 0)
+
+    and its mirror image at the lower one. Both limits lie within the travel that a record reaches: one that no motion
+    presses on is no parameter of it (`OneSidedSpring` is a stop on one side).
+
+    Over a step the spring's force is the one whose work is exactly the difference of its potential :math:`k_c
+    \max(\delta, 0)^2 / 2`, so that an undamped stop returns what it took even where a step is too long to see the
+    contact; the damping acts at the change of the depth over the step. A damper that stops the motion within less than
+    a step would ring: there it acts at the end velocity for the share of the way in contact, the two weighted by 1 and
+    :math:`(d_c g_v / 2)^4`.
+    """
+
+    id = "end-stop"
+    title = "End stop"
+    equation = "f = -max(0, kc (q - q_max) + dc v) beyond q_max, mirrored below q_min"
+    independently = "move it slowly by hand to its ends"
+    site_kind = "joint"
+    needs_position = True
+    force = stop_force
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        stiffness, damping = contact_scales(scales)
+        per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
+        per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
+        return (
+            EffectParameter("q_min", scales.position_unit, "lower limit", limit_prior(scales, -1)),
+            EffectParameter("q_max", scales.position_unit, "upper limit", limit_prior(scales, 1)),
+            EffectParameter("kc", per_position, "stiffness of the contact", Prior("log", stiffness, 2.5)),
+            EffectParameter("dc", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        # Soft stops that the record presses in, and hard ones near its extremes.
+        lower, upper = travel(scales)
+        stiffness, damping = contact_scales(scales)
+        return tuple(
+            {
+                "q_min": lower + depth * (upper - lower),
+                "q_max": upper - depth * (upper - lower),
+                "kc": harder * stiffness,
+                "dc": math.sqrt(harder) * damping,
+            }
+            for depth, harder in ((0.02, 1.0), (0.003, 5.0))
+        )
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Slope of the force over the position: 0 between the limits, kc beyond them (the damping is left out).
+        reached = amplitude > min(abs(values["q_min"]), abs(values["q_max"]))
+        return Footprint(site.name, "position", 0.0, values["kc"] if reached else 0.0)
+
+
+def travel(scales: Scales) -> tuple[float, float]:
+    """Lowest and highest position of the record; around zero where not known."""
+    half = 0.5 * scales.position
+    if scales.lowest is None or scales.highest is None or not scales.highest > scales.lowest:
+        return -half, half
+    return scales.lowest, scales.highest
+
+
+def limit_prior(scales: Scales, side: int) -> Prior:
+    """Prior of where a contact begins, within the travel: near its upper (1) or lower (-1) end, or anywhere (0)."""
+    lower, upper = travel(scales)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    return Prior("between", middle + 0.96 * side * half, 1.5 if side else 2.0, upper, lower)
+
+
+def contact_scales(scales: Scales) -> tuple[float, float]:
+    """Stiffness that gives by 1 % of the range under the record's force, and three tenths of its critical damping."""
+    stiffness = scales.force / (0.01 * scales.position)
+    return stiffness, 2.0 * 0.3 * math.sqrt(stiffness * scales.inertia)
+
+
+# Where a spring is looked for (share of the travel from its end), and its stiffness in `contact_scales`.
+STARTS = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))
+
+
+class OneSidedSpring(Effect):
+    r"""A spring with a damper that a joint meets beyond one position: a stop on one side, free play before a spring.
+
+    .. math::
+        f = -\max(0,\ |k| (q - q_0) + d v) \quad (q > q_0,\ k > 0), \qquad
+        f = \max(0,\ |k| (q_0 - q) - d v) \quad (q < q_0,\ k < 0)
+
+    and nothing on the other side of :math:`q_0`. It pushes and never pulls: the contact and its step are those of
+    `EndStop`, with the other stop out of reach.
+    """
+
+    id = "one-sided-spring"
+    title = "Spring or stop on one side"
+    equation = "f = -max(0, k (q - q0) + d v) above q0; with k < 0 the same below it"
+    independently = "move it slowly by hand to both of its ends"
+    site_kind = "joint"
+    needs_position = True
+    force = stop_force
+
+    def variants(self, scales: Scales) -> tuple[Scales, ...]:
+        return replace(scales, side=1), replace(scales, side=-1)
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        stiffness, damping = contact_scales(scales)
+        per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
+        per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
+        signed = Prior("log", scales.side * stiffness, 2.5) if scales.side else Prior("linear", 0.0, 5.0 * stiffness)
+        return (
+            EffectParameter("k", per_position, "stiffness; negative: of a spring below q0", signed),
+            EffectParameter("q0", scales.position_unit, "where the contact begins", limit_prior(scales, scales.side)),
+            EffectParameter("d", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        stiffness, damping = contact_scales(scales)
+        lower, upper = travel(scales)
+        ends = {1: upper, -1: lower}
+        return tuple(
+            {
+                "k": side * harder * stiffness,
+                "q0": ends[side] - side * depth * (upper - lower),
+                "d": math.sqrt(harder) * damping,
+            }
+            for side in ((scales.side,) if scales.side else (1, -1))
+            for depth, harder in STARTS
+        )
+
+    def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        lower, upper = (-math.inf, values["q0"]) if values["k"] > 0.0 else (values["q0"], math.inf)
+        return lower, upper, abs(values["k"]), values["d"]
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
+        # Slope of the force over the position: 0 before q0, |k| beyond (the damping is left out). Of a spring that is
+        # pressed at the position's zero no sector about that zero stands for it.
+        free = values["q0"] if values["k"] > 0.0 else -values["q0"]
+        if free < 0.0:
+            return None
+        return Footprint(site.name, "position", 0.0, abs(values["k"]) if amplitude > free else 0.0)
+
+
+SHORT = 1e-4  # of a way: below, its mean by the trapezoid, which is off by a twelfth of its square
+
+
+@nb.njit(cache=True)
+def _branch(z, way, rate):  # type: ignore[no-untyped-def]
+    """End and integral of z' = 1 - rate z over a way >= 0."""
+    x = rate * way
+    rise = way if x == 0.0 else -math.expm1(-x) / rate
+    end = z + (1.0 - rate * z) * rise
+    return end, 0.5 * way * (z + end) if x < SHORT else (way - (end - z)) / rate
+
+
+@nb.njit(cache=True)
+def _hysteresis_stretch(z, way, rho):  # type: ignore[no-untyped-def]
+    """End and mean of z over a way in units of q_y, in one direction."""
+    sign = 1.0 if way > 0.0 else -1.0
+    along, left, area = sign * z, abs(way), 0.0
+    if left == 0.0:
+        return z, z
+    if along < 0.0:  # on its way back to zero
+        back = min(left, -along if rho == 0.0 else math.log1p(-rho * along) / rho)
+        along, area = _branch(along, back, rho)
+        left -= back
+    if left > 0.0:
+        along, more = _branch(along, left, 1.0)
+        area += more
+    return sign * along, sign * area / abs(way)
+
+
+@nb.njit(cache=True)
+def _hysteresis(force, args):  # type: ignore[no-untyped-def]
+    """Deflection z at the end of the step under this force, and its mean over the step."""
+    v0, v_free, gv, way_free, gq, h, start, width, rho = args
+    v1, way = v_free + gv * force, way_free + gq * force
+    if v0 * v1 < 0.0:
+        share = v0 / (v0 - v1)
+        more = way - 0.5 * h * (v0 + v1)  # where the velocity did not run linearly
+        turned, mean = _hysteresis_stretch(start, share * (0.5 * h * v0 + more) / width, rho)
+        end, after = _hysteresis_stretch(turned, (1.0 - share) * (0.5 * h * v1 + more) / width, rho)
+        return end, share * mean + (1.0 - share) * after
+    return _hysteresis_stretch(start, way / width, rho)
+
+
+@nb.njit(cache=True)
+def _hysteresis_residual(force, level, args):  # type: ignore[no-untyped-def]
+    return force + level * _hysteresis(force, args)[1]
+
+
+@law
+def hysteretic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (F_y, q_y, rho)."""
+    start = min(max(z[0], -1.0), 1.0)
+    args = (seen[V0], seen[V], seen[GV], seen[Q] - seen[Q0], seen[GQ], seen[STEP], start, p[1], p[2])
+    b = bracket(-p[0], _hysteresis_residual(-p[0], p[0], args), p[0], _hysteresis_residual(p[0], p[0], args))
+    while is_open(b):
+        force = guess(b)
+        b = narrowed(b, force, _hysteresis_residual(force, p[0], args))
+    z_next[0] = _hysteresis(b[0], args)[0]
+    return b[0]
+
+
+class BoucWen(Effect):
+    r"""Hysteretic spring: a force that lags behind the displacement and yields, at any speed (Bouc, Wen).
+
+    .. math::
+        f = -F_y z, \qquad q_y \dot z = v - b\, |v|\, z - (1 - b)\, v\, |z|, \qquad \rho = 2 b - 1
+
+    that is :math:`q_y \dot z = v (1 - |z|)` while z grows in size, and :math:`v (1 + \rho |z|)` while it falls: the
+    spring is stiffer by :math:`1 + \rho |z|` on its way back. With :math:`\rho = 0` it comes back along a straight line
+    of the stiffness :math:`F_y / q_y`, with :math:`\rho = 1` it is Dahl's friction
+    (`Presliding`); no :math:`\rho \ge 0` gives back more than it took. The exponent n
+    is 1.
+
+    Over a stretch in one direction z is exactly known (two exponentials of the way), and so is its mean over it. The
+    force of a step is that mean; where the velocity turns within the step there are two stretches, for which it is
+    taken to run linearly.
+
+    References
+    ----------
+    Wen, *Method for random vibration of hysteretic systems*, J. Engineering Mechanics 102 (1976); Ikhouane, Rodellar,
+    *On the hysteretic Bouc-Wen model*, Nonlinear Dynamics 42 (2005), normalised form.
+    """
+
+    id = "bouc-wen"
+    title = "Hysteretic spring"
+    equation = "f = -Fy z, qy z' = v (1 - |z|) while |z| grows, v (1 + rho |z|) while it falls"
+    independently = "push slowly forth and back with known forces and read the displacement"
+    site_kind = "joint"
+    needs_position = True
+    force = hysteretic_force
+    memory = 1
+    long_memory = True  # the way over which it forgets may be longer than that of a window
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return (
+            EffectParameter("Fy", scales.force_unit, "force at which it yields", Prior("log", 0.2 * scales.force, 1.2)),
+            EffectParameter(
+                "qy", scales.position_unit, "displacement to yield", Prior("log", 0.1 * scales.position, 1.2)
+            ),
+            EffectParameter("rho", "", "stiffening on the way back; 1: Dahl's friction", Prior("log", 0.3, 1.0)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        return tuple({"Fy": 0.2 * scales.force, "qy": part * scales.position, "rho": 0.3} for part in (0.02, 0.1, 0.4))
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # In a steady loop of the position amplitude a, z goes from -m to m over the way 2 a:
+        # log(1 + rho m) / rho - log(1 - m) = 2 a / q_y. The first harmonic is at most 4/pi of F_y m.
+        from scipy.optimize import root_scalar
+
+        rho, way = values["rho"], 2.0 * amplitude / values["qy"]
+
+        def excess(m: float) -> float:
+            return (math.log1p(rho * m) / rho if rho else m) - math.log1p(-m) - way
+
+        most = 1.0 - 1e-15
+        reached = float(root_scalar(excess, bracket=(0.0, most)).root) if excess(most) > 0.0 else 1.0
+        return Footprint(
+            site.name, "position", 0.0, 4.0 / math.pi * values["Fy"] * reached / amplitude, offset=values["Fy"]
+        )
+
+
+DAMPING = 0.2
+
+
+@law
+def flank_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Force per reduced inertia; p = (half gap, omega^2, 2 zeta omega)."""
+    side = 1.0 if seen[Q] > 0.0 else -1.0
+    depth = side * seen[Q] - p[0]  # at the end of the step, without the force
+    if depth <= 0.0:
+        return 0.0
+    before = max(side * seen[Q0] - p[0], 0.0)
+    damper = p[2] / seen[STEP]
+    push = 0.5 * p[1] * (depth + before) + damper * (depth - before)
+    if push <= 0.0:  # the flanks part faster than the spring follows
+        return 0.0
+    return -side * push / (1.0 + seen[GQ] * (0.5 * p[1] + damper))
+
+
+class Backlash(Effect):
+    r"""Backlash: a gap between the drive and its load, who push each other at its flanks and never pull.
+
+    With e the depth by which :math:`\delta` has left the gap, :math:`|\delta| \le g/2`, and :math:`m = s (1 - s) J`,
+
+    .. math::
+        F = -m\,(\omega^2 e + 2 \zeta \omega \dot e) \operatorname{sgn} \delta, \qquad F \operatorname{sgn}\delta \le 0,
+        \qquad \omega = 2 \pi f, \quad \zeta = 0.2
+
+    f is the frequency of the two inertias on the closed flank. The damping of the flank is that of an impact which
+    gives back about half of the speed. See `robustlab.dynamics.ports.port_model` for the two sides.
+
+    Over a step the flank's force is that of the mean depth, :math:`\omega^2 (e_0 + e_1)/2 + 2 \zeta \omega (e_1 -
+    e_0)/h`: what it does to the inertias is never more than what the spring had stored, so that no contact creates
+    energy at any length of step.
+
+    References
+    ----------
+    Nordin, Galic, Gutman, New models for backlash and gear play, Int. J. Adaptive Control and Signal Processing 11
+    (1997) 49-63; Greenspan, Discrete numerical methods in physics and engineering (1974) for the exact balance of
+    energy.
+    """
+
+    id = "backlash"
+    title = "Backlash"
+    equation = "F = -m (w^2 e + 2 zeta w e') sgn(delta) outside |delta| <= gap/2, w = 2 pi f, m = share (1 - share) J"
+    independently = "hold the motor and move the output by hand against a dial gauge"
+    site_kind = "joint"
+    structural = True
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return (
+            EffectParameter("gap", scales.position_unit, "width of the gap", Prior("log", 1e-3 * scales.position, 2.0)),
+            EffectParameter("share", "", "load's share of the inertia", Prior("share", 0.35, 0.8)),
+            EffectParameter("f", "Hz", "frequency of the closed contact", Prior("log", 120.0, 0.4)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        return tuple({"gap": size * scales.position, "share": 0.35, "f": 120.0} for size in (2e-4, 2e-3, 2e-2))
+
+    def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
+        return with_load_side(model, site.name, values["share"], "gap", f"effect {self.id}")
+
+    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
+        omega = 2.0 * math.pi * values["f"]
+        return (Law(flank_force, f"{site.name}.gap", (0.5 * values["gap"], omega**2, 2.0 * DAMPING * omega)),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # The load's position follows the drive's within half the gap.
+        return Footprint(site.name, "position", 1.0, 1.0, offset=0.5 * values["gap"])
+
+
+HIGHEST = 200.0  # Hz
+LOWEST = 10.0
+
+
+class FlexibleCoupling(Effect):
+    r"""Flexible coupling: the joint's inertia is two, with a spring and a damper between them.
+
+    .. math::
+        F = -k \delta - c \dot\delta, \qquad k = \omega^2 m, \quad c = 2 \zeta \omega m, \quad
+        \omega = 2 \pi f, \quad m = s (1 - s) J
+
+    f is the natural frequency of the two inertias against each other with nothing else attached
+    (`robustlab.dynamics.ports.port_model`).
+    """
+
+    id = "flexible-coupling"
+    title = "Flexible coupling"
+    equation = "F = -w^2 m delta - 2 zeta w m delta', w = 2 pi f, m = share (1 - share) J"
+    independently = "hold the motor and twist the output with a known torque"
+    site_kind = "joint"
+    structural = True
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        middle = math.sqrt(LOWEST * HIGHEST)
+        return (
+            EffectParameter("f", "Hz", "frequency of the drive against the load", Prior("log", middle, 0.9)),
+            EffectParameter("zeta", "", "damping ratio of that mode", Prior("log", 0.03, 0.8)),
+            EffectParameter("share", "", "load's share of the inertia", Prior("share", 0.35, 0.8)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        return tuple({"f": f, "zeta": 0.03, "share": 0.35} for f in (18.0, 45.0, 110.0))
+
+    def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
+        wide = with_load_side(model, site.name, values["share"], "twist", f"effect {self.id}")
+        omega = 2.0 * math.pi * values["f"]
+        twist = wide.ports[f"{site.name}.twist"]
+        assert twist.position is not None
+        row = -(omega**2) * twist.position - 2.0 * values["zeta"] * omega * twist.velocity
+        return wide.with_state_feedback(twist, np.asarray(row))
+
+
+EFFECTS = (CubicStiffness(), EndStop(), OneSidedSpring(), BoucWen(), Backlash(), FlexibleCoupling())

@@ -1,0 +1,169 @@
+"""Masses with springs, dampers and drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter, overridden
+from robustlab.errors import InputError, unknown_name
+from robustlab.statespace import MAX_STATES, Signal
+
+_EMPS = "Janot, Gautier, Brunot 2019 (EMPS)"
+
+SERVO_AXIS = (
+    Parameter("M", 95.1089, "kg", 0.0, _EMPS, "moving mass seen at the carriage", "positive", role="inertia"),
+    Parameter("Fv", 203.5034, "N s/m", 0.0, _EMPS, "viscous friction", "nonnegative", role="viscous-friction"),
+    Parameter("gain", 35.15065, "N/V", 0.0, _EMPS, "force at the carriage per volt", "either", role="input-gain"),
+)
+
+
+def servo_axis(**given: Any) -> LinearPlant:
+    r"""Linear servo axis: a drive that pushes a carriage against viscous friction.
+
+    .. math:: \dot q = v, \qquad M \dot v = g u - F_v v
+
+    Default values are the published linear part of the EMPS benchmark (a Maxon motor driving a ball screw); its dry
+    friction and offset are left out on purpose: this is the nominal model that measurements are compared with.
+
+    Plant with input u [V], outputs and states q [m], v [m/s].
+
+    ``given``: ``M Fv gain``, each as a value or ``(value, relative tolerance)``.
+
+    References
+    ----------
+    Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on Nonlinear System Identification
+    Benchmarks (2019).
+    """
+    states = (Signal("q", "m"), Signal("v", "m/s"))
+    return LinearPlant(
+        "servo-axis",
+        overridden(SERVO_AXIS, given, "servo-axis"),
+        (Signal("u", "V"),),
+        states,
+        states,
+        equations=_servo_axis,
+    )
+
+
+def _servo_axis(p: Any) -> Descriptor:
+    return Descriptor(E=[[1, 0], [0, p["M"]]], F=[[0, 1], [0, -p["Fv"]]], G=[[0], [p["gain"]]], C=[[1, 0], [0, 1]])
+
+
+_EXAMPLE = "example value, no published source"
+
+TWO_MASS = (
+    Parameter("J1", 1e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the motor's side", "positive", role="inertia"),
+    Parameter("J2", 2e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the load's side", "positive", role="inertia"),
+    Parameter("c", 2e-3, "N m s/rad", 0.0, _EXAMPLE, "damping of the shaft", "nonnegative", role="viscous-friction"),
+    Parameter("k", 10.0, "N m/rad", 0.0, _EXAMPLE, "stiffness of the shaft", "nonnegative", role="stiffness"),
+)
+
+
+def two_mass(**given: Any) -> LinearPlant:
+    r"""Two inertias on a shaft, coupled by a spring and a damper; the torque acts on the first.
+
+    .. math::
+        J_1 \ddot\varphi_1 = \tau - c (\dot\varphi_1 - \dot\varphi_2) - k (\varphi_1 - \varphi_2), \qquad
+        J_2 \ddot\varphi_2 = c (\dot\varphi_1 - \dot\varphi_2) + k (\varphi_1 - \varphi_2)
+
+    Plant with input torque [N m], outputs phi1, phi2 [rad], states phi1, phi2, omega1, omega2.
+
+    ``given``: ``J1 J2 c k``, each as a value or ``(value, relative tolerance)``.
+    """
+    angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
+    return LinearPlant(
+        "two-mass",
+        overridden(TWO_MASS, given, "two-mass"),
+        (Signal("torque", "N m"),),
+        angles,
+        (*angles, Signal("omega1", "rad/s"), Signal("omega2", "rad/s")),
+        equations=_two_mass,
+    )
+
+
+def _two_mass(p: Any) -> Descriptor:
+    c, k = p["c"], p["k"]
+    return Descriptor(
+        E=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, p["J1"], 0], [0, 0, 0, p["J2"]]],
+        F=[[0, 0, 1, 0], [0, 0, 0, 1], [-k, k, -c, c], [k, -k, c, -c]],
+        G=[[0], [0], [1], [0]],
+        C=[[1, 0, 0, 0], [0, 1, 0, 0]],
+    )
+
+
+MASS_SPRING_DAMPER = (
+    Parameter("m", 1.0, "kg", 0.0, _EXAMPLE, "mass", "positive", role="inertia"),
+    Parameter("c", 1.0, "N s/m", 0.0, _EXAMPLE, "damping", "nonnegative", role="viscous-friction"),
+    Parameter("k", 100.0, "N/m", 0.0, _EXAMPLE, "stiffness", "nonnegative", role="stiffness"),
+)
+
+
+def mass_spring_damper(**given: Any) -> LinearPlant:
+    r"""Masses in a row: mass 1 hangs on a wall by spring and damper 1, mass j on mass j - 1 by spring and damper j.
+
+    .. math::
+        m_j \ddot q_j = f_j - k_j (q_j - q_{j-1}) - c_j (\dot q_j - \dot q_{j-1})
+                        + k_{j+1} (q_{j+1} - q_j) + c_{j+1} (\dot q_{j+1} - \dot q_j), \qquad q_0 = 0
+
+    The last mass is free on its other side. One mass has the signals f, q, v and the parameters m, c, k; a chain of n
+    has f1..fn, q1..qn, v1..vn and m1..mn, c1..cn, k1..kn.
+
+    Plant with a force f [N] on each mass, outputs and states q [m] and v [m/s] of each mass.
+
+    ``given``: ``m c k``, each a value, a tuple ``(value, relative tolerance)``, or a list of those, one for each mass.
+    Lists must be equally long; what is no list counts for every mass of the chain.
+
+    Raises InputError: lists of different lengths, an empty list, unknown names, values that physics forbids.
+    """
+    names = tuple(p.name for p in MASS_SPRING_DAMPER)
+    for name in given:
+        if name not in names:
+            raise unknown_name(f"mass-spring-damper: {name!r}", "no such parameter", name, names)
+    lists = {name: list(value) for name, value in given.items() if isinstance(value, (list, np.ndarray))}
+    lengths = {len(value) for value in lists.values()} or {1}
+    if len(lengths) > 1 or 0 in lengths:
+        found = ", ".join(f"{len(value)} values of {name}" for name, value in lists.items())
+        raise InputError("mass-spring-damper", found, "equally many of each, at least one")
+    n = lengths.pop()
+    if 2 * n > MAX_STATES:
+        raise InputError("mass-spring-damper", f"{n} masses", f"at most {MAX_STATES // 2}")
+    defaults, values = [], {}
+    for p in MASS_SPRING_DAMPER:
+        for j, name in enumerate(_numbered(p.name, n)):
+            meaning = p.meaning if n == 1 else f"{p.meaning} {j + 1}"
+            defaults.append(Parameter(name, p.value, p.unit, p.tolerance, p.source, meaning, p.sign, p.role))
+            if p.name in given:
+                values[name] = lists[p.name][j] if p.name in lists else given[p.name]
+    q = [Signal(name, "m") for name in _numbered("q", n)]
+    v = [Signal(name, "m/s") for name in _numbered("v", n)]
+    return LinearPlant(
+        "mass-spring-damper",
+        overridden(defaults, values, "mass-spring-damper"),
+        tuple(Signal(name, "N") for name in _numbered("f", n)),
+        (*q, *v),
+        (*q, *v),
+        equations=partial(_mass_spring_damper, n=n),
+    )
+
+
+def _numbered(name: str, n: int) -> Sequence[str]:
+    return [name] if n == 1 else [f"{name}{j + 1}" for j in range(n)]
+
+
+def _mass_spring_damper(p: Any, n: int) -> Descriptor:
+    m, c, k = ([p[name] for name in _numbered(letter, n)] for letter in "mck")
+    # Elongation j is q_j - q_(j-1); the same matrix, transposed, takes the forces of the springs back to the masses.
+    elongation = np.eye(n) - np.eye(n, k=-1)
+    stiffness, damping = (elongation.T @ np.diag(value) @ elongation for value in (k, c))
+    eye, zero = np.eye(n), np.zeros((n, n))
+    return Descriptor(
+        E=np.block([[eye, zero], [zero, np.diag(m)]]),
+        F=np.block([[zero, eye], [-stiffness, -damping]]),
+        G=np.vstack([zero, eye]),
+        C=np.eye(2 * n),
+    )
