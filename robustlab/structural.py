@@ -29,17 +29,6 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = [
-    "HiddenMode",
-    "StructuralTest",
-    "controllability",
-    "controllability_matrix",
-    "drop_unconnected",
-    "observability",
-    "observability_matrix",
-    "strong_components",
-]
-
 Kind = Literal["controllability", "observability"]
 
 # Singular values of the scaled matrices, whose entries are at most 1: those above CLEAR are there, those below ROUNDING

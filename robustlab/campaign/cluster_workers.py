@@ -17,8 +17,6 @@ from robustlab.campaign.settings import code_identity
 from robustlab.campaign.work import GRACE, STRUCK, Failure, Outcome, Payload, Piece, evaluator_of, perform
 from robustlab.errors import DependencyMissing, EnvironmentFault
 
-__all__ = ["ClusterWorkers"]
-
 CONNECT_SECONDS = 10.0
 WATCH_SECONDS = 1.0
 # An answer that a worker has is fetched in less; of one that died before, Dask waits for ever.

@@ -19,8 +19,6 @@ from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Piece, Workers
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["MAX_LOST_SHARE", "Again", "compute_missing", "evaluate_again"]
-
 # What is promised: so many samples may be lost, and a sample has so many workers before it is.
 MAX_LOST_SHARE = 0.01
 MAX_ATTEMPTS = 2

@@ -28,8 +28,6 @@ from robustlab.worst_case_analysis.metric_contract import Evaluation
 from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.search import worst_case
 
-__all__ = ["DONE", "LOST", "TILE", "Evaluator", "Rows", "decode_delta", "delta_width", "encode_delta"]
-
 DONE, LOST = 0, 1
 # Samples in a tile. It decides the last digits of a value, so it is no matter of taste.
 TILE = 64

@@ -25,8 +25,6 @@ from robustlab.campaign.work import STRUCK, Failure, Outcome, Payload, Piece
 from robustlab.campaign.worker_process import read_frame, write_frame
 from robustlab.errors import EnvironmentFault
 
-__all__ = ["LocalWorkers"]
-
 # So many workers in a row that never began mean that none ever will.
 MAX_STILLBORN = 5
 

@@ -29,8 +29,6 @@ from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Crew", "Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign", "saved_samples"]
-
 Existing = Literal["resume", "restart", "fork"]
 
 

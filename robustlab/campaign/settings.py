@@ -20,8 +20,6 @@ from robustlab.storage.matrices import Problems
 from robustlab.storage.uncertain_models import decode_uncertain, encode_uncertain
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["CampaignSettings", "Identity", "code_identity", "differences", "model_from_bytes", "model_to_bytes"]
-
 KINDS = ("samples", "vertices", "search")
 MAX_SAMPLES = 10**12
 

@@ -13,8 +13,6 @@ from typing import Any, Protocol
 from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.settings import Identity, model_from_bytes
 
-__all__ = ["STRUCK", "Failure", "Outcome", "Payload", "Piece", "Workers", "evaluator_of", "perform"]
-
 # Limits beyond this (in s) are no limits, and more than the system's clock can be asked to wait for.
 LONGEST = 1e7
 # What is said of a sample that its time limit ended.

@@ -14,8 +14,6 @@ import sys
 import threading
 from typing import BinaryIO
 
-__all__ = ["main", "read_frame", "write_frame"]
-
 LENGTH = 8
 
 

@@ -11,25 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from robustlab.cli.ending import main_guard
 from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robustlab.result import Status
-
-__all__ = [
-    "SCHEMA",
-    "emit",
-    "main_guard",
-    "note",
-    "require_trust",
-    "result_alone",
-    "save_drawing",
-    "save_figures",
-    "table",
-]
 
 SCHEMA = "robustlab.result/1"
 

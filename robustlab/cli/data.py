@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from robustlab.provenance import Provenance
     from robustlab.record import Record
 
-__all__ = ["PLANT_FILE", "DiscoveryFiles", "app"]
-
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
 app = typer.Typer(

@@ -14,8 +14,6 @@ from robustlab.errors import UsageError
 if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.delay_stability import DelayStability
 
-__all__ = ["cover_delays", "delay_model", "neglected_weight", "stability_lines"]
-
 ModelArgument = Annotated[
     str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL", show_default=False)
 ]

@@ -20,19 +20,6 @@ if TYPE_CHECKING:
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = [
-    "ChannelOptions",
-    "DesignOutput",
-    "GaussianOptions",
-    "LoopChannelOptions",
-    "QuietDesignOutput",
-    "SignalOptions",
-    "goal_of",
-    "limit_of",
-    "number_or_model",
-    "weight_of",
-]
-
 
 @dataclass(frozen=True)
 class ChannelOptions:

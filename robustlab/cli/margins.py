@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
     from robustlab.uncertainty.distances.gap_metric import GapMetric
 
-__all__ = ["gap", "margins"]
-
 TransposeOption = Annotated[
     bool, typer.Option("--transpose", help="The files were written column by column: swap A, B, C, D.")
 ]

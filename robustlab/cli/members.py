@@ -17,19 +17,6 @@ if TYPE_CHECKING:
     from robustlab.statespace import Signal
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "SHOWN_BLOCKS",
-    "MetricOptions",
-    "ResponseOptions",
-    "UncertainArgument",
-    "delta_lines",
-    "delta_value",
-    "load_uncertain",
-    "named",
-    "place",
-    "stands_for",
-]
-
 SHOWN_BLOCKS = 40
 
 UncertainArgument = Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="FILE")]

@@ -19,30 +19,6 @@ from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, share
 
-__all__ = [
-    "BandOption",
-    "ChangesOption",
-    "DtOption",
-    "EffortOption",
-    "EffortOptions",
-    "JsonOption",
-    "OutOption",
-    "OutputOptions",
-    "PrewarpOption",
-    "RecipeArgument",
-    "SeedOption",
-    "TimeLimitOption",
-    "assignments",
-    "band_of",
-    "ends",
-    "grouped",
-    "names",
-    "plant_settings",
-    "rows_of_blocks",
-    "six_numbers",
-    "shares",
-]
-
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
 EffortOption = Annotated[

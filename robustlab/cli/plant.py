@@ -14,8 +14,6 @@ from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import JsonOption, assignments, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
 
-__all__ = ["app", "made_of", "plant_or_model", "read_plant", "uncertain_or_plant"]
-
 app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_args_is_help=True, add_completion=False)
 
 

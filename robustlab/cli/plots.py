@@ -17,8 +17,6 @@ from robustlab.errors import InputError, UsageError, did_you_mean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["KINDS", "plot_model", "plot_record"]
-
 # Kind -> function of robustlab.report.model_figures.
 KINDS = {"bode": "bode_figure", "step": "step_figure", "sigma": "sigma_figure", "pzmap": "pole_figure"}
 CHANNELS = 4  # inputs or outputs in one figure

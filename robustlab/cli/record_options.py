@@ -15,8 +15,6 @@ from robustlab.units import same_unit
 if TYPE_CHECKING:
     from robustlab.record import Record
 
-__all__ = ["ModelRecordOptions", "RecordOptions", "UncertainRecordOptions"]
-
 
 @dataclass(frozen=True)
 class RecordOptions:

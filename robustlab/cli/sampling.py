@@ -13,8 +13,6 @@ from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, groupe
 if TYPE_CHECKING:
     from robustlab.synthesis.sampled.resampling import Resampled
 
-__all__ = ["d2c", "d2d", "discretise"]
-
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 HoldOption = Annotated[
     str, typer.Option("--method", help="zoh, foh or tustin.", autocompletion=one_of("zoh", "foh", "tustin"))

@@ -10,8 +10,6 @@ from robustlab.cli.console import emit, require_trust, table
 from robustlab.cli.options import OutputOptions, assignments, grouped
 from robustlab.errors import UsageError
 
-__all__ = ["kalman", "lqi"]
-
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 
 

@@ -14,8 +14,6 @@ from pathlib import Path
 from robustlab.cli.progress import Display
 from robustlab.errors import EnvironmentFault
 
-__all__ = ["WEIGHT", "Warmed", "cache_place", "warm"]
-
 
 @dataclass(frozen=True)
 class Warmed:

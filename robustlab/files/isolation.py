@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from robustlab.files.tree import Tree
 
-__all__ = ["document_isolated", "read_isolated", "run_reader"]
-
 HOSTILE = "do not open it with other programs either; get the file again from where it was made"
 
 

@@ -20,8 +20,6 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.tree import Dataset, Tree, Unread, type_name
 
-__all__ = ["MATLAB_RECIPES", "Log", "logs_of", "opaque_class", "recipe_of", "stands_alone"]
-
 TIMES, VALUES = ("time", "t"), ("data", "values")
 MOST_COLUMNS = 1000
 # MATLAB keeps objects in a form of its own; each of these lines makes a plain struct of one.

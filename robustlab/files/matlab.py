@@ -30,8 +30,6 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
 
-__all__ = ["check_matlab5_sizes", "from_matlab73", "read_matlab5", "write_matlab5"]
-
 NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
 MAX_EMPTY = 1 << 31  # longest side of an array without entries
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")

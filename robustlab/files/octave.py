@@ -15,8 +15,6 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.files.tree import Dataset, Tree, Unread
 
-__all__ = ["from_octave"]
-
 MARK, EMPTY = "OCTAVE_NEW_FORMAT", "OCTAVE_EMPTY_MATRIX"
 WHOLE = re.compile(r"u?int(8|16|32|64) (scalar|matrix)")
 NUMBERS = ("scalar", "matrix", "float scalar", "float matrix", "bool", "bool matrix")

@@ -18,8 +18,6 @@ from robustlab.files.signature import Limits, size_text
 from robustlab.files.text_table import name_and_unit
 from robustlab.files.tree import Dataset, Tree, Unread, canonical, table_of, text_attr
 
-__all__ = ["parquet_tree"]
-
 ROWS_AT_A_TIME = 1 << 17
 
 

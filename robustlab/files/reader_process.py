@@ -18,8 +18,6 @@ from robustlab.errors import InputError
 from robustlab.files.signature import MIB, Limits
 from robustlab.files.wire import send_document, send_error, send_tree
 
-__all__ = ["main"]
-
 # What Python, numpy and h5py (or scipy) take of the address space before a file is opened, with room to spare.
 BASE_ADDRESS_SPACE = 2048 * MIB
 # The same without numpy, for documents, and what a document may take beyond it for each byte of its text.

@@ -11,8 +11,6 @@ from robustlab.arrays import AnyArray, not_finite
 from robustlab.errors import InputError
 from robustlab.files.tree import Tree, link_name, signal_name, text_attr, type_name
 
-__all__ = ["decode_record", "encode_record"]
-
 
 def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
     """Put the arguments of a Record into ``tree``."""

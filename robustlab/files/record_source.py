@@ -19,8 +19,6 @@ from robustlab.files.signature import Limits
 from robustlab.files.text_table import read_table
 from robustlab.files.tree import Tree, Unread, text_attr
 
-__all__ = ["CLOCK_NAMES", "Channel", "Source", "from_bag", "from_parquet", "from_text", "from_tree", "need", "one_of"]
-
 CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "tout", "zeit", "Zeit")
 BAG_CLOCKS = ("stamp", "log")
 # Bags are decoded message by message; tables are not.

@@ -25,8 +25,6 @@ from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, Unread, check_header, is_stamped, type_name
 from robustlab.units import factor_to_si, same_unit
 
-__all__ = ["CLOCK_NAMES", "RecordOptions", "choose", "read_record"]
-
 SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 # A step longer than this many median steps, in a clock that is otherwise regular, is a hole.
 GAP = 1.5

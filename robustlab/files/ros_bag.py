@@ -22,8 +22,6 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
-__all__ = ["bag_tree"]
-
 NOT_LISTED = 32  # entries of an array beyond these are found by their path only
 PART = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)")
 INDEX = re.compile(r"\[([^\[\]]+)\]")

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from robustlab.files.tree import Tree
 
-__all__ = ["receive", "receive_document", "send_document", "send_error", "send_tree"]
-
 MAGIC = b"RLTREE1\n"
 DTYPES = {"f": "<f8", "i": "<i8", "b": "|b1", "c": "<c16"}
 

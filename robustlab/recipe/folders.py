@@ -14,8 +14,6 @@ from robustlab.errors import InputError
 from robustlab.recipe.load import LoadedRecipe
 from robustlab.recipe.run import read_result, recipe_origin
 
-__all__ = ["LATEST", "default_folder", "point_latest", "replaced"]
-
 LATEST = "latest"
 LONGEST_SLUG = 40  # characters; longer settings are told by their hash
 

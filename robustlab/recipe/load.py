@@ -20,8 +20,6 @@ from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.steps.contract import KINDS, Step
 from robustlab.recipe.steps.vocabulary import RefersTo
 
-__all__ = ["LoadedRecipe", "load_recipe", "parse_recipe", "references"]
-
 MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
 

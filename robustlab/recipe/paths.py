@@ -11,8 +11,6 @@ from robustlab.recipe.steps.contract import Step
 from robustlab.recipe.steps.models import LoadStep, PlantStep
 from robustlab.recipe.steps.records import RecordStep
 
-__all__ = ["find_files", "recipe_path"]
-
 
 def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
     """Step name -> the file it reads, for every step that reads one; asked for before anything runs.

@@ -10,8 +10,6 @@ from typing import Any
 from robustlab.errors import InputError, did_you_mean
 from robustlab.recipe.schema import Requirement
 
-__all__ = ["Judgement", "judge", "look_up"]
-
 
 @dataclass(frozen=True)
 class Judgement:

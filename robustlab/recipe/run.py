@@ -49,8 +49,6 @@ from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 from robustlab.shown import Facts, Shown, listed
 
-__all__ = ["RunResult", "read_result", "recipe_origin", "run_recipe", "write_report"]
-
 DONE, NOT_RUN = "done", "not run"
 LOCK = ".running"  # held by the run that writes the folder
 STRAY_AGE = 3600.0  # s

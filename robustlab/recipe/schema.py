@@ -14,8 +14,6 @@ from pydantic_core import PydanticCustomError
 from robustlab.recipe.steps.contract import KINDS, Step
 from robustlab.recipe.steps.vocabulary import StepName, Strict, Text
 
-__all__ = ["Recipe", "Requirement", "json_schema", "recipe_model"]
-
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
 
 

@@ -31,28 +31,6 @@ from robustlab.report.figures import (
     zero_line,
 )
 
-__all__ = [
-    "where_of",
-    "time_of",
-    "speed_of",
-    "spectrum_of",
-    "response_of",
-    "residual_of",
-    "outputs_of",
-    "harmonics_of",
-    "comparison_figures",
-    "harmonics_figure",
-    "outline",
-    "outputs_figure",
-    "residual_figure",
-    "response_figure",
-    "spectrum_figure",
-    "speed_figure",
-    "time_figure",
-    "where_figure",
-]
-
-
 FEW_LINES = 60  # drawn with a marker each
 MOST_INPUTS = 3  # beside each other
 SHOWN_BEYOND = 3.0  # times the highest excited line

@@ -33,17 +33,6 @@ from robustlab.uncertainty.unstructured import Form
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
 
-__all__ = [
-    "cover_figure",
-    "blocks_of",
-    "blocks_figure",
-    "cloud_figure",
-    "cover_figures",
-    "overbound_figure",
-    "weight_figure",
-]
-
-
 SHOWN = 24  # parameters side by side
 MODELS = 60  # errors drawn one by one
 LIGHTEST = 1e-7  # share of a curve's largest value at which it leaves the picture

@@ -25,8 +25,6 @@ from matplotlib.patches import Patch
 from robustlab.arrays import Array
 from robustlab.report.drawn import corners_of
 
-__all__ = ["curves_of", "split", "with_curves"]
-
 MOST_POINTS = 5000  # of a figure
 FEWEST_POINTS = 100  # of a curve, however many there are
 MOST_OF_A_CURVE = 1000

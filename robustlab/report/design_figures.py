@@ -29,26 +29,6 @@ if TYPE_CHECKING:
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
     from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
-__all__ = [
-    "FunctionPanel",
-    "TimePanel",
-    "WeightedResponse",
-    "functions_figure",
-    "functions_picture",
-    "gangs_picture",
-    "history_figure",
-    "history_picture",
-    "loop_figure",
-    "loop_picture",
-    "mu_comparison_figure",
-    "mu_picture",
-    "pictures",
-    "runs_figure",
-    "sensitivity_figure",
-    "tracking_panels",
-]
-
-
 # Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
 DESIGNS = (
     (COLOURS["reference"], (0, (4, 1.5)), 1.4),

@@ -30,22 +30,6 @@ from robustlab.report.figures import (
     zero_line,
 )
 
-__all__ = [
-    "stretch_of",
-    "run_of",
-    "posterior_of",
-    "force_of",
-    "CAPTIONS",
-    "discovery_figures",
-    "free_run_figure",
-    "gap_figure",
-    "posterior_figure",
-    "residual_force_figure",
-    "run_in_words",
-    "stretch_figure",
-]
-
-
 Index = NDArray[np.int_]
 
 MODELS = {"nominal": COLOURS["worst"], "refitted": COLOURS["sample"], "updated": COLOURS["nominal"]}

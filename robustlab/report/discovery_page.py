@@ -22,8 +22,6 @@ from robustlab.report.figures import save_figure
 from robustlab.report.html import render
 from robustlab.result import plain
 
-__all__ = ["caption", "facts", "story", "write_page"]
-
 TONES = {
     "named": ("good", "✓"),
     "no missing effect": ("good", "✓"),

@@ -18,8 +18,6 @@ from matplotlib.figure import Figure, SubFigure
 from robustlab.errors import InputError, did_you_mean
 from robustlab.report.figures import drawn_on
 
-__all__ = ["DRAWINGS", "draw", "drawings_of"]
-
 _MODEL = {
     "bode": "model_figures.bode_figure",
     "step": "model_figures.step_figure",

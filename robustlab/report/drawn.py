@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 
-__all__ = ["compact", "corners_of", "thinned"]
-
 COLUMN = 0.4  # pt; a page shows a figure of 518 pt on 900 pixels or less, that is 0.7 pixels
 OFF = 0.08  # pt
 LONG = 40  # corners; a polygon with more is a curve and lies on tenths of a point, others on hundredths

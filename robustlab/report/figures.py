@@ -23,25 +23,6 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-__all__ = [
-    "COLOURS",
-    "Canvas",
-    "axis_label",
-    "chosen",
-    "drawn_on",
-    "frequency_axis",
-    "headroom",
-    "house_style",
-    "is_guest",
-    "legend_below",
-    "logarithmic",
-    "new_figure",
-    "plain_label",
-    "save_figure",
-    "stem",
-    "zero_line",
-]
-
 # Okabe and Ito (2008): told apart by colour-blind readers too, and in grey print by their lightness.
 COLOURS = {
     "nominal": "#0072B2",

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
     from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
 
-__all__ = ["bounds_at", "sampled_figure", "margin_shares", "gain_figure", "mu_figure", "replay_figure", "shares_figure"]
-
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
 SHOWN_BLOCKS = 16

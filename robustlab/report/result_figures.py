@@ -43,23 +43,6 @@ from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses
 
-__all__ = [
-    "band_figure",
-    "campaign_figure",
-    "delta_figure",
-    "disk_figure",
-    "feedback_figure",
-    "hankel_figure",
-    "measured_response_figure",
-    "mode_figure",
-    "mu_bars",
-    "norm_history",
-    "record_figure",
-    "reduction_figure",
-    "small_gain_figure",
-    "weights_figure",
-]
-
 LARGEST_GAIN = 60  # dB; of a disk margin's curve
 
 CURVES = ("nominal", "worst", "good", "limit", "sample", "band", "reference")

@@ -24,8 +24,6 @@ from robustlab.report.figures import (
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
 
-__all__ = ["Story", "fall_in_words", "fall_percent", "story_figure", "times_in_words"]
-
 BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
 WORDS = ("before", "after")
 

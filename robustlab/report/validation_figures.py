@@ -24,8 +24,6 @@ from robustlab.report.figures import (
     plain_label,
 )
 
-__all__ = ["record_of", "delta_of", "cover_record", "envelope_figure", "validation_figure", "validation_figures"]
-
 
 def validation_figures(found: Validation) -> dict[str, Figure]:
     """All figures of a validation: one for each output, and ``delta`` in the frequency domain."""

@@ -26,16 +26,6 @@ from robustlab.report.figures import (
 from robustlab.worst_case_analysis.influence import Influence
 from robustlab.worst_case_analysis.statistics import ViolationProbability
 
-__all__ = [
-    "violation_influence",
-    "distribution_figure",
-    "exceedance_figure",
-    "influence_figure",
-    "response_figure",
-    "worst_case_figure",
-]
-
-
 MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
 SETTLED = 0.8  # the zoomed panel shows the last part of the response
 SHOWN = 12

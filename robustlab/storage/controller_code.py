@@ -25,8 +25,6 @@ from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.synthesis.windup.back_calculation import back_calculation
 
-__all__ = ["c_source", "saturation_limits"]
-
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
 RESERVED = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long",

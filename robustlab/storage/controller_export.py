@@ -17,8 +17,6 @@ from robustlab.storage.interchange import save
 from robustlab.synthesis.problem.design import Controller
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EXPORTS", "export_controller"]
-
 EXPORTS = (".c", ".json", ".mat", ".h5", ".hdf5")
 
 

@@ -9,8 +9,6 @@ from robustlab.errors import InputError
 from robustlab.files.tree import Tree
 from robustlab.storage.matrices import Problems, decode_model, encode_model, entries, find_children
 
-__all__ = ["decode_delayed", "encode_delayed"]
-
 
 def encode_delayed(tree: Tree, model: DelayedModel) -> None:
     """Group ``H`` as a state-space model, dataset ``delays`` in s: those of its first inputs and outputs."""

@@ -10,8 +10,6 @@ from robustlab.storage.matrices import Problems, decode_signals, encode_signals,
 from robustlab.storage.uncertain_models import decode_blocks, encode_blocks
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 
-__all__ = ["decode_frequency_data", "encode_frequency_data"]
-
 
 def encode_frequency_data(tree: Tree, data: UncertainFrequencyData) -> None:
     """Datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""

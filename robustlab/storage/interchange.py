@@ -25,8 +25,6 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.model_pairs import decode_pair, looks_like_a_pair
 
-__all__ = ["Loaded", "load", "load_pair", "read", "save", "is_plant_file", "load_plant"]
-
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
     from robustlab.dynamics.plant_contract import Plant

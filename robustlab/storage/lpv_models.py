@@ -14,8 +14,6 @@ from robustlab.storage.matrices import SIDES, Problems, entries, find_children
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
 from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
 
-__all__ = ["decode_lpv", "encode_lpv"]
-
 
 def encode_lpv(tree: Tree, thing: LPVModel | LPVController) -> str:
     """Stacked ``matrices`` [A B; C D] over the grid, ``deviation`` over its cells, parameters and signals; the kind.

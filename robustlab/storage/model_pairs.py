@@ -11,8 +11,6 @@ from robustlab.files.tree import Tree
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, find_children, sample_time
 
-__all__ = ["Change", "check_pair", "decode_pair", "difference", "looks_like_a_pair"]
-
 GROUPS = ("nominal", "perturbed")
 
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robustlab.dynamics.parameters import Parameter
     from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
 
-__all__ = ["decode_plant", "encode_plant"]
-
 # Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
 MORE_TEXTS = ("sign", "role")
 MATRICES = ("E", "F", "G", "C", "D")

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from robustlab.dynamics.symbolic.symbolic_plant import Equations
     from robustlab.dynamics.symbolic.tape import Tape
 
-__all__ = ["decode_equations", "encode_equations"]
-
 TAPES = ("rates", "outputs", "models")
 ROWS = ("operations", "left", "right", "constants", "outputs")
 KINDS = ("joint", "current")

@@ -27,15 +27,6 @@ from robustlab.uncertainty.lft import UncertainModel
 if TYPE_CHECKING:
     from robustlab.synthesis.problem.design import Controller
 
-__all__ = [
-    "decode_blocks",
-    "decode_controller",
-    "decode_uncertain",
-    "encode_blocks",
-    "encode_controller",
-    "encode_uncertain",
-]
-
 FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
 
 

@@ -28,8 +28,6 @@ from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
 from robustlab.uncertainty.reduction import reduced
 
-__all__ = ["Reduction", "reduction", "beside", "centred", "lower", "series", "stacked", "star", "upper"]
-
 
 def series(first: Any, *others: Any) -> UncertainModel:
     """What leaves each operand enters the next: ``series(a, b, c) = c @ b @ a``; see `product`."""

@@ -31,8 +31,6 @@ from robustlab.arrays import Array
 from robustlab.uncertainty.laurent import Laurent, Monomial, times
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["ConstantLft", "Plan", "assemble", "plans"]
-
 # A matrix of polynomials: monomial -> {(row, column): coefficient}.
 Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
 

@@ -22,8 +22,6 @@ from robustlab.statespace import Signal, StateSpaceModel, append, series
 from robustlab.uncertainty.blocks import Block, structure_size
 from robustlab.uncertainty.interconnection import Part
 
-__all__ = ["weighted"]
-
 
 def weighted(
     m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Any], side: str, read: Callable[[Any, str], Part]

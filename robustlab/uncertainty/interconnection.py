@@ -14,12 +14,11 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.statespace import MAX_NAME, Signal, StateSpaceModel, append
+from robustlab.signals import MAX_NAME
+from robustlab.statespace import Signal, StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 from robustlab.uncertainty.reduction import reduce_blocks
 from robustlab.uncertainty.upper_lft import is_singular
-
-__all__ = ["Joint", "Part", "Wiring", "join", "unique_names", "wired"]
 
 # A model whose first channels are those of the blocks.
 Part = tuple[StateSpaceModel, tuple[Block, ...]]

@@ -30,16 +30,6 @@ from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_nam
 from robustlab.uncertainty.reduction import reduced
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
-__all__ = [
-    "UncertainModel",
-    "as_uncertain",
-    "feedback",
-    "interconnected",
-    "inverse",
-    "parallel",
-    "product",
-]
-
 
 @dataclass(frozen=True, init=False, eq=False)
 class UncertainModel(TransferMatrix, Shown, Traced):

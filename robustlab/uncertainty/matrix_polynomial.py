@@ -28,8 +28,6 @@ from robustlab.arrays import Array
 from robustlab.uncertainty.decomposition_tree import ConstantLft
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["Exponents", "MatrixPolynomial", "polynomial_lft", "rank_factors"]
-
 # The power of each variable, in the order of the polynomial's names.
 Exponents = tuple[int, ...]
 

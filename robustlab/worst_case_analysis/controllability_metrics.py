@@ -25,8 +25,6 @@ from robustlab.worst_case_analysis.metric_contract import (
 )
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["HankelValue", "RelativeReach", "finite_gramians", "gramians"]
-
 
 def gramians(ensemble: Ensemble, kind: Literal["controllability", "observability"]) -> Array:
     r"""Gramians of stable members, shape (k, n_x, n_x).

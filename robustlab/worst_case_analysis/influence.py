@@ -27,9 +27,6 @@ from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.metrics import MetricBatch
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["FEWEST_SAMPLES", "Influence", "influence_of"]
-
-
 FEWEST_SAMPLES = 32
 
 

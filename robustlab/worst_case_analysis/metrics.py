@@ -24,9 +24,6 @@ from robustlab.worst_case_analysis.streaming import blocks_of, in_order
 from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["METRICS", "MetricBatch", "MetricRequest", "UserMetric", "make_metric"]
-
-
 MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]
 

@@ -28,8 +28,6 @@ from robustlab.worst_case_analysis.metric_contract import (
 from robustlab.worst_case_analysis.sensitivity import pole_slope
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["Damping", "H2Gain", "HinfGain", "SpectralAbscissa"]
-
 
 class HinfGain(Metric):
     """H-infinity norm of the members from all or one input to all or one output; ``inf`` where unstable."""

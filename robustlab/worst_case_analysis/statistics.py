@@ -37,16 +37,6 @@ from robustlab.worst_case_analysis.draws import is_count
 from robustlab.worst_case_analysis.influence import FEWEST_SAMPLES, Influence, influence_of
 from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 
-__all__ = [
-    "Quantile",
-    "ViolationProbability",
-    "clopper_pearson",
-    "quantile_bounds",
-    "sample_size",
-    "violation_probability",
-]
-
-
 LABEL = "sampled: of deltas that are uniform and independent in their ranges; no statement on the worst case"
 DEFAULT_SAMPLES = 1000
 

@@ -12,7 +12,7 @@ import pytest
 from numba import njit
 
 from robustlab.cli import warm
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 from robustlab.provenance import library_versions
 

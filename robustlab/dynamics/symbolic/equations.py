@@ -17,7 +17,8 @@ from robustlab.dynamics.symbolic.labels import labels
 from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant
 from robustlab.dynamics.symbolic.tape import tape_of
 from robustlab.errors import DependencyMissing, InputError, did_you_mean
-from robustlab.statespace import MAX_NAME, Signal
+from robustlab.signals import MAX_NAME
+from robustlab.statespace import Signal
 
 __all__ = ["PlantEquations"]
 

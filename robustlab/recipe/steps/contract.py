@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robustlab.result import Status
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "least_trusted", "picked", "quantity", "step"]
-
 # What a recipe says with ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
 Kind = TypeVar("Kind", bound="type[Step]")

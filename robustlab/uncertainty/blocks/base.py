@@ -14,8 +14,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
 from robustlab.uncertainty.blocks.parameter_range import ParameterRange
 
-__all__ = ["SAMPLED", "Block", "Pattern", "check_name_and_size", "rank_one"]
-
 # Entries (row, column, coefficient) of a sparse matrix.
 Pattern = list[tuple[int, int, complex]]
 # First word of the origin of a block that is known to hold for samples only.

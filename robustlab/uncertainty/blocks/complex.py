@@ -14,8 +14,6 @@ from robustlab.uncertainty.blocks.base import check_name_and_size
 from robustlab.uncertainty.blocks.parameter_range import ParameterRange
 from robustlab.uncertainty.blocks.scalar import ScalarBlock
 
-__all__ = ["ComplexScalar"]
-
 
 @dataclass(frozen=True)
 class ComplexScalar(ScalarBlock):

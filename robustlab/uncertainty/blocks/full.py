@@ -14,8 +14,6 @@ from robustlab.uncertainty.blocks.base import Block, check_name_and_size, rank_o
 from robustlab.uncertainty.blocks.complex import ComplexScalar
 from robustlab.uncertainty.blocks.parameter_range import ParameterRange
 
-__all__ = ["FullBlock"]
-
 
 @dataclass(frozen=True)
 class FullBlock(Block):

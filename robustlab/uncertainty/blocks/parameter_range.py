@@ -9,8 +9,6 @@ import numpy as np
 
 from robustlab.errors import InputError
 
-__all__ = ["ParameterRange", "Sign"]
-
 Sign = Literal["any", "either", "nonnegative", "positive"]
 
 

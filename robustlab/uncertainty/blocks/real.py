@@ -16,8 +16,6 @@ from robustlab.uncertainty.blocks.complex import ComplexScalar
 from robustlab.uncertainty.blocks.parameter_range import ParameterRange
 from robustlab.uncertainty.blocks.scalar import ScalarBlock, hermitian_basis
 
-__all__ = ["RealScalar"]
-
 
 @dataclass(frozen=True)
 class RealScalar(ScalarBlock):

@@ -13,8 +13,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
 from robustlab.uncertainty.blocks.base import Block, Pattern
 
-__all__ = ["ScalarBlock", "hermitian_basis"]
-
 
 class ScalarBlock(Block):
     """``delta * I``, ``repeats`` times; a dataclass with that field."""

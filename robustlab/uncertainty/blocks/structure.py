@@ -14,8 +14,6 @@ from robustlab.uncertainty.blocks.complex import ComplexScalar
 from robustlab.uncertainty.blocks.full import FullBlock
 from robustlab.uncertainty.blocks.real import RealScalar
 
-__all__ = ["as_blocks", "block_slices", "delta_matrix", "delta_values", "structure_size"]
-
 
 def as_blocks(given: Any) -> tuple[Block, ...]:
     """Blocks as given, or from rows in the notation of MATLAB's ``mussv``.
