@@ -12,9 +12,18 @@ import time
 from concurrent.futures import CancelledError
 from typing import Any
 
-from robustlab.campaign.evaluation import Evaluator
+from robustlab.campaign.evaluation import (
+    GRACE,
+    STRUCK,
+    Evaluator,
+    Failure,
+    Outcome,
+    Payload,
+    Piece,
+    evaluator_of,
+    perform,
+)
 from robustlab.campaign.settings import code_identity
-from robustlab.campaign.work import GRACE, STRUCK, Failure, Outcome, Payload, Piece, evaluator_of, perform
 from robustlab.errors import DependencyMissing, EnvironmentFault
 
 CONNECT_SECONDS = 10.0
@@ -59,7 +68,7 @@ def compute(key: str, payload: bytes, request: str) -> bytes:
 
 
 class ClusterWorkers:
-    """Workers of a Dask cluster; see `robustlab.campaign.work.Workers`.
+    """Workers of a Dask cluster; see `robustlab.campaign.evaluation.Workers`.
 
     Parameters
     ----------
@@ -105,11 +114,11 @@ class ClusterWorkers:
             raise
 
     def idle(self) -> int:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         return len(self._known) - len(self._pieces)
 
     def start(self, piece: Piece) -> None:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         self._give(min(self._known - self._pieces.keys()), piece)
 
     def _give(self, worker: str, piece: Piece) -> None:
@@ -128,7 +137,7 @@ class ClusterWorkers:
         future.add_done_callback(lambda done: self._events.put((worker, done)))
 
     def wait(self, seconds: float) -> list[Outcome]:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         outcomes: list[Outcome] = []
         try:
             outcomes += self._take(*self._events.get(timeout=max(0.0, min(seconds, WATCH_SECONDS))))
@@ -164,8 +173,8 @@ class ClusterWorkers:
     def _watch(self) -> list[Outcome]:
         """Look which workers are there: new ones are checked and used, the work of those that vanished is given back.
 
-        A hung sample ends its worker process after its limit (see `robustlab.campaign.work.perform`); Dask's nanny
-        starts a new one.
+        A hung sample ends its worker process after its limit (see `robustlab.campaign.evaluation.perform`); Dask's
+        nanny starts a new one.
         """
         self._watched = time.monotonic()
         try:
@@ -212,7 +221,7 @@ class ClusterWorkers:
         return {worker for worker, theirs in answers.items() if isinstance(theirs, dict)}
 
     def close(self) -> None:
-        """See `robustlab.campaign.work.Workers`; what runs on the cluster is left to end, its answer is not heard."""
+        """See `evaluation.Workers`; what runs on the cluster is left to end, its answer is not heard."""
         for _, future, _ in self._pieces.values():
             future.cancel()
         self._pieces.clear()

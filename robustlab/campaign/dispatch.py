@@ -14,9 +14,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from robustlab.campaign.evaluation import Evaluator, Rows
+from robustlab.campaign.evaluation import Evaluator, Failure, Outcome, Piece, Rows, Workers
 from robustlab.campaign.store import Store
-from robustlab.campaign.work import Failure, Outcome, Piece, Workers
 from robustlab.errors import NoTrustworthyNumber
 
 # What is promised: so many samples may be lost, and a sample has so many workers before it is.

@@ -21,7 +21,7 @@ import time
 from typing import IO, Any
 
 from robustlab.budget import child_environment
-from robustlab.campaign.work import STRUCK, Failure, Outcome, Payload, Piece
+from robustlab.campaign.evaluation import STRUCK, Failure, Outcome, Payload, Piece
 from robustlab.campaign.worker_process import read_frame, write_frame
 from robustlab.errors import EnvironmentFault
 
@@ -91,7 +91,7 @@ class _Process:
 
 
 class LocalWorkers:
-    """Worker processes on this machine; see `robustlab.campaign.work.Workers`.
+    """Worker processes on this machine; see `robustlab.campaign.evaluation.Workers`.
 
     Parameters
     ----------
@@ -122,15 +122,15 @@ class LocalWorkers:
         return [worker._process.pid for worker in self._workers]
 
     def idle(self) -> int:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         return sum(worker.ready and worker.piece is None for worker in self._workers)
 
     def start(self, piece: Piece) -> None:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         next(worker for worker in self._workers if worker.ready and worker.piece is None).start(piece)
 
     def wait(self, seconds: float) -> list[Outcome]:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         busy = [worker for worker in self._workers if worker.piece is not None]
         until = min([time.monotonic() + seconds, *(worker.deadline for worker in busy)])
         outcomes: list[Outcome] = []
@@ -171,6 +171,6 @@ class LocalWorkers:
         self._workers.append(self._new())
 
     def close(self) -> None:
-        """See `robustlab.campaign.work.Workers`."""
+        """See `robustlab.campaign.evaluation.Workers`."""
         while self._workers:
             self._workers.pop().kill()

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.campaign.dispatch import compute_missing, evaluate_again
-from robustlab.campaign.evaluation import LOST, Evaluator, decode_delta
+from robustlab.campaign.evaluation import LOST, Evaluator, Payload, Workers, decode_delta
 from robustlab.campaign.result import CampaignResult, result_of
 from robustlab.campaign.settings import (
     CampaignSettings,
@@ -24,7 +24,6 @@ from robustlab.campaign.settings import (
     model_to_bytes,
 )
 from robustlab.campaign.store import Store, locked, owner_text
-from robustlab.campaign.work import Payload, Workers
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel

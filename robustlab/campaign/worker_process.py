@@ -43,7 +43,7 @@ def main() -> int:
     frames: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(frames,), daemon=True).start()
 
-    from robustlab.campaign.work import Payload, evaluator_of, perform
+    from robustlab.campaign.evaluation import Payload, evaluator_of, perform
 
     evaluator = evaluator_of(Payload.from_bytes(frames.get()))
     write_frame(answers, b"")

@@ -15,7 +15,10 @@ from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
     EffortOptions,
     JsonOption,
+    ModelRecordOptions,
     OutputOptions,
+    RecordOptions,
+    UncertainRecordOptions,
     assignments,
     grouped,
     shares,
@@ -23,7 +26,6 @@ from robustlab.cli.options import (
 from robustlab.cli.plant import plant_or_model, uncertain_or_plant
 from robustlab.cli.plots import plot_record
 from robustlab.cli.progress import ProgressOptions
-from robustlab.cli.record_options import ModelRecordOptions, RecordOptions, UncertainRecordOptions
 from robustlab.errors import (
     EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
@@ -144,7 +146,7 @@ class DiscoveryFiles:
         provenance = _provenance("data discover", sources, code)
         files: list[str] = []
         if self.figures:
-            from robustlab.report.discovery_figures import discovery_figures
+            from robustlab.report.discovery import discovery_figures
 
             files += save_figures(discovery_figures(found), self.figures)
         if self.model_out:
@@ -508,7 +510,7 @@ def _save_plant(found: Discovery, path: Path, provenance: Provenance) -> str:
 
 def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenance: Provenance) -> list[str]:
     from robustlab.files.atomic import atomic_write
-    from robustlab.report.discovery_page import write_page
+    from robustlab.report.discovery import write_page
     from robustlab.result import plain
 
     try:

@@ -208,7 +208,7 @@ def diff(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load, load_pair
-    from robustlab.storage.model_pairs import difference
+    from robustlab.storage.models import difference
 
     if second is None:
         a, b = load_pair(first, transpose=transpose)

@@ -9,9 +9,8 @@ import typer
 
 from robustlab.cli.console import emit, note
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, SeedOption, grouped, names
+from robustlab.cli.options import JsonOption, RecordOptions, SeedOption, grouped, names
 from robustlab.cli.plant import plant_or_model
-from robustlab.cli.record_options import RecordOptions
 from robustlab.errors import InputError, UsageError, did_you_mean
 
 if TYPE_CHECKING:

@@ -79,11 +79,11 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
         for name in ("where", "time", "speed", "spectrum", "response", "residual", "outputs", "harmonics")
     },
     "Discovery": {
-        "gap": "discovery_figures.gap_figure",
-        "force": "discovery_figures.force_of",
-        "run": "discovery_figures.run_of",
-        "stretch": "discovery_figures.stretch_of",
-        "posterior": "discovery_figures.posterior_of",
+        "gap": "discovery.gap_figure",
+        "force": "discovery.force_of",
+        "run": "discovery.run_of",
+        "stretch": "discovery.stretch_of",
+        "posterior": "discovery.posterior_of",
     },
     "Validation": {"record": "validation_figures.record_of", "delta": "validation_figures.delta_of"},
     "DataCover": {"record": "validation_figures.cover_record"},

@@ -23,8 +23,7 @@ from robustlab.report.figures import (
     plain_label,
     zero_line,
 )
-from robustlab.worst_case_analysis.influence import Influence
-from robustlab.worst_case_analysis.statistics import ViolationProbability
+from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
 
 MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
 SETTLED = 0.8  # the zoomed panel shows the last part of the response

@@ -15,10 +15,9 @@ import pytest
 import robustlab as rl
 from robustlab.campaign import CampaignSettings, Crew, cluster_workers, run_campaign, saved_samples
 from robustlab.campaign.cluster_workers import ClusterWorkers
-from robustlab.campaign.evaluation import TILE, Evaluator
+from robustlab.campaign.evaluation import TILE, Evaluator, Failure, Payload, Piece
 from robustlab.campaign.settings import Identity, model_to_bytes
 from robustlab.campaign.store import Store
-from robustlab.campaign.work import Failure, Payload, Piece
 from robustlab.errors import EnvironmentFault, RobustlabError
 
 pytest.importorskip("distributed")

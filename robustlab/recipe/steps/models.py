@@ -1,4 +1,4 @@
-"""Steps that make models: from physics, from files, from one another."""
+"""Steps that make models: from physics, from files, from one another; with delays."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
+from robustlab.delays.neglected import PROOFS
 from robustlab.errors import InputError, did_you_mean
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
 from robustlab.recipe.steps.vocabulary import (
@@ -478,3 +480,62 @@ def _range(block: Any) -> str:
     if p is None:
         return f"{block.rows} channels"
     return f"{quantity(p.low)} … {quantity(p.high, p.unit)}"
+
+
+Delay = (
+    Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
+)
+Delays = dict[str, Delay]
+Longest = dict[str, Positive]
+
+
+@step
+class DelaysStep(Step):
+    """Delays at the signals of a model, exact, in a range, or left out of it: a set that holds it with all of them.
+
+    What is proved of the set is proved of the model with its exact delays, at all frequencies.
+    """
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["delays"]
+    of: ToModel
+    inputs: Delays = Field({}, description="Input -> its delay in s, or [shortest, longest].")
+    outputs: Delays = Field({}, description="Output -> its delay in s, or [shortest, longest].")
+    neglected_delays: Longest = Field(
+        {}, description="Input -> the longest delay in s that its model leaves out; a weight covers all up to it."
+    )
+    neglected_lags: Longest = Field(
+        {}, description="Input -> the longest time constant in s of a lag that its model leaves out; likewise."
+    )
+    order: Annotated[int, Field(ge=0, le=40)] = Field(3, description="Of the Padé approximations.")
+    weight_order: Annotated[int, Field(ge=1, le=81)] = Field(3, description="Of the weight of their error.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A set with blocks for what rational delays and a model without some miss, proved to hold the exact ones."""
+        given = work.values[self.of]
+        found = rl.uncertain_delays(
+            rl.linearise(given) if hasattr(given, "parameters") else given,
+            self.inputs,
+            self.outputs,
+            self.order,
+            self.weight_order,
+        )
+        facts = [Fact(b.name, f"{b.rows} channels", b.origin) for b in found.blocks if b.origin]
+        for kind, longest in (("delay", self.neglected_delays), ("lag", self.neglected_lags)):
+            for name, length in longest.items():
+                weight = rl.neglected_delay(length) if kind == "delay" else rl.neglected_lag(length)
+                found = _neglecting(found, name, weight, f"{name}: neglected {kind}")
+                facts.append(Fact(f"{name}: neglected {kind}", f"up to {length:g} s", PROOFS[kind]))
+        note = "The errors are bounded for all frequencies: what is proved holds for the exact delays and lags."
+        numbers = uncertain_numbers(found)
+        return Outcome(found, f"{self.of} with delays, covered.", numbers, tuple(facts), rl.Status.CERTIFIED, (note,))
+
+
+def _neglecting(found: rl.UncertainModel, name: str, weight: rl.StateSpaceModel, block: str) -> rl.UncertainModel:
+    """The set behind ``1 + W Delta`` at one of its inputs."""
+    known = [s.name for s in found.inputs]
+    if name not in known:
+        raise InputError(f"delays: input {name!r}", "no such signal", f"one of {', '.join(known)}")
+    column = np.eye(len(known))[:, [known.index(name)]]
+    through = rl.StateSpaceModel([], [], [], np.eye(len(known)), 0.0, found.inputs, found.inputs)
+    return found @ rl.unstructured(through, weight @ column.T, "input-multiplicative", W1=column, name=block)

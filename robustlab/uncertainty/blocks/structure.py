@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.uncertainty.blocks.base import Block
-from robustlab.uncertainty.blocks.complex import ComplexScalar
-from robustlab.uncertainty.blocks.full import FullBlock
-from robustlab.uncertainty.blocks.real import RealScalar
+from robustlab.uncertainty.blocks.kinds import ComplexScalar, FullBlock, RealScalar
 
 
 def as_blocks(given: Any) -> tuple[Block, ...]:
