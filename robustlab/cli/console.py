@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.result import Status
 
 SCHEMA = "robustlab.result/1"
 
@@ -69,7 +69,7 @@ def note(text: str) -> None:
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
 
 
-def require_trust(status: Status) -> None:
+def require_trust(status: rl.Status) -> None:
     """Leave with exit code 4 where the status vouches for no number; what there is has been printed."""
     if not status.trustworthy:
         raise typer.Exit(NoTrustworthyNumber.exit_code)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, table
 from robustlab.cli.options import OutputOptions, assignments, ends, grouped
 from robustlab.cli.plant import made_of, plant_or_model
@@ -37,14 +38,12 @@ def delay_model(
 
     Example: robustlab model delay motor.h5 --input u=0.01 --out late.h5
     """
-    from robustlab.delays import DelayedModel, with_delays
-
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
     sides = (assignments(option, texts, units) for option, texts in (("--input", inputs), ("--output", outputs)))
-    found: Any = with_delays(model, *sides)
+    found: Any = rl.with_delays(model, *sides)
     if pade is not None:
-        if not isinstance(found, DelayedModel):
+        if not isinstance(found, rl.DelayedModel):
             raise UsageError("--pade", f"{file} is discrete: its delays are states", "no --pade")
         found = found.pade(pade)
     rows = [("model", repr(found)), *_written("model delay", found, output, file, given)]
@@ -72,8 +71,6 @@ def cover_delays(
 
     Example: robustlab uncertain delays motor.h5 --input u=0.005:0.015 --out set.h5
     """
-    from robustlab.delays import uncertain_delays
-
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
     sides: list[dict[str, Any]] = []
@@ -81,7 +78,7 @@ def cover_delays(
         whole = [text for text in texts or [] if ":" not in text.rpartition("=")[2]]
         ranged = [text for text in texts or [] if text not in whole]
         sides.append({**assignments(option, whole, units), **ends(option, ranged, units)})
-    found = uncertain_delays(model, *sides, order=order, weight_order=weight_order)
+    found = rl.uncertain_delays(model, *sides, order=order, weight_order=weight_order)
     rows = [
         ("set", repr(found)),
         *((block.name, block.origin) for block in found.blocks),
@@ -102,35 +99,31 @@ def neglected_weight(
 
     Example: robustlab uncertain neglected --delay 0.02 --out weight.h5
     """
-    from robustlab.delays import neglected_delay, neglected_lag
     from robustlab.delays.neglected import PROOFS
-    from robustlab.result import Status
 
     if (delay is None) == (lag is None):
         raise UsageError("uncertain neglected", "--delay and --lag" if lag is not None else "neither", "one of them")
-    found = neglected_delay(delay, order) if delay is not None else neglected_lag(float(lag or 0.0))
+    found = rl.neglected_delay(delay, order) if delay is not None else rl.neglected_lag(float(lag or 0.0))
     proof = PROOFS["delay" if delay is not None else "lag"]
-    rows = [("weight", repr(found)), ("status", str(Status.CERTIFIED)), ("proof", proof)]
+    rows = [("weight", repr(found)), ("status", str(rl.Status.CERTIFIED)), ("proof", proof)]
     rows += output.keep_made("uncertain neglected", found, [])
-    result = {"weight": found, "status": Status.CERTIFIED, "proof": proof}
+    result = {"weight": found, "status": rl.Status.CERTIFIED, "proof": proof}
     emit("uncertain neglected", result, table(rows), output.as_json)
 
 
 def stability_lines(model: Any) -> tuple[list[str], DelayStability]:
     """What ``robustlab model check`` says of a model with exact delays."""
-    from robustlab.mu_analysis.margins.delay_stability import delay_stability
-
-    found = delay_stability(model)
+    found = rl.delay_stability(model)
     lines = [f"  {label}: {text}" for label, text in found.facts() if text]
     return [repr(model), *lines, f"  status: {found.status}"], found
 
 
 def _read(file: str) -> tuple[Any, Any]:
     """What was named, and the model of it."""
-    from robustlab.dynamics import Plant, linearise
+    from robustlab.dynamics import Plant
 
     given = plant_or_model(file, [])
-    return given, linearise(given) if isinstance(given, Plant) else given
+    return given, rl.linearise(given) if isinstance(given, Plant) else given
 
 
 def _written(command: str, found: Any, output: OutputOptions, file: str, given: Any) -> list[tuple[str, str]]:

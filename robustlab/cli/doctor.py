@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, table
 from robustlab.cli.options import JsonOption, grouped
 from robustlab.cli.progress import Display, ProgressOptions
@@ -200,10 +201,7 @@ def _outcome(check) -> str:  # pyright: ignore[reportMissingParameterType]
 def _mu() -> str:
     import numpy as np
 
-    from robustlab.mu_analysis import mu
-    from robustlab.uncertainty.blocks import ComplexScalar
-
-    bounds = mu(np.array([[0.0, 2.0], [2.0, 0.0]], dtype=complex), [ComplexScalar("a"), ComplexScalar("b")])
+    bounds = rl.mu(np.array([[0.0, 2.0], [2.0, 0.0]], dtype=complex), [rl.ComplexScalar("a"), rl.ComplexScalar("b")])
     assert abs(bounds.upper - 2.0) < 1e-6, f"mu of [[0, 2], [2, 0]] came out as {bounds.upper}, not 2"
     return "mu of a known matrix is right"
 

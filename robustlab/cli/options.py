@@ -12,17 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import note
 from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, same_unit, share
-
-if TYPE_CHECKING:
-    from robustlab.record import Record
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
@@ -116,9 +114,7 @@ class OutputOptions:
     def keep(self, result: Any) -> None:
         """Write the result, with a note, where a file was named."""
         if self.out is not None:
-            from robustlab.storage import save
-
-            save(self.out, result)
+            rl.save(self.out, result)
             note(f"written: {self.out}")
 
     def keep_made(self, command: str, thing: Any, files: Sequence[str]) -> list[tuple[str, str]]:
@@ -126,9 +122,8 @@ class OutputOptions:
         if self.out is None:
             return []
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage import save
 
-        save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
+        rl.save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
         return [("written", self.out)]
 
 
@@ -280,13 +275,11 @@ class RecordOptions:
     decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
 
-    def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> Record:
+    def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> rl.Record:
         """The record in a file, with these inputs; of this group, where one is given. What was done to it is told."""
-        from robustlab.record import Record
-
         units = _units(self.unit or [])
         wanted, told = (None if text is None else names(text) for text in (inputs, self.outputs))
-        record = Record.read(
+        record = rl.Record.read(
             file, group or self.group, wanted, told, self.dt, units=units, clock=self.clock,
             delimiter=self.delimiter, decimal=self.decimal, allow_gaps=self.allow_gaps,
         )  # fmt: skip

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.offers import FORMULAS, one_of
 from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, grouped
@@ -42,17 +43,14 @@ def discretise(
 
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """
-    from robustlab.delays import DelayedModel
     from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.sampled.discretisation import discretise as discretised
     from robustlab.synthesis.sampled.discretisation import merged_modes
 
-    loaded = load(file)
-    late = isinstance(loaded, DelayedModel)
+    loaded = rl.load(file)
+    late = isinstance(loaded, rl.DelayedModel)
     model: Any = loaded if late else as_model(loaded, file)
     method_given: Any = method
-    found = discretised(model, dt, method_given, prewarp=prewarp)
+    found = rl.discretise(model, dt, method_given, prewarp=prewarp)
     merged = merged_modes(model.H if late else model, dt)
     for pair in merged:
         note(f"warning: {file}: {pair}")
@@ -69,11 +67,9 @@ def d2c(*, file: ModelArgument, method: HoldOption = "zoh", output: OutputOption
     Example: robustlab model d2c sampled.h5 --out plant.h5
     """
     from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.sampled.resampling import d2c as continuous
 
     method_given: Any = method
-    _told("model d2c", continuous(as_model(load(file), file), method_given), file, output)
+    _told("model d2c", rl.d2c(as_model(rl.load(file), file), method_given), file, output)
 
 
 @grouped
@@ -85,11 +81,9 @@ def d2d(*, file: ModelArgument, dt: DtOption, method: HoldOption = "zoh", output
     Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
     """
     from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.sampled.resampling import d2d as resampled
 
     method_given: Any = method
-    _told("model d2d", resampled(as_model(load(file), file), dt, method_given), file, output)
+    _told("model d2d", rl.d2d(as_model(rl.load(file), file), dt, method_given), file, output)
 
 
 def _told(command: str, found: Resampled, file: str, output: OutputOptions) -> None:

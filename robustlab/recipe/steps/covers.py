@@ -30,7 +30,6 @@ from robustlab.recipe.steps.vocabulary import (
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks, NoiseInput
     from robustlab.mu_analysis.margins.cover import Cover
-    from robustlab.statespace import StateSpaceModel
 
 ToPerformance = Annotated[str, RefersTo(("performance",))]
 
@@ -420,7 +419,7 @@ class WithLoadsStep(Step):
         return Outcome(shown, summary, numbers, facts)
 
 
-def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
+def _models(step: CoverModelsStep, work: Workspace) -> list[rl.StateSpaceModel]:
     made = [_selected(rl.linearise, work.values[name], step.outputs) for name in step.models]
     if step.of is not None:
         plant = work.values[step.of]
@@ -428,7 +427,7 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
     return made
 
 
-def _at_pose(plant: Any, pose: list[float]) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
+def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[NoiseInput, ...]]:
     """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
     from robustlab.dynamics.extended.effect_loads import loaded_model
     from robustlab.dynamics.extended.extended_nonlinear import ExtendedNonlinearPlant
@@ -437,7 +436,7 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[StateSpaceModel, tuple[Nois
     return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
-def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> StateSpaceModel:
+def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
     """A model as it is, a plant linearised; with the outputs that are kept."""
     from robustlab.dynamics import Plant
     from robustlab.statespace import as_model

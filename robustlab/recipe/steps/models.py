@@ -96,13 +96,13 @@ class LineariseStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """The state-space model of a plant."""
-        from robustlab.dynamics import LinearPlant, trim
+        from robustlab.dynamics import LinearPlant
         from robustlab.structural import drop_unconnected
 
         given = work.values[self.of]
         if self.at is not None and isinstance(given, LinearPlant):
             raise InputError("at", f"a rest of {self.of}, which is linear", "none: the model is the same everywhere")
-        model = rl.linearise(given, at=trim(given, **self.at) if isinstance(self.at, dict) else self.at)
+        model = rl.linearise(given, at=rl.trim(given, **self.at) if isinstance(self.at, dict) else self.at)
         if self.outputs is not None:
             model = drop_unconnected(model.select(outputs=self.outputs))
         where = ""
@@ -130,7 +130,6 @@ class LoadStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """An object from an HDF5 file, checked by the reader."""
-        from robustlab.statespace import StateSpaceModel
         from robustlab.storage import read
 
         path = work.sources[work.step] if self.saved is None else work.values[self.saved]
@@ -138,7 +137,7 @@ class LoadStep(Step):
         found: Any = loaded.object
         kind = type(found).__name__
         model = found.to_model() if hasattr(found, "to_model") else found
-        is_model = isinstance(model, StateSpaceModel)
+        is_model = isinstance(model, rl.StateSpaceModel)
         proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
         return Outcome(
             found,

@@ -22,7 +22,6 @@ from robustlab.recipe.steps.vocabulary import (
 if TYPE_CHECKING:
     from robustlab.identification.comparison.comparison_result import Comparison
     from robustlab.identification.naming.discovery_result import Discovery
-    from robustlab.record import Record
 
 _CAPTIONS = {
     "where": "Where {} is missed: rms of the error over time, direction, speed, position, input, frequency; orange is "
@@ -159,7 +158,7 @@ class CompareStep(Step):
         return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
 
-def _as_record(found: Record, summary: str, notes: tuple[str, ...]) -> Outcome:
+def _as_record(found: rl.Record, summary: str, notes: tuple[str, ...]) -> Outcome:
     signals = [f"{name} [{found.unit(name) or 'unit not stated'}]" for name in (*found.inputs, *found.outputs)]
     numbers = {"samples": found.n, "duration": found.duration, "dt": found.dt}
     facts = (

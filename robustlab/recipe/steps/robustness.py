@@ -346,12 +346,11 @@ class AntiWindupStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """The gain, its proved L2 gain, and those without anti-windup and with back-calculation."""
-        from robustlab.errors import InputError
         from robustlab.statespace import as_model
 
         K = as_model(work.values[self.controller], self.controller)
         if set(self.limits) != set(K.output_names):
-            raise InputError(f"step {work.step!r}: limits", ", ".join(self.limits), ", ".join(K.output_names))
+            raise rl.InputError(f"step {work.step!r}: limits", ", ".join(self.limits), ", ".join(K.output_names))
         found = rl.anti_windup(
             work.values[self.of], K, [tuple(self.limits[name]) for name in K.output_names], self.reach or math.inf,
             order=self.order, effort=self.effort, time_limit=self.time_limit,

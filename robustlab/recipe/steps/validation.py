@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+import robustlab as rl
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -158,10 +159,9 @@ class ValidateStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Bounds of the smallest scaling of Delta that explains a record; ``gamma`` is the one that was shown to."""
-        from robustlab.identification.validation import validate as validate_with
         from robustlab.report.validation_figures import validation_figures
 
-        found = validate_with(
+        found = rl.validate(
             work.uncertain(self.of),
             work.record(self.record),
             self.noise or None,
