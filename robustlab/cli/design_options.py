@@ -12,7 +12,7 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, save_drawing, table
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import JsonOption, OutOption, OutputOptions, names
+from robustlab.cli.options import JsonOption, OutOption, OutputOptions, load_model, names
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
 
@@ -96,9 +96,7 @@ class SignalOptions:
 
     def model(self, file: str) -> rl.StateSpaceModel:
         """The model in a file with these signals."""
-        from robustlab.statespace import as_model
-
-        model = as_model(rl.load(file), file)
+        model = load_model(file)
         if not self.inputs and not self.outputs:
             return model
         sides = (None if not text else names(text) for text in (self.inputs, self.outputs))
@@ -191,12 +189,10 @@ class GaussianOptions:
 
 def number_or_model(text: str) -> rl.StateSpaceModel | float:
     """A weight: a number, or a file with a model."""
-    from robustlab.statespace import as_model
-
     try:
         return float(text)
     except ValueError:
-        return as_model(rl.load(text), text)
+        return load_model(text)
 
 
 def _number(where: str, text: str) -> float:

@@ -11,7 +11,7 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit, require_trust
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, names
+from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, load_model, names
 from robustlab.errors import UsageError
 
 app = typer.Typer(
@@ -102,9 +102,7 @@ def gain(
             result = rl.iqc_stability(thing, nature, **options)
         else:
             result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
-    output.keep(result)
-    emit("iqc gain", result.to_json(), result.summary(), output.as_json)
-    require_trust(result.status)
+    output.finish("iqc gain", result, result.summary())
 
 
 def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: int, effort: EffortOptions) -> Any:
@@ -168,9 +166,7 @@ def anti_windup(
 
     Example: robustlab iqc anti-windup motor.h5 pi.h5 --limit u=-10:10 --out windup.h5
     """
-    from robustlab.statespace import as_model
-
-    K = as_model(rl.load(controller), controller)
+    K = load_model(controller)
     given = ends("--limit", limits)
     unknown = [name for name in given if name not in K.output_names]
     if unknown:
@@ -178,7 +174,7 @@ def anti_windup(
     pairs = [given.get(name, (-1.0, 1.0)) for name in K.output_names]
     if (code is None) != (dt is None):
         raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
-    result = rl.anti_windup(as_model(rl.load(plant), plant), K, pairs, reach, direct, order=order, **vars(effort))
+    result = rl.anti_windup(load_model(plant), K, pairs, reach, direct, order=order, **vars(effort))
     output.keep(result)
     text = result.summary()
     if code is not None and dt is not None:

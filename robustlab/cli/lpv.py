@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, require_trust, table
+from robustlab.cli.console import emit, table
 from robustlab.cli.offers import one_of
 from robustlab.cli.options import EffortOptions, OutputOptions, assignments, grouped
 from robustlab.cli.progress import ProgressOptions
@@ -89,9 +89,7 @@ def gain(
     model, kind = scheduling.model(file), _kind(lyapunov)
     with progress.shown("lpv gain") as report:
         found = rl.lpv_gain(model, kind, **vars(effort), progress=report)
-    output.keep(found)
-    emit("lpv gain", found.to_json(), table(found.facts()), output.as_json)
-    require_trust(found.status)
+    output.finish("lpv gain", found, table(found.facts()))
 
 
 @app.command()
@@ -116,9 +114,7 @@ def hinf(
     model, kind = scheduling.model(file), _kind(lyapunov)
     with progress.shown("lpv hinf") as report:
         found = rl.lpv_hinf(model, n_meas, n_con, kind, **vars(effort), progress=report)
-    rows = [*found.facts(), *output.keep_made("lpv hinf", found.controller, [file])]
-    emit("lpv hinf", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("lpv hinf", found, found.controller, [file])
 
 
 @app.command()

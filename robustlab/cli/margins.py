@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, require_trust, table
+from robustlab.cli.console import table
 from robustlab.cli.members import delta_value, stands_for
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped, numbers
+from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped, load_model, numbers
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -114,13 +114,11 @@ def margins(
     else:
         result = rl.disk_margin(thing, k, **options, **vars(effort))
         text = _text(result)
-    output.keep(result)
     word = "negative" if sign < 0 else "positive"
     where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
     kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
     head = f"{kind} margins at the {where}, {word} feedback{skew}"
-    emit("model margins", {**result.to_json(), "feedback": word}, f"{head}\n{text}", output.as_json)
-    require_trust(result.status)
+    output.finish("model margins", result, f"{head}\n{text}", feedback=word)
 
 
 def _sign(feedback: str | None, controller: Any) -> Any:
@@ -225,13 +223,8 @@ def gap(
 
     Example: robustlab model gap before.h5 after.h5
     """
-    from robustlab.statespace import as_model
-
-    one, two = (as_model(rl.load(path, transpose=transpose), path) for path in (first, second))
-    result = rl.gap(one, two)
-    output.keep(result)
-    emit("model gap", result.to_json(), _gap_text(result), output.as_json)
-    require_trust(result.status)
+    result = rl.gap(*(load_model(path, transpose) for path in (first, second)))
+    output.finish("model gap", result, _gap_text(result))
 
 
 def _gap_text(result: GapMetric) -> str:

@@ -22,6 +22,7 @@ from robustlab.cli.options import (
     band_of,
     ends,
     grouped,
+    load_model,
     plant_settings,
     six_numbers,
 )
@@ -202,14 +203,13 @@ def diff(
 
     Example: robustlab model diff nominal.h5 perturbed.h5
     """
-    from robustlab.statespace import as_model
     from robustlab.storage import load_pair
     from robustlab.storage.models import difference
 
     if second is None:
         a, b = load_pair(first, transpose=transpose)
     else:
-        a, b = (as_model(rl.load(path, transpose=transpose), path) for path in (first, second))
+        a, b = (load_model(path, transpose) for path in (first, second))
     changes = difference(a, b, rtol)
     rows = [
         (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
@@ -399,13 +399,9 @@ def reduce(
 
     Example: robustlab model reduce plant.h5 --tolerance 0.01 --out small.h5
     """
-    from robustlab.statespace import as_model
-
-    found = rl.reduce_model(as_model(rl.load(file), file), order, tolerance=tolerance, **how.arguments())
+    found = rl.reduce_model(load_model(file), order, tolerance=tolerance, **how.arguments())
     files = [f for f in (file, how.input_weight, how.output_weight) if f is not None]
-    rows = [*found.facts(), *output.keep_made("model reduce", found.model, files)]
-    emit("model reduce", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("model reduce", found, found.model, files)
 
 
 app.command()(discretise)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+from robustlab.cli.console import note, save_drawing, table
 from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped, numbers
 from robustlab.cli.progress import ProgressOptions
@@ -162,9 +162,7 @@ def mu(
         check = cross_check(uncertain, cast("Margin | WorstCaseGain", result))
         text += f"\nSLICOT: {check.said}"
         more["cross_check"], trusted = check, trusted and check.status.trustworthy
-    output.keep(result)
-    emit("mu", {**result.to_json(), **more}, text, output.as_json)
-    require_trust(result.status)
+    output.finish("mu", result, text, **more)
     if not trusted:
         raise typer.Exit(4)
 
@@ -179,10 +177,8 @@ def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptio
         save_drawing(bounds_at(found), shown.figure)
     bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
     rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
-    output.keep(found)
     text = f"{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
-    emit("mu", found.to_json(), text, output.as_json)
-    require_trust(found.status)
+    output.finish("mu", found, text)
 
 
 def _uncertain(file: str, inputs: str | None, outputs: str | None) -> Any:

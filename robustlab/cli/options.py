@@ -17,7 +17,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import note
+from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, same_unit, share
@@ -125,6 +125,25 @@ class OutputOptions:
 
         rl.save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
         return [("written", self.out)]
+
+    def finish(self, command: str, result: Any, text: str, **more: Any) -> None:
+        """Write the result where a file was named, print it, and leave with the exit code of its status."""
+        self.keep(result)
+        emit(command, {**result.to_json(), **more}, text, self.as_json)
+        require_trust(result.status)
+
+    def finish_made(self, command: str, found: Any, thing: Any, files: Sequence[str]) -> None:
+        """The same of what was found of files: the thing made there is written, the facts are printed."""
+        rows = [*found.facts(), *self.keep_made(command, thing, files)]
+        emit(command, found.to_json(), table(rows), self.as_json)
+        require_trust(found.status)
+
+
+def load_model(file: str, transpose: bool = False) -> rl.StateSpaceModel:
+    """The plain model in a file; of a controller its own."""
+    from robustlab.statespace import as_model
+
+    return as_model(rl.load(file, transpose=transpose), file)
 
 
 # --- texts of options ------------------------------------------------------------------------------------------------

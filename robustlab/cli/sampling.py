@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, table
+from robustlab.cli.console import emit, note, table
 from robustlab.cli.offers import FORMULAS, one_of
-from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, grouped
-
-if TYPE_CHECKING:
-    from robustlab.synthesis.sampled.resampling import Resampled
+from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, grouped, load_model
 
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 HoldOption = Annotated[
@@ -66,10 +63,9 @@ def d2c(*, file: ModelArgument, method: HoldOption = "zoh", output: OutputOption
 
     Example: robustlab model d2c sampled.h5 --out plant.h5
     """
-    from robustlab.statespace import as_model
-
     method_given: Any = method
-    _told("model d2c", rl.d2c(as_model(rl.load(file), file), method_given), file, output)
+    found = rl.d2c(load_model(file), method_given)
+    output.finish_made("model d2c", found, found.model, [file])
 
 
 @grouped
@@ -80,13 +76,6 @@ def d2d(*, file: ModelArgument, dt: DtOption, method: HoldOption = "zoh", output
 
     Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
     """
-    from robustlab.statespace import as_model
-
     method_given: Any = method
-    _told("model d2d", rl.d2d(as_model(rl.load(file), file), dt, method_given), file, output)
-
-
-def _told(command: str, found: Resampled, file: str, output: OutputOptions) -> None:
-    rows = [*found.facts(), *output.keep_made(command, found.model, [file])]
-    emit(command, found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    found = rl.d2d(load_model(file), dt, method_given)
+    output.finish_made("model d2d", found, found.model, [file])

@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, require_trust, table
-from robustlab.cli.options import OutputOptions, assignments, grouped
+from robustlab.cli.options import OutputOptions, assignments, grouped, load_model
 from robustlab.errors import UsageError
 
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
@@ -56,18 +55,15 @@ def lqi(
 
     Example: robustlab synth lqi motor.h5 --integral omega=100 --control u=0.1 --out k.h5
     """
-    from robustlab.statespace import as_model
     from robustlab.synthesis.h2.named_weights import integral_weights
 
     followed = assignments("--integral", integral)
     if not followed:
         raise UsageError("synth lqi", "no output", "--integral NAME=VALUE: which output follows, and its weight")
-    model = as_model(rl.load(file), file)
+    model = load_model(file)
     Q, R = integral_weights(model, followed, assignments("--state", state), assignments("--control", control))
     found = rl.lqi(model, Q, R, outputs=list(followed))
-    rows = [*found.facts(), *output.keep_made("synth lqi", found.controller, [file])]
-    emit("synth lqi", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("synth lqi", found, found.controller, [file])
 
 
 @grouped
@@ -84,13 +80,10 @@ def kalman(
 
     Example: robustlab synth kalman motor.h5 --process u=0.04 --measurement omega=1e-4 --out filter.h5
     """
-    from robustlab.statespace import as_model
     from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
 
-    model = as_model(rl.load(file), file)
+    model = load_model(file)
     W = process_noise(model, assignments("--process", process), "--process")
     V = diagonal_weight(assignments("--measurement", measurement), model.output_names, "--measurement")
     found = rl.kalman(model, W, V)
-    rows = [*found.facts(), *output.keep_made("synth kalman", found.estimator, [file])]
-    emit("synth kalman", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("synth kalman", found, found.estimator, [file])

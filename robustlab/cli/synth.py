@@ -29,6 +29,7 @@ from robustlab.cli.options import (
     PrewarpOption,
     SeedOption,
     grouped,
+    load_model,
     names,
     rows_of_blocks,
 )
@@ -380,17 +381,13 @@ def reduce(
 
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
-    from robustlab.statespace import as_model
-
-    K = as_model(rl.load(controller), controller)
+    K = load_model(controller)
     measure_given: Any = measure
     with progress.shown("synth reduce") as report:
         found = rl.reduce_controller(
             channels.plant(plant, K), K, loss=loss, order=order, measure=measure_given, **vars(effort), progress=report
         )
-    rows = [*found.facts(), *output.keep_made("synth reduce", found.controller, (plant, controller))]
-    emit("synth reduce", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("synth reduce", found, found.controller, (plant, controller))
 
 
 @dataclass(frozen=True)
@@ -435,9 +432,7 @@ def discretise(
 
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
-    from robustlab.statespace import as_model
-
-    K = as_model(rl.load(controller), controller)
+    K = load_model(controller)
     given = channels.plant(plant, K)
     robust = None
     with progress.shown("synth discretise") as report:

@@ -22,6 +22,7 @@ from robustlab.cli.options import (
     assignments,
     ends,
     grouped,
+    load_model,
     plant_settings,
     shares,
     six_numbers,
@@ -74,7 +75,6 @@ class TwoModels:
     def build(self) -> tuple[rl.UncertainModel, EndpointResidual, Provenance]:
         """The set between the two, and what it misses of the perturbed one."""
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.statespace import as_model
         from robustlab.storage import load_pair
         from robustlab.uncertainty.elementwise import endpoint_residual
 
@@ -82,7 +82,7 @@ class TwoModels:
         if self.perturbed is None:
             first, second = load_pair(self.nominal)
         else:
-            first, second = (as_model(rl.load(path), path) for path in (self.nominal, self.perturbed))
+            first, second = (load_model(path) for path in (self.nominal, self.perturbed))
         model = rl.elementwise(first, second, self.structure, self.noise)
         files = {path: file_sha256(path) for path in (self.nominal, self.perturbed) if path is not None}
         said = f"structure {self.structure}" + (f", noise {self.noise:g}" if self.noise else "")
@@ -211,11 +211,10 @@ class CoverOptions:
     ) -> tuple[Cover, Provenance]:
         """The cover, with its worst gain in the loop of a controller where one is given."""
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.statespace import as_model
 
         files = self.cover or []
-        models = [as_model(rl.load(path), path) for path in files]
-        k = None if self.controller is None else as_model(rl.load(self.controller), self.controller)
+        models = [load_model(path) for path in files]
+        k = None if self.controller is None else load_model(self.controller)
         loop = None if k is None else lambda g: g.feedback(k, 1)  # u = K y, positive feedback
         options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
         found = rl.cover(
