@@ -125,9 +125,10 @@ def gap_figure(discovery: Discovery) -> Figure:
     return figure
 
 
-def free_run_figure(discovery: Discovery, output: str) -> Figure:
+def free_run_figure(discovery: Discovery, output: str | None = None) -> Figure:
     """One held-out record simulated from its start to its end: signals above, errors below."""
-    d, run = discovery, discovery.series["free_run"]
+    d, run = discovery, discovery.series.get("free_run", {})
+    output = chosen([name for name in run.get("outputs", {}) if name in d.free_run], output, "output")
     every = max(1, len(run["t"]) // DRAWN)
     t = np.asarray(run["t"])[::every]
     signals = {key: np.asarray(values)[::every] for key, values in run["outputs"][output].items()}
@@ -136,9 +137,10 @@ def free_run_figure(discovery: Discovery, output: str) -> Figure:
     return _signals_and_errors(t, signals, d.free_run[output], start)
 
 
-def stretch_figure(discovery: Discovery, output: str) -> Figure:
+def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
     """Some held-out windows around the one that the nominal model misses most: signals above, errors below."""
     d = discovery
+    output = chosen(list(d.series.get("outputs", {})), output, "output")
     signals = {key: np.asarray(values) for key, values in d.series["outputs"][output].items()}
     whole = _Windows.of(d)
     miss = [
@@ -156,7 +158,15 @@ def stretch_figure(discovery: Discovery, output: str) -> Figure:
 
 
 def posterior_figure(discovery: Discovery) -> Figure:
-    """Bars of the probability of the best sets of effects, with their log evidence behind the first."""
+    """Bars of the probability of the best sets of effects, with their log evidence behind the first.
+
+    Raises
+    ------
+    InputError
+        No sets were weighed.
+    """
+    if not discovery.posterior:
+        raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
     shown = discovery.posterior[:SHOWN]
     open_ones = len(discovery.collection)
     figure, (axes,) = new_figure(1, 1, width=7.8, height=1.0 + 0.28 * len(shown))
@@ -435,30 +445,6 @@ def force_of(discovery: Discovery) -> Figure:
         raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
     unnamed = None if discovery.complete else discovery.unnamed
     return residual_force_figure(discovery.residual_force, unnamed, "missing force", discovery.missing_force)
-
-
-def run_of(discovery: Discovery, output: str | None = None) -> Figure:
-    """Free run of one held-out record."""
-    known = [name for name in discovery.series.get("free_run", {}).get("outputs", {}) if name in discovery.free_run]
-    return free_run_figure(discovery, chosen(known, output, "output"))
-
-
-def stretch_of(discovery: Discovery, output: str | None = None) -> Figure:
-    """A held-out stretch."""
-    return stretch_figure(discovery, chosen(list(discovery.series.get("outputs", {})), output, "output"))
-
-
-def posterior_of(discovery: Discovery) -> Figure:
-    """Sets of effects by their probability.
-
-    Raises
-    ------
-    InputError
-        No sets were weighed.
-    """
-    if not discovery.posterior:
-        raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
-    return posterior_figure(discovery)
 
 
 TONES = {

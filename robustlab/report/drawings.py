@@ -75,17 +75,17 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "DesignWeights": {"weights": "result_figures.weights_figure"},
     # measurements
     "Comparison": {
-        name: f"comparison_figures.{name}_of"
+        name: f"comparison_figures.{name}_figure"
         for name in ("where", "time", "speed", "spectrum", "response", "residual", "outputs", "harmonics")
     },
     "Discovery": {
         "gap": "discovery.gap_figure",
         "force": "discovery.force_of",
-        "run": "discovery.run_of",
-        "stretch": "discovery.stretch_of",
-        "posterior": "discovery.posterior_of",
+        "run": "discovery.free_run_figure",
+        "stretch": "discovery.stretch_figure",
+        "posterior": "discovery.posterior_figure",
     },
-    "Validation": {"record": "validation_figures.record_of", "delta": "validation_figures.delta_of"},
+    "Validation": {"record": "validation_figures.record_of", "delta": "validation_figures.delta_figure"},
     "DataCover": {"record": "validation_figures.cover_record"},
 }
 

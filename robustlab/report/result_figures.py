@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -145,19 +145,13 @@ def campaign_figure(result: CampaignResult) -> Figure:
     """
     if result.kind != "samples":
         raise InputError("plot('exceedance')", f"a campaign of {result.kind}", "one of samples", "plot('delta')")
-    store = Store.open(_path(result))
+    store = Store.open(Path(result.store))
     try:
         values, share, upper = exceedance_curve(store, result.sense, result.done, result.lost)
     finally:
         store.close()
     limit = result.violation.limit if result.violation is not None else None
     return exceedance_figure(values, share, upper, metric=(result.metric, result.unit), limit=limit)
-
-
-def _path(result: CampaignResult) -> Any:
-    from pathlib import Path
-
-    return Path(result.store)
 
 
 def mu_bars(bounds: MuBounds) -> Figure:

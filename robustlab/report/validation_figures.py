@@ -31,7 +31,7 @@ def validation_figures(found: Validation) -> dict[str, Figure]:
     for name, _ in found.outputs:
         figures[name] = record_of(found, name)
     if found.domain == "frequency" and np.isfinite(found.upper):
-        figures["delta"] = _size_figure(found)
+        figures["delta"] = delta_figure(found)
     return figures
 
 
@@ -77,8 +77,18 @@ def _response_figure(found: Validation, output: str) -> Figure:
     return figure
 
 
-def _size_figure(found: Validation) -> Figure:
-    """Size of each block over frequency, and gamma."""
+def delta_figure(found: Validation) -> Figure:
+    """Size of each block over frequency, and gamma.
+
+    Raises
+    ------
+    InputError
+        A validation in the time domain, or no Delta explains the record.
+    """
+    if found.domain != "frequency" or not np.isfinite(found.upper):
+        raise InputError(
+            "plot('delta')", f"domain {found.domain}, gamma {found.upper:.4g}", "a finite one over frequency"
+        )
     figure, (axes,) = new_figure(1, 1, width=7.6, height=3.0)
     kept = found.omega > 0
     with house_style():
@@ -122,21 +132,6 @@ def record_of(found: Validation, output: str | None = None) -> Figure:
     name = chosen([name for name, _ in found.outputs], output, "output")
     measured_response = found.domain == "frequency" and found.noise_norm == "peak"
     return _response_figure(found, name) if measured_response else validation_figure(found, name)
-
-
-def delta_of(found: Validation) -> Figure:
-    """Size of each block over frequency.
-
-    Raises
-    ------
-    InputError
-        A validation in the time domain, or no Delta explains the record.
-    """
-    if found.domain != "frequency" or not np.isfinite(found.upper):
-        raise InputError(
-            "plot('delta')", f"domain {found.domain}, gamma {found.upper:.4g}", "a finite one over frequency"
-        )
-    return _size_figure(found)
 
 
 def cover_record(found: DataCover, record: str | None = None, output: str | None = None) -> Figure:

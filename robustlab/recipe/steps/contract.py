@@ -193,3 +193,14 @@ class Workspace:
         path.parent.mkdir(exist_ok=True)
         rl.save(path, result, self.provenance())
         self.files.append(f"evidence/{path.name}")
+
+
+def facts_of(found: Any) -> tuple[Fact, ...]:
+    """What a result says of itself, for the report."""
+    return tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
+
+
+def told(found: Any, value: Any, summary: str, numbers: Mapping[str, Any], work: Workspace) -> Outcome:
+    """A result that tells its own facts, kept as evidence; ``value`` is what later steps get of it."""
+    work.keep(found)
+    return Outcome(value, summary, numbers, facts_of(found), found.status)

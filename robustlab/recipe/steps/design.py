@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, quantity, step, told
 from robustlab.recipe.steps.models import uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -397,9 +397,7 @@ class LqiStep(Step):
             "K": found.K, "K_i": found.K_i, "poles": found.poles, "steady_error": found.steady_error,
             "spectral_abscissa": found.closed_loop.spectral_abscissa(),
         }  # fmt: skip
-        return _in_states(
-            found, found.controller, f"{', '.join(self.integral)} of {self.of} held by states.", numbers, work
-        )
+        return told(found, found.controller, f"{', '.join(self.integral)} of {self.of} held by states.", numbers, work)
 
 
 @step
@@ -424,13 +422,7 @@ class KalmanStep(Step):
         found = rl.kalman(model, W, diagonal_weight(self.measurement, model.output_names, "measurement"))
         deviations = dict(zip(model.state_names, np.sqrt(np.maximum(np.diag(found.P), 0.0)), strict=True))
         numbers = {"L": found.L, "poles": found.poles, "deviations": deviations}
-        return _in_states(found, found.estimator, f"States of {self.of} from its outputs.", numbers, work)
-
-
-def _in_states(found: Any, value: Any, summary: str, numbers: dict[str, Any], work: Workspace) -> Outcome:
-    work.keep(found)
-    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
-    return Outcome(value, summary, numbers, facts, found.status)
+        return told(found, found.estimator, f"States of {self.of} from its outputs.", numbers, work)
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
@@ -480,10 +472,9 @@ def designed(found: Any, summary: str, work: Workspace) -> Outcome:
     work.keep(found)
     numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
     numbers["stable"] = found.closed_loop_abscissa < 0
-    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
     reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
     text = "\n".join(["What limits any controller of this plant:", *limits_in_words(found)])
-    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status, (), text)
+    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts_of(found), found.status, (), text)
 
 
 def _draw_loop(found: Any, work: Workspace) -> None:

@@ -13,7 +13,17 @@ from pydantic_core import PydanticCustomError
 import robustlab as rl
 from robustlab.delays.neglected import PROOFS
 from robustlab.errors import InputError, did_you_mean
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
+from robustlab.recipe.steps.contract import (
+    Fact,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    least_trusted,
+    quantity,
+    step,
+    told,
+)
 from robustlab.recipe.steps.vocabulary import (
     Band,
     FileName,
@@ -220,7 +230,7 @@ class ZerosStep(Step):
             "not_minimum_phase": int(outside.sum()),
         }  # fmt: skip
         facts = (
-            *(Fact(label[:1].upper() + label[1:], text) for label, text in found.facts() if text),
+            *facts_of(found),
             Fact("On the boundary or beyond", str(int(outside.sum()))),
         )
         return Outcome(None, f"Zeros of {self.of}.", numbers, facts, found.status)
@@ -339,14 +349,12 @@ class ReduceModelStep(Step):
             work.values[self.of], self.order, tolerance=self.tolerance, method=self.method,
             band=as_pair(self.band), floor=self.floor, **weights,
         )  # fmt: skip
-        work.keep(found)
         numbers = {
             "order": found.order, "error": found.error.upper, "states": found.full.n_states,
             "bound": None if math.isnan(found.bound) else found.bound, "n_apart": found.n_apart,
             "hankel": found.hankel, "stable": found.model.is_stable(),
         }  # fmt: skip
-        facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
-        return Outcome(found.model, f"{self.of} with {found.order} states.", numbers, facts, found.status)
+        return told(found, found.model, f"{self.of} with {found.order} states.", numbers, work)
 
 
 @step
@@ -374,8 +382,7 @@ class ResampleStep(Step):
         else:
             found = rl.d2d(model, self.dt, self.method) if self.dt else rl.d2c(model, self.method)
             made = found.model
-        told = () if found is None else found.facts()
-        facts = (*_model_facts(made), *(Fact(label[:1].upper() + label[1:], text) for label, text in told if text))
+        facts = _model_facts(made) + (() if found is None else facts_of(found))
         summary = f"{self.of} with a sample time of {self.dt:g} s." if self.dt else f"{self.of} in continuous time."
         numbers = {**_model_numbers(made), "dt": made.dt} | ({} if found is None else {"error": found.error})
         return Outcome(made, summary, numbers, facts, None if found is None else found.status)
