@@ -301,10 +301,10 @@ def _work(
 
 def _hire(crew: Crew, payload: Payload, samples: int) -> Workers:
     if crew.cluster is not None:
-        from robustlab.campaign.cluster_workers import ClusterWorkers
+        from robustlab.campaign.workers import ClusterWorkers
 
         return ClusterWorkers(payload, crew.cluster)
-    from robustlab.campaign.local_workers import LocalWorkers
+    from robustlab.campaign.workers import LocalWorkers
 
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return LocalWorkers(payload, min(crew.workers or processors, max(1, samples)))

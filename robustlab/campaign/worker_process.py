@@ -1,4 +1,4 @@
-"""A local worker: ``python -m robustlab.campaign.worker_process``, started by `robustlab.campaign.local_workers`.
+"""A local worker: ``python -m robustlab.campaign.worker_process``, started by `robustlab.campaign.workers`.
 
 It takes frames (8 bytes of length, then the content) from stdin and answers in frames on stdout: the payload first,
 which it answers with an empty frame, then one request after the other. It ends when stdin does.

@@ -431,7 +431,7 @@ def validate(
     envelope = _envelope(model, record, members, found) if members else None
     files: list[str] = []
     if figures:
-        from robustlab.report.validation_figures import validation_figures
+        from robustlab.report.set_figures import validation_figures
 
         files += save_figures(validation_figures(found), figures, "validation-")
     files += _keep(found, output.out, "data validate", (uncertain, data), code)

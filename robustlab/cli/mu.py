@@ -172,7 +172,7 @@ def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptio
     points = None if question.frequency is None else numbers("--frequency", question.frequency)
     found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
     if shown.figure is not None:
-        from robustlab.report.mu_figures import bounds_at
+        from robustlab.report.robustness_figures import bounds_at
 
         save_drawing(bounds_at(found), shown.figure)
     bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
@@ -226,7 +226,7 @@ def _worst_gain(
 ) -> tuple[WorstCaseGain, str]:
     worst = rl.worst_case_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
     if shown.figure is not None:
-        from robustlab.report.mu_figures import gain_figure
+        from robustlab.report.robustness_figures import gain_figure
 
         save_drawing(gain_figure(worst), shown.figure)
     lines = [
@@ -289,7 +289,7 @@ def _inverse(value: float) -> float:
 
 def _draw(uncertain: rl.UncertainModel, margin: Margin, figure: str, performance: bool) -> None:
     from robustlab.mu_analysis.axis.critical_delta import replay
-    from robustlab.report.mu_figures import mu_figure, replay_figure, shares_figure
+    from robustlab.report.robustness_figures import mu_figure, replay_figure, shares_figure
 
     save_drawing(mu_figure(margin), figure)
     if margin.shares:

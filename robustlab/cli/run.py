@@ -44,8 +44,7 @@ def run(
     """
     from pathlib import Path
 
-    from robustlab.recipe.load import load_recipe
-    from robustlab.recipe.paths import recipe_path
+    from robustlab.recipe.load import load_recipe, recipe_path
     from robustlab.recipe.run import default_folder, point_latest, replaced, run_recipe
 
     loaded = load_recipe(recipe_path(recipe), changes or [])

@@ -119,7 +119,7 @@ def _report_violation(file: str, found: Any, folder: str | None, as_json: bool) 
     """Print the probability, draw it, and end with the exit code that says whether it was shown."""
     result: dict[str, Any] = {"file": file, **found.to_json()}
     if folder is not None:
-        from robustlab.report.worst_case_figures import distribution_figure, influence_figure
+        from robustlab.report.robustness_figures import distribution_figure, influence_figure
 
         figures = {"distribution": distribution_figure(found)}
         if found.influence is not None:

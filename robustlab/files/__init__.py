@@ -9,6 +9,6 @@ This room knows nothing of models; `robustlab.storage` maps trees to objects. In
     parquet, ros_bag                    tables and bags of others, by optional packages
     tree                                the form: groups, datasets, attributes; the header and hash of format 1
     hdf5, atomic                        the front of all trees, and writing them
-    logs, record_source                 what any of these holds of signals and clocks
+    record_source                       what any of these holds of signals and clocks
     records, frames                     measured records, from any of these, and from tables of pandas and xarray
 """

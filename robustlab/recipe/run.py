@@ -45,8 +45,7 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
-from robustlab.recipe.load import LoadedRecipe, references
-from robustlab.recipe.paths import find_files
+from robustlab.recipe.load import LoadedRecipe, find_files, references
 from robustlab.recipe.schema import Recipe, judge, look_up
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
 from robustlab.report.html import junit_xml, render

@@ -31,7 +31,7 @@ from robustlab.report.figures import (
     plain_label,
     zero_line,
 )
-from robustlab.report.worst_case_figures import exceedance_figure, response_figure
+from robustlab.report.robustness_figures import exceedance_figure, response_figure
 from robustlab.structural import StructuralTest
 from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
 from robustlab.synthesis.h2.kalman_filter import KalmanFilter

@@ -16,7 +16,7 @@ from robustlab.identification.comparison.best_linear_approximation import held_r
 from robustlab.identification.validation.frequency_domain import line_lagrangian, smallest_by_lines
 from robustlab.identification.validation.spectral_problem import spectrum_of_record, spectrum_of_response
 from robustlab.identification.validation.tuning import Search
-from robustlab.report.validation_figures import validation_figures
+from robustlab.report.set_figures import validation_figures
 from robustlab.result import plain
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])

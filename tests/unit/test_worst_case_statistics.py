@@ -7,7 +7,7 @@ import pytest
 import scipy.stats
 
 from robustlab.errors import InputError, UnitMismatch
-from robustlab.report.worst_case_figures import distribution_figure, influence_figure
+from robustlab.report.robustness_figures import distribution_figure, influence_figure
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import load, save

@@ -120,7 +120,7 @@ class Workspace:
     values
         Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
     sources
-        Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.paths.find_files`.
+        Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_files`.
     seed
         Seed of the recipe.
     unfinished

@@ -69,7 +69,7 @@ class DataCoverStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """The smallest unmodelled dynamics with which the plant could have produced its records."""
-        from robustlab.report.validation_figures import validation_figure
+        from robustlab.report.set_figures import validation_figure
 
         def thinned(name: str) -> Any:
             # An input is the mean of what was sent until the next sample that is kept: a held one stands for that.
@@ -138,7 +138,7 @@ class StoryStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Gap, uncertainty, robust performance and the simulated machine's error, before and after."""
-        from robustlab.report.story_figures import Story, fall_in_words, fall_percent, story_figure, times_in_words
+        from robustlab.report.design_figures import Story, fall_in_words, fall_percent, story_figure, times_in_words
 
         mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(self.performance, self.controllers, strict=True)]
         errors = [_of_controller(work, self.runs, k, "worst_error") for k in self.controllers]
@@ -292,7 +292,7 @@ class CoverModelsStep(Step):
         ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
         """
         from robustlab.recipe.steps.design import tracking_loop
-        from robustlab.report.cover_figures import cover_figures
+        from robustlab.report.set_figures import cover_figures
 
         models = _models(self, work)
         controller = None if self.controller is None else work.values[self.controller]
@@ -346,7 +346,7 @@ class UncertainFromStep(Step):
         ``range.BLOCK.low`` and ``.high``, ``bound.INPUT``.
         """
         from robustlab.dynamics import Plant
-        from robustlab.report.cover_figures import blocks_figure
+        from robustlab.report.set_figures import blocks_figure
 
         given = work.discoveries.get(self.of, work.values[self.of])
         if self.of not in work.discoveries and not isinstance(given, Plant):

@@ -116,7 +116,7 @@ class RobustStabilityStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """Robust stability margin with both bounds, over the whole frequency axis."""
         from robustlab.frequency import default_grid
-        from robustlab.report.mu_figures import mu_figure, shares_figure
+        from robustlab.report.robustness_figures import mu_figure, shares_figure
 
         uncertain = work.uncertain(self.of)
         grid = default_grid(uncertain.M, 60) if uncertain.M.n_states else None

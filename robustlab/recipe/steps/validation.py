@@ -94,7 +94,7 @@ class CoverStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """Whether a record lies in the envelope of an uncertain model's members, and by how much it does not."""
         from robustlab.identification.comparison.envelope import cover as cover_record
-        from robustlab.report.validation_figures import envelope_figure
+        from robustlab.report.set_figures import envelope_figure
 
         seed = work.seed if self.seed is None else self.seed
         found = cover_record(
@@ -159,7 +159,7 @@ class ValidateStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Bounds of the smallest scaling of Delta that explains a record; ``gamma`` is the one that was shown to."""
-        from robustlab.report.validation_figures import validation_figures
+        from robustlab.report.set_figures import validation_figures
 
         found = rl.validate(
             work.uncertain(self.of),

@@ -164,7 +164,7 @@ class WorstCaseStep(MetricStep):
         """The worst value of a metric that a search over Delta found, evaluated again at that Delta."""
         import numpy as np
 
-        from robustlab.report.worst_case_figures import worst_case_figure
+        from robustlab.report.robustness_figures import worst_case_figure
 
         model = work.uncertain(self.of)
         options = self.options(work)
@@ -210,7 +210,7 @@ class ViolationStep(MetricStep):
 
     def run(self, work: Workspace) -> Outcome:
         """Probability that random members violate a limit, with its bounds, and which parameters matter."""
-        from robustlab.report.worst_case_figures import distribution_figure, influence_figure
+        from robustlab.report.robustness_figures import distribution_figure, influence_figure
 
         limit = self.limit if self.unit is None else f"{self.limit!r} {self.unit}"
         options = self.options(work)
@@ -250,7 +250,7 @@ class ViolationStep(MetricStep):
 
 def _sampled_output(step: SampleStep, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
     """Numbers, facts and figure of the k-th output."""
-    from robustlab.report.worst_case_figures import response_figure
+    from robustlab.report.robustness_figures import response_figure
 
     name, unit = responses.outputs[k]
     y, nominal = responses.y[:, :, k], responses.nominal[:, k]
@@ -447,7 +447,7 @@ def _notes(result: Any) -> tuple[str, ...]:
 def _draw(store: Path, step: CampaignStep, work: Workspace, result: Any) -> None:
     from robustlab.campaign.result import exceedance_curve
     from robustlab.campaign.store import Store
-    from robustlab.report.worst_case_figures import exceedance_figure
+    from robustlab.report.robustness_figures import exceedance_figure
 
     if result.kind != "samples":
         return

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
-from robustlab.uncertainty.blocks.base import Block, Pattern, check_name_and_size, rank_one
-from robustlab.uncertainty.blocks.parameter_range import ParameterRange
+from robustlab.uncertainty.blocks.base import Block, ParameterRange, Pattern, check_name_and_size, rank_one
 
 
 class ScalarBlock(Block):
