@@ -10,7 +10,6 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, table
-from robustlab.cli.delays import delay_model, stability_lines
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
 from robustlab.cli.offers import NORMS, REDUCTIONS, one_of, plant_or_file
@@ -28,7 +27,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import plot_model
-from robustlab.cli.sampling import d2c, d2d, discretise
+from robustlab.cli.timing import d2c, d2d, delay_model, discretise, stability_lines
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:

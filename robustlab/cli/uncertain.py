@@ -11,7 +11,6 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
-from robustlab.cli.delays import cover_delays, neglected_weight
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.offers import COVERS, one_of, plant_or_file
 from robustlab.cli.options import (
@@ -29,6 +28,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.timing import cover_delays, neglected_weight
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:

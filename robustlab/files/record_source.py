@@ -311,7 +311,7 @@ def from_parquet(
     if isolate:
         tree = read_isolated("parquet", path, limits, wanted=wanted)
     else:
-        from robustlab.files.parquet import parquet_tree
+        from robustlab.files.optional_formats import parquet_tree
 
         tree = parquet_tree(where, wanted, limits)
     name = text_attr(tree.attrs, "name") or Path(path).stem
@@ -343,7 +343,7 @@ def from_bag(
     if isolate:
         tree = read_isolated("mcap", path, limits, group, wanted=wanted)
     else:
-        from robustlab.files.ros_bag import bag_tree
+        from robustlab.files.optional_formats import bag_tree
 
         tree = bag_tree(where, group, wanted, limits, None)
     listing = _listing(tree)

@@ -12,7 +12,7 @@ from pathlib import Path
 # named here come last.
 ORDER = (
     "models", "covers", "worst_case", "robustness", "design", "scheduling", "digital", "control", "records",
-    "validation", "published",
+    "validation",
 )  # fmt: skip
 
 _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
