@@ -33,9 +33,9 @@ import sys
 import time
 
 if "robustlab.campaign.worker_process" in sys.orig_argv:
-    from robustlab.campaign import work
+    from robustlab.campaign import evaluation
 
-    original = work.perform
+    original = evaluation.perform
 
     def open_below():
         with open(os.environ["PIECES_GATE"], encoding="utf-8") as gate:
@@ -49,7 +49,7 @@ if "robustlab.campaign.worker_process" in sys.orig_argv:
                 time.sleep(0.02)
         return original(evaluator, request)
 
-    work.perform = perform
+    evaluation.perform = perform
 '''
 ROOT = Path(__file__).resolve().parents[1]
 

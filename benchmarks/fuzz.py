@@ -43,8 +43,7 @@ import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.errors import RobustlabError
 from robustlab.files.tree import Tree, content_sha256
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.paths import find_files
+from robustlab.recipe.load import find_files, load_recipe
 from robustlab.recipe.run import read_result, write_report
 from robustlab.result import Result
 from robustlab.storage import interchange

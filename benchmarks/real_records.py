@@ -10,8 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.paths import recipe_path
+from robustlab.recipe.load import load_recipe, recipe_path
 from robustlab.recipe.run import run_recipe
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

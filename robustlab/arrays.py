@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AnyArray", "Array", "ComplexArray", "Indices", "Mask", "is_rank_deficient", "not_finite"]
-
 Array = NDArray[np.floating[Any]]  # real, double precision throughout
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 AnyArray = NDArray[Any]  # real or complex, as the model or the matrix is

@@ -26,18 +26,6 @@ from robustlab.errors import InputError
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-__all__ = [
-    "MILLION",
-    "NOT_REPEATABLE",
-    "USED_UP",
-    "Budget",
-    "child_environment",
-    "dense",
-    "listening",
-    "one_thread",
-    "search_budget",
-]
-
 # A unit of work is what a microsecond does on one core of 2026; a million of them is about a second there.
 MILLION = 1_000_000
 # What every text says of a result whose search the clock ended.

@@ -20,23 +20,6 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError
 
-__all__ = [
-    "MOST_SAMPLES",
-    "NEAR",
-    "SAME_TIME",
-    "UNIFORM_TOLERANCE",
-    "ClockSummary",
-    "Drift",
-    "checked_step",
-    "clock_drift",
-    "clock_step",
-    "common_clock",
-    "held",
-    "interpolated",
-    "is_uniform",
-    "summarise_clock",
-]
-
 # Samples further apart than this many sample times have one missing between them.
 NEAR = 1.5
 # A time this close to a stamp (in sample times) is that stamp: the rounding of clocks.

@@ -20,8 +20,6 @@ from itertools import pairwise
 
 from robustlab.arrays import AnyArray
 
-__all__ = ["exactly_on_boundary", "exactly_stable"]
-
 # Beyond this size whole numbers become long; the doubtful cases of practice are smaller.
 MOST_STATES = 12
 

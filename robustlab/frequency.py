@@ -13,9 +13,6 @@ from robustlab.magnitude import Moderated, moderated, refuse_overflow
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = ["default_grid", "frequency_response", "response_within"]
-
-
 # (n_omega, n, n) complex systems are solved in chunks of about this many numbers.
 CHUNK = 4_000_000
 

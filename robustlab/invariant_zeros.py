@@ -27,8 +27,6 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["Zeros", "transmission_zeros", "zeros"]
-
 EPS = float(np.finfo(float).eps)
 # Singular values below this share (times the order) of the largest entry left are rounding.
 ROUNDING = 100 * EPS

@@ -16,8 +16,6 @@ from robustlab.matrix_equations import MIRRORED, accepted_residual, judged_after
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
-__all__ = ["LinearSolution", "dlyap", "lyap", "sylvester"]
-
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution(Shown):

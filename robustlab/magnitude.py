@@ -18,18 +18,6 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
-__all__ = [
-    "Moderated",
-    "balancing_factors",
-    "balancing_exponents",
-    "is_moderate",
-    "moderated",
-    "refuse_overflow",
-    "scaled_down",
-    "times_power",
-]
-
-
 # A matrix is ordinary where its largest entry lies between these: products of several neither overflow nor vanish.
 # Single entries may be smaller, as long as their squares do not vanish.
 SMALLEST, LARGEST = 2.0**-166, 2.0**166

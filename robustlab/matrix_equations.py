@@ -27,21 +27,6 @@ from robustlab.magnitude import refuse_overflow
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
-__all__ = [
-    "MIRRORED",
-    "RiccatiSolution",
-    "accepted_residual",
-    "balanced_eigenvalues",
-    "care",
-    "dare",
-    "gramians",
-    "hamiltonian_riccati",
-    "judged_afterwards",
-    "lapack",
-    "lyapunov",
-    "lyapunov_factor",
-]
-
 # Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
 REFINED, NEWTON_STEPS = 1e-10, 4
 # Up to this many states LAPACK works without blocks, and asking how much room it would like takes longer than it saves.

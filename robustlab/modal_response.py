@@ -16,8 +16,6 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 
-__all__ = ["ModalResponse", "largest_gain"]
-
 EPS = float(np.finfo(float).eps)
 # Share of the inverse of V that may be rounding, and |F (sI - Lambda)^-1|: beyond them first-order bounds mean nothing.
 KNOWN = 0.01

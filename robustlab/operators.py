@@ -8,8 +8,6 @@ from typing import Any, ClassVar, Self, TypeVar, cast
 
 from robustlab.errors import InputError
 
-__all__ = ["TransferMatrix", "carried_by_rank"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 # The power of a model has that many times its states.

@@ -18,16 +18,6 @@ from typing import ClassVar
 
 from robustlab.errors import InputError
 
-__all__ = [
-    "BY_DIFFERENCES",
-    "NOT_VERIFIED",
-    "Provenance",
-    "Traced",
-    "file_sha256",
-    "library_versions",
-    "robustlab_version",
-]
-
 # In the note of a model whose derivatives are not exact, and of all that is saved from it.
 BY_DIFFERENCES = "derivatives by differences, not exact"
 # In the note of whatever comes from a file without a content hash, and of all that is saved from it.

@@ -19,13 +19,12 @@ from robustlab.clocks import is_uniform
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
-from robustlab.statespace import MAX_NAME, real_array
+from robustlab.signals import MAX_NAME
+from robustlab.statespace import real_array
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-__all__ = ["Record"]
 
 
 @dataclass(frozen=True, init=False, eq=False)

@@ -11,8 +11,6 @@ from typing import Any
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, in_words
 
-__all__ = ["Evidence", "Result", "Status", "plain"]
-
 
 class Status(StrEnum):
     """How much a number can be trusted; only CERTIFIED and CONVERGED may end in exit code 0.

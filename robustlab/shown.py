@@ -17,8 +17,6 @@ from typing import Any
 
 from robustlab.errors import plain_text
 
-__all__ = ["Facts", "Shown", "bracket", "heading", "in_words", "listed", "member", "number", "short", "with_units"]
-
 Facts = list[tuple[str, str]]  # label, text
 
 LINES = 6  # of a repr, the heading included

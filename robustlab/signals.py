@@ -11,21 +11,6 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 
-__all__ = [
-    "COMPLEX",
-    "MAX_NAME",
-    "Signal",
-    "SignalLike",
-    "indices",
-    "is_constant",
-    "is_number",
-    "names_of",
-    "picked",
-    "real_array",
-    "same_units",
-    "signals",
-]
-
 MAX_NAME = 200
 # Why complex entries are refused, and what to do with them.
 COMPLEX = (

@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 
-__all__ = ["peak_gain", "structured_norm_bounds"]
-
 SECONDS = 120.0  # an answer takes milliseconds; what takes longer does not come
 NO_SLYCOT = 3  # exit code of a child that has no slycot
 

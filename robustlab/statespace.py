@@ -20,7 +20,6 @@ from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.signals import (
     COMPLEX,
-    MAX_NAME,
     Signal,
     SignalLike,
     indices,
@@ -35,24 +34,6 @@ from robustlab.signals import (
 
 if TYPE_CHECKING:
     import control
-
-__all__ = [
-    "MAX_NAME",
-    "OperatingPoint",
-    "Signal",
-    "SignalLike",
-    "StateSpaceModel",
-    "append",
-    "as_model",
-    "feedback",
-    "inverse",
-    "lower_lft",
-    "parallel",
-    "product",
-    "real_array",
-    "series",
-    "signals",
-]
 
 MAX_STATES = 5000
 

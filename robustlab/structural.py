@@ -23,22 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.errors import InputError
 from robustlab.matrix_equations import lapack
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
-
-__all__ = [
-    "HiddenMode",
-    "StructuralTest",
-    "controllability",
-    "controllability_matrix",
-    "drop_unconnected",
-    "observability",
-    "observability_matrix",
-    "strong_components",
-]
 
 Kind = Literal["controllability", "observability"]
 
@@ -203,24 +191,6 @@ def observability(model: Any) -> StructuralTest:
     """
     m = as_model(model, "observability")
     return _test(m, m.A.T, m.C.T, "observability")
-
-
-def controllability_matrix(model: Any) -> Array:
-    """``[B, A B, ..., A^(n-1) B]``, shape (n_x, n_x n_u): the thesis' eq. 4.2, for small and well-scaled models only.
-
-    Raises
-    ------
-    InputError
-        Powers of A that overflow.
-    """
-    m = as_model(model, "controllability_matrix")
-    return _krylov(m.A, m.B)
-
-
-def observability_matrix(model: Any) -> Array:
-    """``[C; C A; ...; C A^(n-1)]``, shape (n_x n_y, n_x): the thesis' eq. 4.3 with its roles put right."""
-    m = as_model(model, "observability_matrix")
-    return _krylov(m.A.T, m.C.T).T
 
 
 def drop_unconnected(model: Any) -> StateSpaceModel:
@@ -445,16 +415,3 @@ def _reach(edges: Mask, start: Mask) -> Mask:
         frontier = edges[:, frontier].any(axis=1) & ~reached
         reached |= frontier
     return reached
-
-
-def _krylov(a: Array, b: Array) -> Array:
-    blocks = [b]
-    with np.errstate(over="ignore", invalid="ignore"):
-        while len(blocks) < len(a):
-            blocks.append(a @ blocks[-1])
-    matrix = np.hstack(blocks) if len(a) else np.zeros((0, 0))
-    if not np.isfinite(matrix).all():
-        raise InputError(
-            "structural", "powers of A overflow", "a well-scaled model", "use controllability or observability"
-        )
-    return matrix

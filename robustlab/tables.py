@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-__all__ = ["Table", "Tabular"]
-
 
 @dataclass(frozen=True)
 class Table:

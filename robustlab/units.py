@@ -12,8 +12,6 @@ from typing import Any
 
 from robustlab.errors import InputError
 
-__all__ = ["UNIT_SIZES", "amount", "factor_between", "factor_to_si", "same_unit", "share", "unit_family"]
-
 # Sizes of units in the first unit of each family: what people record in, and mistake for one another.
 UNIT_SIZES: tuple[dict[str, float], ...] = (
     {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "mrad": 1e-3},

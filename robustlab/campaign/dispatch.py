@@ -14,12 +14,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from robustlab.campaign.evaluation import Evaluator, Rows
+from robustlab.campaign.evaluation import Evaluator, Failure, Outcome, Piece, Rows, Workers
 from robustlab.campaign.store import Store
-from robustlab.campaign.work import Failure, Outcome, Piece, Workers
 from robustlab.errors import NoTrustworthyNumber
-
-__all__ = ["MAX_LOST_SHARE", "Again", "compute_missing", "evaluate_again"]
 
 # What is promised: so many samples may be lost, and a sample has so many workers before it is.
 MAX_LOST_SHARE = 0.01

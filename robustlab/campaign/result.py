@@ -24,19 +24,6 @@ from robustlab.shown import Facts, Shown, listed, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
-__all__ = [
-    "CONFIDENCE",
-    "CampaignResult",
-    "LostSample",
-    "Quantile",
-    "Violation",
-    "exceedance_curve",
-    "probability_bounds",
-    "quantiles",
-    "result_of",
-    "share_beyond",
-]
-
 CONFIDENCE = 0.95
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.campaign.dispatch import compute_missing, evaluate_again
-from robustlab.campaign.evaluation import LOST, Evaluator, decode_delta
+from robustlab.campaign.evaluation import LOST, Evaluator, Payload, Workers, decode_delta
 from robustlab.campaign.result import CampaignResult, result_of
 from robustlab.campaign.settings import (
     CampaignSettings,
@@ -24,12 +24,9 @@ from robustlab.campaign.settings import (
     model_to_bytes,
 )
 from robustlab.campaign.store import Store, locked, owner_text
-from robustlab.campaign.work import Payload, Workers
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
-
-__all__ = ["Crew", "Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign", "saved_samples"]
 
 Existing = Literal["resume", "restart", "fork"]
 
@@ -304,10 +301,10 @@ def _work(
 
 def _hire(crew: Crew, payload: Payload, samples: int) -> Workers:
     if crew.cluster is not None:
-        from robustlab.campaign.cluster_workers import ClusterWorkers
+        from robustlab.campaign.workers import ClusterWorkers
 
         return ClusterWorkers(payload, crew.cluster)
-    from robustlab.campaign.local_workers import LocalWorkers
+    from robustlab.campaign.workers import LocalWorkers
 
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return LocalWorkers(payload, min(crew.workers or processors, max(1, samples)))

@@ -27,8 +27,6 @@ from robustlab.campaign.evaluation import DONE, LOST, Rows
 from robustlab.campaign.settings import Identity
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, plain_text
 
-__all__ = ["Counts", "Sample", "Store", "locked", "owner_text"]
-
 FORMAT_VERSION = 1
 APPLICATION_ID = 0x524C4350  # "RLCP"
 MAGIC = b"SQLite format 3\x00"

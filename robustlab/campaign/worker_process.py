@@ -1,4 +1,4 @@
-"""A local worker: ``python -m robustlab.campaign.worker_process``, started by `robustlab.campaign.local_workers`.
+"""A local worker: ``python -m robustlab.campaign.worker_process``, started by `robustlab.campaign.workers`.
 
 It takes frames (8 bytes of length, then the content) from stdin and answers in frames on stdout: the payload first,
 which it answers with an empty frame, then one request after the other. It ends when stdin does.
@@ -13,8 +13,6 @@ import signal
 import sys
 import threading
 from typing import BinaryIO
-
-__all__ = ["main", "read_frame", "write_frame"]
 
 LENGTH = 8
 
@@ -45,7 +43,7 @@ def main() -> int:
     frames: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(frames,), daemon=True).start()
 
-    from robustlab.campaign.work import Payload, evaluator_of, perform
+    from robustlab.campaign.evaluation import Payload, evaluator_of, perform
 
     evaluator = evaluator_of(Payload.from_bytes(frames.get()))
     write_frame(answers, b"")

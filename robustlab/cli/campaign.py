@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
 from robustlab.cli.offers import METRICS, one_of
@@ -216,11 +217,10 @@ def _guarded(command: str, store: str, n: int, progress: ProgressOptions) -> Ite
 
 def _say_interrupted(store: str) -> None:
     from robustlab.campaign import saved_samples
-    from robustlab.errors import RobustlabError
 
     try:
         saved, n = saved_samples(store)
-    except RobustlabError:
+    except rl.RobustlabError:
         note("interrupted before anything was saved")
         return
     note(f"interrupted: {saved} of {n} samples saved; resume with robustlab campaign resume {store}")

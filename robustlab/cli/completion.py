@@ -22,8 +22,6 @@ from robustlab.cli.ending import answer
 from robustlab.cli.groups import GROUPS, parser
 from robustlab.errors import UsageError
 
-__all__ = ["COMPLETING", "SHELLS", "complete", "install", "show"]
-
 SHELLS = ("bash", "zsh", "fish")
 # Set by the script that the shell has loaded; typer makes the name of the program's.
 COMPLETING = "_ROBUSTLAB_COMPLETE"

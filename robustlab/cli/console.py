@@ -11,25 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from robustlab.cli.ending import main_guard
+import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.result import Status
-
-__all__ = [
-    "SCHEMA",
-    "emit",
-    "main_guard",
-    "note",
-    "require_trust",
-    "result_alone",
-    "save_drawing",
-    "save_figures",
-    "table",
-]
 
 SCHEMA = "robustlab.result/1"
 
@@ -82,7 +69,7 @@ def note(text: str) -> None:
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
 
 
-def require_trust(status: Status) -> None:
+def require_trust(status: rl.Status) -> None:
     """Leave with exit code 4 where the status vouches for no number; what there is has been printed."""
     if not status.trustworthy:
         raise typer.Exit(NoTrustworthyNumber.exit_code)

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import SCHEMA, emit, note, require_trust, save_figures, table
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
     EffortOptions,
     JsonOption,
+    ModelRecordOptions,
     OutputOptions,
+    RecordOptions,
+    UncertainRecordOptions,
     assignments,
     grouped,
     shares,
@@ -23,7 +27,6 @@ from robustlab.cli.options import (
 from robustlab.cli.plant import plant_or_model, uncertain_or_plant
 from robustlab.cli.plots import plot_record
 from robustlab.cli.progress import ProgressOptions
-from robustlab.cli.record_options import ModelRecordOptions, RecordOptions, UncertainRecordOptions
 from robustlab.errors import (
     EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
@@ -36,9 +39,6 @@ if TYPE_CHECKING:
     from robustlab.identification.naming.discovery_result import Discovery
     from robustlab.identification.validation import Validation
     from robustlab.provenance import Provenance
-    from robustlab.record import Record
-
-__all__ = ["PLANT_FILE", "DiscoveryFiles", "app"]
 
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
@@ -146,7 +146,7 @@ class DiscoveryFiles:
         provenance = _provenance("data discover", sources, code)
         files: list[str] = []
         if self.figures:
-            from robustlab.report.discovery_figures import discovery_figures
+            from robustlab.report.discovery import discovery_figures
 
             files += save_figures(discovery_figures(found), self.figures)
         if self.model_out:
@@ -280,10 +280,8 @@ def convert(
 
     Example: robustlab data convert run3.csv run3.h5 --inputs u --outputs q --unit q=rad
     """
-    from robustlab.storage import save
-
     record = options.read(source, options.inputs)
-    save(target, record, _provenance("data convert", [source]))
+    rl.save(target, record, _provenance("data convert", [source]))
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
 
 
@@ -307,14 +305,13 @@ def compare(
     """
     from robustlab.dynamics.plant_file import code_of
     from robustlab.identification.comparison.comparison import Comparison
-    from robustlab.identification.comparison.comparison import compare as compare_with
 
     system = plant_or_model(model, settings or [])
     repeat = windows.repeat or []
     inputs = options.inputs or ",".join(_input_names(system))
     first, *others = (options.read(file, inputs) for file in (data, *repeat))
     with progress.shown("data compare"):
-        found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
+        found = rl.compare(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
     if figures:
         from robustlab.report.comparison_figures import comparison_figures
@@ -355,16 +352,15 @@ def discover(
     """
     from robustlab.dynamics.effects.catalogue import effect
     from robustlab.dynamics.plant_file import code_of
-    from robustlab.identification.naming.discovery import discover as discover_in
 
     system = plant_or_model(model, settings or [])
     inputs = options.inputs or ",".join(_input_names(system))
 
-    def records(files: list[str] | None) -> list[Record]:
+    def records(files: list[str] | None) -> list[rl.Record]:
         return [options.read(file, inputs, group) for file, group in map(_file_and_group, files or [])]
 
     with progress.shown("data discover", lines=True, budgets=False) as report:
-        found = discover_in(
+        found = rl.discover(
             system,
             records(data),
             records(naming.held_out) or None,
@@ -414,14 +410,12 @@ def validate(
 
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
-    from robustlab.identification.validation import validate as validate_with
-
     model, code = uncertain_or_plant(uncertain)
     record = options.read(data, ",".join(s.name for s in model.inputs))
     units = {s.name: s.unit for s in model.outputs}
     words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
     with progress.shown("data validate", lines=True) as report:
-        found = validate_with(
+        found = rl.validate(
             model,
             record,
             assignments("--noise", asked.noise, units) if asked.noise else None,
@@ -437,7 +431,7 @@ def validate(
     envelope = _envelope(model, record, members, found) if members else None
     files: list[str] = []
     if figures:
-        from robustlab.report.validation_figures import validation_figures
+        from robustlab.report.set_figures import validation_figures
 
         files += save_figures(validation_figures(found), figures, "validation-")
     files += _keep(found, output.out, "data validate", (uncertain, data), code)
@@ -487,9 +481,7 @@ def _tell(files: Sequence[str]) -> None:
 
 def _keep(found: Any, out: str | None, command: str, sources: Sequence[str], code: Mapping[str, str]) -> list[str]:
     """Write a result where a file was named; its path."""
-    from robustlab.storage import save
-
-    return [str(save(out, found, _provenance(command, sources, code)))] if out else []
+    return [str(rl.save(out, found, _provenance(command, sources, code)))] if out else []
 
 
 def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:
@@ -501,16 +493,14 @@ def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:
 
 
 def _save_plant(found: Discovery, path: Path, provenance: Provenance) -> str:
-    from robustlab.storage import save
-
     if found.model is None:
         raise NoTrustworthyNumber(str(path), "there is no updated plant to write")
-    return str(save(path, found.model, provenance))
+    return str(rl.save(path, found.model, provenance))
 
 
 def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenance: Provenance) -> list[str]:
     from robustlab.files.atomic import atomic_write
-    from robustlab.report.discovery_page import write_page
+    from robustlab.report.discovery import write_page
     from robustlab.result import plain
 
     try:

@@ -9,29 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, save_drawing, table
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import JsonOption, OutOption, OutputOptions, names
+from robustlab.cli.options import JsonOption, OutOption, OutputOptions, load_model, names
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from robustlab.statespace import StateSpaceModel
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.problem.partition import GeneralizedPlant
-
-__all__ = [
-    "ChannelOptions",
-    "DesignOutput",
-    "GaussianOptions",
-    "LoopChannelOptions",
-    "QuietDesignOutput",
-    "SignalOptions",
-    "goal_of",
-    "limit_of",
-    "number_or_model",
-    "weight_of",
-]
 
 
 @dataclass(frozen=True)
@@ -63,19 +50,17 @@ class ChannelOptions:
 
     def plant(self, command: str, file: str, nominal: bool = False) -> GeneralizedPlant:
         """The generalised plant of a file."""
-        from robustlab.storage import load
-        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
-        from robustlab.uncertainty.lft import UncertainModel
+        from robustlab.synthesis.problem.partition import as_generalized_plant
 
-        found: Any = load(file)
+        found: Any = rl.load(file)
         if nominal:
-            if not isinstance(found, UncertainModel):
+            if not isinstance(found, rl.UncertainModel):
                 raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
             found = found.nominal
         if self.measurements is None or self.controls is None:
             return as_generalized_plant(found, self.n_meas, self.n_con, command)
         w, z = (None if text is None else names(text) for text in (self.disturbances, self.performance))
-        return generalized_plant(found, names(self.measurements), names(self.controls), w, z)
+        return rl.generalized_plant(found, names(self.measurements), names(self.controls), w, z)
 
 
 @dataclass(frozen=True)
@@ -92,15 +77,14 @@ class LoopChannelOptions:
 
     def plant(self, file: str, K: Any) -> GeneralizedPlant:
         """The generalised plant of the file: by names, or with as many channels at the end as the controller has."""
-        from robustlab.storage import load
-        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
+        from robustlab.synthesis.problem.partition import as_generalized_plant
 
         if (self.measurements is None) != (self.controls is None):
             raise UsageError("--measurements, --controls", "one of them", "both, or none")
-        loaded = load(file)
+        loaded = rl.load(file)
         if self.measurements is None or self.controls is None:
             return as_generalized_plant(loaded, K.n_inputs, K.n_outputs, file)
-        return generalized_plant(loaded, names(self.measurements), names(self.controls))
+        return rl.generalized_plant(loaded, names(self.measurements), names(self.controls))
 
 
 @dataclass(frozen=True)
@@ -110,12 +94,9 @@ class SignalOptions:
     inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None
     outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None
 
-    def model(self, file: str) -> StateSpaceModel:
+    def model(self, file: str) -> rl.StateSpaceModel:
         """The model in a file with these signals."""
-        from robustlab.statespace import as_model
-        from robustlab.storage import load
-
-        model = as_model(load(file), file)
+        model = load_model(file)
         if not self.inputs and not self.outputs:
             return model
         sides = (None if not text else names(text) for text in (self.inputs, self.outputs))
@@ -180,11 +161,9 @@ class GaussianOptions:
     disturbance_noise: Annotated[str, typer.Option("--disturbance-noise", help="Intensity of its noise.")] = "1"
     regulated: Annotated[str | None, typer.Option("--regulated", help="Outputs that it must leave: a,b; all.")] = None
 
-    def design(self, model: StateSpaceModel) -> Synthesis:
+    def design(self, model: rl.StateSpaceModel) -> Synthesis:
         """The design for a model."""
         import numpy as np
-
-        from robustlab.synthesis.h2.gaussian_regulator import lqg as design
 
         sizes = (model.n_states, model.n_inputs, model.n_states, model.n_outputs)
         weights = [
@@ -200,7 +179,7 @@ class GaussianOptions:
         )
         if self.at != at:
             raise UsageError("--at", repr(self.at), "input or output")
-        return design(
+        return rl.lqg(
             model, *weights, disturbance=given, at=at, channels=named[0], disturbance_noise=noise, regulated=named[1]
         )
 
@@ -208,15 +187,12 @@ class GaussianOptions:
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
-def number_or_model(text: str) -> StateSpaceModel | float:
+def number_or_model(text: str) -> rl.StateSpaceModel | float:
     """A weight: a number, or a file with a model."""
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-
     try:
         return float(text)
     except ValueError:
-        return as_model(load(text), text)
+        return load_model(text)
 
 
 def _number(where: str, text: str) -> float:

@@ -28,8 +28,6 @@ from typing import NoReturn
 
 from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text
 
-__all__ = ["EXIT_READER_GONE", "answer", "main_guard", "ready_streams", "require_surroundings"]
-
 EXIT_READER_GONE = 141  # 128 + SIGPIPE
 
 # Errors of the machine that any write, thread or process can meet: the disk is full, the folder is read-only, a quota

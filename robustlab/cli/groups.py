@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-__all__ = ["GROUPS", "parser"]
-
 # Command -> (module that holds its `app`, one line of help).
 GROUPS = {
     "plant": ("robustlab.cli.plant", "Start a plant of your own in a file; show a plant."),

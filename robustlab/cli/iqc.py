@@ -8,9 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, require_trust
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, names
+from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, load_model, names
 from robustlab.errors import UsageError
 
 app = typer.Typer(
@@ -85,34 +86,26 @@ def gain(
     Example: robustlab iqc gain loop.h5 --nature y:u=saturation --nature k=varying:0.5
     """
     from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-    from robustlab.iqc import iqc_gain, iqc_stability
     from robustlab.iqc.nature import natures_in_words
-    from robustlab.storage import load
-    from robustlab.uncertainty.lft import UncertainModel
 
-    thing = load(file)
+    thing = rl.load(file)
     if isinstance(thing, ExtendedPlant):
         result: Any = _effects(thing, blocks, effects, order, effort)
     else:
         if effects.controller or effects.amplitude or effects.stick_speed:
             raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
-        known = [b.name for b in thing.blocks] if isinstance(thing, UncertainModel) else []
+        known = [b.name for b in thing.blocks] if isinstance(thing, rl.UncertainModel) else []
         given = dict(_pair(text) for text in blocks.nature or [])
         nature = natures_in_words(given, "--nature", known)
         options = {"order": order, **vars(effort)}
         if blocks.stability:
-            result = iqc_stability(thing, nature, **options)
+            result = rl.iqc_stability(thing, nature, **options)
         else:
-            result = iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
-    output.keep(result)
-    emit("iqc gain", result.to_json(), result.summary(), output.as_json)
-    require_trust(result.status)
+            result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
+    output.finish("iqc gain", result, result.summary())
 
 
 def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: int, effort: EffortOptions) -> Any:
-    from robustlab.iqc.effect_gain_bounds import effect_gain
-    from robustlab.storage import load
-
     if effects.controller is None:
         raise UsageError("iqc gain", "a plant with effects without --controller", "the loop that it stands in")
     if blocks.nature or blocks.inputs or blocks.stability:
@@ -120,8 +113,8 @@ def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: in
                          "its effects say what they are")  # fmt: skip
     if effects.feedback not in ("negative", "positive"):
         raise UsageError(f"--feedback {effects.feedback}", "no such word", "negative or positive")
-    return effect_gain(
-        plant, load(effects.controller), _names(blocks.outputs), assignments("--amplitude", effects.amplitude),
+    return rl.effect_gain(
+        plant, rl.load(effects.controller), _names(blocks.outputs), assignments("--amplitude", effects.amplitude),
         assignments("--stick-speed", effects.stick_speed), 1 if effects.feedback == "positive" else -1, order,
         **vars(effort),
     )  # fmt: skip
@@ -173,12 +166,7 @@ def anti_windup(
 
     Example: robustlab iqc anti-windup motor.h5 pi.h5 --limit u=-10:10 --out windup.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.storage.controller_export import export_controller
-    from robustlab.synthesis.windup.static_anti_windup import anti_windup as find_gain
-
-    K = as_model(load(controller), controller)
+    K = load_model(controller)
     given = ends("--limit", limits)
     unknown = [name for name in given if name not in K.output_names]
     if unknown:
@@ -186,12 +174,12 @@ def anti_windup(
     pairs = [given.get(name, (-1.0, 1.0)) for name in K.output_names]
     if (code is None) != (dt is None):
         raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
-    result = find_gain(as_model(load(plant), plant), K, pairs, reach, direct, order=order, **vars(effort))
+    result = rl.anti_windup(load_model(plant), K, pairs, reach, direct, order=order, **vars(effort))
     output.keep(result)
     text = result.summary()
     if code is not None and dt is not None:
         held, back = result.sampled(dt)
-        export_controller(code, held, saturation=dict(zip(K.output_names, pairs, strict=True)), anti_windup=back)
+        rl.export_controller(code, held, saturation=dict(zip(K.output_names, pairs, strict=True)), anti_windup=back)
         text += f"\nwritten: {code}"
     emit("iqc anti-windup", result.to_json(), text, output.as_json)
     require_trust(result.status)

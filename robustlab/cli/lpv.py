@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, require_trust, table
+import robustlab as rl
+from robustlab.cli.console import emit, table
 from robustlab.cli.offers import one_of
 from robustlab.cli.options import EffortOptions, OutputOptions, assignments, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 
 app = typer.Typer(
     help="Gain scheduling: LPV models, their induced gain, scheduled controllers.", no_args_is_help=True,
@@ -45,19 +43,14 @@ class SchedulingOptions:
         ),
     ] = None
 
-    def model(self, file: str) -> LPVModel:
+    def model(self, file: str) -> rl.LPVModel:
         """The LPV model in a file, or of the uncertain one there."""
-        from robustlab.storage import load
-        from robustlab.synthesis.scheduling.lpv_sources import lpv_model
-        from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-        from robustlab.uncertainty.lft import UncertainModel
-
-        found: Any = load(file)
+        found: Any = rl.load(file)
         rates = assignments("--rate", self.rates)
         counts = {name: int(value) for name, value in assignments("--points", self.points).items()}
-        if isinstance(found, UncertainModel):
-            return lpv_model(found, counts, rates)
-        if not isinstance(found, LPVModel):
+        if isinstance(found, rl.UncertainModel):
+            return rl.lpv_model(found, counts, rates)
+        if not isinstance(found, rl.LPVModel):
             raise InputError(file, f"a {type(found).__name__}", "an LPV or an uncertain model")
         if counts:
             raise UsageError("--points", f"{file} has its points", "an uncertain model's file")
@@ -93,14 +86,10 @@ def gain(
 
     Example: robustlab lpv gain lpv.h5 --rate k=0.5
     """
-    from robustlab.synthesis.scheduling.induced_gain import lpv_gain
-
     model, kind = scheduling.model(file), _kind(lyapunov)
     with progress.shown("lpv gain") as report:
-        found = lpv_gain(model, kind, **vars(effort), progress=report)
-    output.keep(found)
-    emit("lpv gain", found.to_json(), table(found.facts()), output.as_json)
-    require_trust(found.status)
+        found = rl.lpv_gain(model, kind, **vars(effort), progress=report)
+    output.finish("lpv gain", found, table(found.facts()))
 
 
 @app.command()
@@ -122,14 +111,10 @@ def hinf(
 
     Example: robustlab lpv hinf plant.h5 --n-meas 1 --n-con 1 --out controller.h5
     """
-    from robustlab.synthesis.scheduling.scheduled_synthesis import lpv_hinf
-
     model, kind = scheduling.model(file), _kind(lyapunov)
     with progress.shown("lpv hinf") as report:
-        found = lpv_hinf(model, n_meas, n_con, kind, **vars(effort), progress=report)
-    rows = [*found.facts(), *output.keep_made("lpv hinf", found.controller, [file])]
-    emit("lpv hinf", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+        found = rl.lpv_hinf(model, n_meas, n_con, kind, **vars(effort), progress=report)
+    output.finish_made("lpv hinf", found, found.controller, [file])
 
 
 @app.command()
@@ -144,12 +129,8 @@ def at(
 
     Example: robustlab lpv at controller.h5 k=2.5 --out frozen.h5
     """
-    from robustlab.storage import load
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
-
-    found: Any = load(file)
-    if not isinstance(found, (LPVModel, LPVController)):
+    found: Any = rl.load(file)
+    if not isinstance(found, (rl.LPVModel, rl.LPVController)):
         raise InputError(file, f"a {type(found).__name__}", "an LPV model or a scheduled controller")
     model = found.at(assignments("NAME=VALUE", values))
     rows = [*model.facts(), *output.keep_made("lpv at", model, [file])]

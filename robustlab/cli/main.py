@@ -12,8 +12,6 @@ from collections.abc import Sequence
 
 from robustlab.cli.groups import GROUPS, parser
 
-__all__ = ["help_text", "main"]
-
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from robustlab.cli.console import emit, require_trust, table
+import robustlab as rl
+from robustlab.cli.console import table
 from robustlab.cli.members import delta_value, stands_for
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped, numbers
+from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped, load_model, numbers
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
     from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
     from robustlab.uncertainty.distances.gap_metric import GapMetric
-
-__all__ = ["gap", "margins"]
 
 TransposeOption = Annotated[
     bool, typer.Option("--transpose", help="The files were written column by column: swap A, B, C, D.")
@@ -76,67 +75,55 @@ def margins(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    from robustlab.delays import DelayedModel
     from robustlab.delays.model import as_delayed
-    from robustlab.mu_analysis.margins.classical import classical_margins
-    from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins, delay_disk_margins
-    from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin
-    from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
-    from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
-    from robustlab.storage import load
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-    from robustlab.uncertainty.lft import UncertainModel
+    from robustlab.mu_analysis.margins.disk_margin import PLACES, Place
 
     if loop.at not in PLACES:
         raise UsageError(f"--at {loop.at}", "no such place", "input, output or both")
-    thing: Any = load(plant, transpose=transpose)
-    k: Any = None if loop.controller is None else load(loop.controller, transpose=transpose)
+    thing: Any = rl.load(plant, transpose=transpose)
+    k: Any = None if loop.controller is None else rl.load(loop.controller, transpose=transpose)
     sign = _sign(loop.feedback, k)
-    late = isinstance(thing, DelayedModel) or isinstance(k, DelayedModel)
+    late = isinstance(thing, rl.DelayedModel) or isinstance(k, rl.DelayedModel)
     if late:
         thing, k = (None if o is None else as_delayed(getattr(o, "K", o), plant) for o in (thing, k))
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
-    if loop.frequency is not None or isinstance(thing, UncertainFrequencyData):
-        from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
-
+    if loop.frequency is not None or isinstance(thing, rl.UncertainFrequencyData):
         if loop.classical:
             raise UsageError("--frequency", "with --classical", "the disk margin")
         points = None if loop.frequency is None else numbers("--frequency", loop.frequency)
-        result: Any = disk_margin_at(thing, getattr(k, "K", k), points, **options)
+        result: Any = rl.disk_margin_at(thing, getattr(k, "K", k), points, **options)
         text = result.summary()
     elif loop.classical:
-        if isinstance(thing, UncertainModel):
+        if isinstance(thing, rl.UncertainModel):
             expected, hint = "one model", "leave --classical out for its disk margin"
             raise UsageError("--classical", "an uncertain plant", expected, hint)
-        of_loop = delay_classical_margins if late else classical_margins
+        of_loop = rl.delay_classical_margins if late else rl.classical_margins
         result = of_loop(thing, k, at=options["at"], sign=sign)
         text = _classical_text(result)
     elif late and (options["at"] != "output" or thing.n_outputs > 1):
-        result = delay_disk_margins(thing, k, **options)
+        result = rl.delay_disk_margins(thing, k, **options)
         text = _text(result)
     elif late:
-        result = delay_disk_margin(thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort)
+        result = rl.delay_disk_margin(
+            thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort
+        )
         text = result.summary()
-    elif isinstance(thing, UncertainModel):
-        result = worst_case_disk_margin(thing, k, **options, **vars(effort))
+    elif isinstance(thing, rl.UncertainModel):
+        result = rl.worst_case_disk_margin(thing, k, **options, **vars(effort))
         text = _worst_text(result)
     else:
-        result = disk_margin(thing, k, **options, **vars(effort))
+        result = rl.disk_margin(thing, k, **options, **vars(effort))
         text = _text(result)
-    output.keep(result)
     word = "negative" if sign < 0 else "positive"
     where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
     kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
     head = f"{kind} margins at the {where}, {word} feedback{skew}"
-    emit("model margins", {**result.to_json(), "feedback": word}, f"{head}\n{text}", output.as_json)
-    require_trust(result.status)
+    output.finish("model margins", result, f"{head}\n{text}", feedback=word)
 
 
 def _sign(feedback: str | None, controller: Any) -> Any:
-    from robustlab.synthesis.problem.design import Controller
-
     if feedback is None:
-        return 1 if isinstance(controller, Controller) else -1
+        return 1 if isinstance(controller, rl.Controller) else -1
     if feedback not in ("negative", "positive"):
         raise UsageError(f"--feedback {feedback}", "no such word", "negative or positive")
     return -1 if feedback == "negative" else 1
@@ -236,15 +223,8 @@ def gap(
 
     Example: robustlab model gap before.h5 after.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.uncertainty.distances.gap_metric import gap as gap_metric
-
-    one, two = (as_model(load(path, transpose=transpose), path) for path in (first, second))
-    result = gap_metric(one, two)
-    output.keep(result)
-    emit("model gap", result.to_json(), _gap_text(result), output.as_json)
-    require_trust(result.status)
+    result = rl.gap(*(load_model(path, transpose) for path in (first, second)))
+    output.finish("model gap", result, _gap_text(result))
 
 
 def _gap_text(result: GapMetric) -> str:

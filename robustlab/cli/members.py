@@ -5,30 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isnan
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import table
 from robustlab.cli.options import assignments
 from robustlab.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from robustlab.statespace import Signal
-    from robustlab.uncertainty.lft import UncertainModel
-
-__all__ = [
-    "SHOWN_BLOCKS",
-    "MetricOptions",
-    "ResponseOptions",
-    "UncertainArgument",
-    "delta_lines",
-    "delta_value",
-    "load_uncertain",
-    "named",
-    "place",
-    "stands_for",
-]
 
 SHOWN_BLOCKS = 40
 
@@ -49,11 +33,11 @@ class ResponseOptions:
     t_end: EndOption = None
     points: PointsOption = 401
 
-    def driven(self, model: UncertainModel) -> dict[str, float] | None:
+    def driven(self, model: rl.UncertainModel) -> dict[str, float] | None:
         """Constant inputs by name; None for the default."""
         return assignments("--input", self.inputs, {s.name: s.unit for s in model.inputs}) or None
 
-    def times(self, model: UncertainModel) -> Any:
+    def times(self, model: rl.UncertainModel) -> Any:
         """Times from 0 on, every sample of a discrete model; None where no end was given."""
         import numpy as np
 
@@ -86,13 +70,10 @@ class MetricOptions:
         return ResponseOptions(self.inputs, self.t_end, self.points)
 
 
-def load_uncertain(file: str) -> UncertainModel:
+def load_uncertain(file: str) -> rl.UncertainModel:
     """The uncertain model in a file, or an error that says what the file holds instead."""
-    from robustlab.storage import load
-    from robustlab.uncertainty.lft import UncertainModel
-
-    model = load(file)
-    if not isinstance(model, UncertainModel):
+    model = rl.load(file)
+    if not isinstance(model, rl.UncertainModel):
         raise InputError(
             file, f"holds a {type(model).__name__}", "an uncertain model", "make one with: robustlab uncertain build"
         )
@@ -102,7 +83,7 @@ def load_uncertain(file: str) -> UncertainModel:
 # --- printing --------------------------------------------------------------------------------------------------------
 
 
-def named(signals: Iterable[Signal]) -> list[str]:
+def named(signals: Iterable[rl.Signal]) -> list[str]:
     """Signals with their units."""
     return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, table
-from robustlab.cli.delays import delay_model, stability_lines
 from robustlab.cli.margins import gap, margins
 from robustlab.cli.members import named
 from robustlab.cli.offers import NORMS, REDUCTIONS, one_of, plant_or_file
@@ -21,16 +21,16 @@ from robustlab.cli.options import (
     band_of,
     ends,
     grouped,
+    load_model,
     plant_settings,
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import plot_model
-from robustlab.cli.sampling import d2c, d2d, discretise
+from robustlab.cli.timing import d2c, d2d, delay_model, discretise, stability_lines
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from robustlab.statespace import Signal, StateSpaceModel
     from robustlab.storage import Loaded
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
@@ -102,7 +102,6 @@ def build(
     from robustlab import dynamics
     from robustlab.dynamics.plant_contract import SteppedPlant
     from robustlab.provenance import Provenance
-    from robustlab.storage import save
 
     parameters = plant_settings(settings)
     made = read_plant(plant, parameters)
@@ -115,7 +114,7 @@ def build(
     model = dynamics.linearise(made, at=point, amplitude=sectors, pade=pade)
     given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
     where = f" at {pose}" if pose else f" at {', '.join(at)}" if at else ""
-    save(out, model, Provenance.now("model build", made_of(plant, made), note=f"{plant} {given}".strip() + where))
+    rl.save(out, model, Provenance.now("model build", made_of(plant, made), note=f"{plant} {given}".strip() + where))
     missing = made.left_out(point, sectors, pade) if isinstance(made, SteppedPlant) else ()
     lines = [
         f"{out}: {model!r}",
@@ -160,11 +159,8 @@ def check(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fal
 
     Example: robustlab model check motor.h5
     """
-    from robustlab.delays import DelayedModel
-    from robustlab.structural import controllability, observability
-
     loaded = options.read(file)
-    if isinstance(loaded.object, DelayedModel):
+    if isinstance(loaded.object, rl.DelayedModel):
         told, found = stability_lines(loaded.object)
         head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
         text = "\n".join([f"{file}: {_kind_line(loaded)}", *told])
@@ -173,7 +169,7 @@ def check(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fal
         return
     lines, result, doubtful = [f"{file}: {_kind_line(loaded)}"], {}, False
     for name, model in _models(loaded):
-        tests = [controllability(model), observability(model)]
+        tests = [rl.controllability(model), rl.observability(model)]
         doubtful = doubtful or not all(test.status.trustworthy for test in tests)
         lines += [f"{name}{model!r}", f"  {_stability(model)}"]
         lines += [f"  pole {_complex(pole)}" for pole in sorted(model.poles(), key=lambda p: (-p.real, p.imag))]
@@ -206,14 +202,13 @@ def diff(
 
     Example: robustlab model diff nominal.h5 perturbed.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load, load_pair
-    from robustlab.storage.model_pairs import difference
+    from robustlab.storage import load_pair
+    from robustlab.storage.models import difference
 
     if second is None:
         a, b = load_pair(first, transpose=transpose)
     else:
-        a, b = (as_model(load(path, transpose=transpose), path) for path in (first, second))
+        a, b = (load_model(path, transpose) for path in (first, second))
     changes = difference(a, b, rtol)
     rows = [
         (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
@@ -256,8 +251,6 @@ def convert(
     Example: robustlab model convert plant.mat plant.h5
     """
     from robustlab.provenance import Provenance, file_sha256
-    from robustlab.storage import save
-    from robustlab.storage.controller_export import export_controller
 
     loaded = ReadOptions(group, transpose).read(source)
     if loaded.kind == "pair":
@@ -265,11 +258,11 @@ def convert(
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
     limits = ends("--saturation", saturation) or None
     if limits is not None or anti_windup is not None or target.lower().endswith((".c", ".json")):
-        export_controller(
+        rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin
         )
     else:
-        save(target, loaded.object, origin)
+        rl.save(target, loaded.object, origin)
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
@@ -291,14 +284,12 @@ def norm(
 
     Example: robustlab model norm motor.h5 --kind h2
     """
-    from robustlab.norms import h2_norm, hinf_norm, linf_norm, passivity
-
     part = band_of(band)
-    functions: dict[str, Any] = dict(zip(NORMS, (hinf_norm, linf_norm, h2_norm, passivity), strict=True))
+    functions: dict[str, Any] = dict(zip(NORMS, (rl.hinf_norm, rl.linf_norm, rl.h2_norm, rl.passivity), strict=True))
     if part is not None:
         if kind != "linf":
             raise UsageError("--band", f"--kind {kind}", "--kind linf: the peak gain in the band")
-        functions["linf"] = partial(linf_norm, band=part)
+        functions["linf"] = partial(rl.linf_norm, band=part)
     if kind not in functions:
         raise UsageError(f"--kind {kind}", "no such norm", ", ".join(NORMS), did_you_mean(kind, NORMS))
     loaded = options.read(file)
@@ -319,9 +310,7 @@ def zeros(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fal
 
     Example: robustlab model zeros motor.h5
     """
-    from robustlab.invariant_zeros import zeros as invariant_zeros
-
-    found = [(name, invariant_zeros(model)) for name, model in _models(options.read(file))]
+    found = [(name, rl.zeros(model)) for name, model in _models(options.read(file))]
     text = "\n".join(
         f"{name}{value.summary()}" + "".join(
             f"\n  zero {_complex(z)}  {kind}" for z, kind in zip(value.values, value.kinds, strict=True)
@@ -349,10 +338,9 @@ def connect(
 
     Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --input r --output omega --out loop.h5
     """
-    from robustlab.storage import load
     from robustlab.uncertainty.named_wiring import connected
 
-    found = connected([load(file) for file in files], files, inputs or [], outputs or [], sums or [])
+    found = connected([rl.load(file) for file in files], files, inputs or [], outputs or [], sums or [])
     rows = [*found.facts(), *output.keep_made("model connect", found, files)]
     emit("model connect", {"model": found}, table(rows), output.as_json)
 
@@ -386,10 +374,8 @@ class ReductionOptions:
 
     def arguments(self) -> dict[str, Any]:
         """As `robustlab.reduce_model` takes them."""
-        from robustlab.storage import load
-
         files = {"input_weight": self.input_weight, "output_weight": self.output_weight}
-        weights = {name: None if file is None else load(file) for name, file in files.items()}
+        weights = {name: None if file is None else rl.load(file) for name, file in files.items()}
         return {"method": self.method, "band": band_of(self.band), "floor": self.floor, **weights}
 
 
@@ -412,15 +398,9 @@ def reduce(
 
     Example: robustlab model reduce plant.h5 --tolerance 0.01 --out small.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.reduction.model_reduction import reduce_model
-
-    found = reduce_model(as_model(load(file), file), order, tolerance=tolerance, **how.arguments())
+    found = rl.reduce_model(load_model(file), order, tolerance=tolerance, **how.arguments())
     files = [f for f in (file, how.input_weight, how.output_weight) if f is not None]
-    rows = [*found.facts(), *output.keep_made("model reduce", found.model, files)]
-    emit("model reduce", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("model reduce", found, found.model, files)
 
 
 app.command()(discretise)
@@ -437,13 +417,12 @@ def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
     return [("", loaded.object)]
 
 
-def _models(loaded: Loaded) -> list[tuple[str, StateSpaceModel]]:
-    from robustlab.dynamics import linearise
+def _models(loaded: Loaded) -> list[tuple[str, rl.StateSpaceModel]]:
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.statespace import as_model
 
     return [
-        (name, linearise(thing) if isinstance(thing, Plant) else as_model(thing, loaded.path))
+        (name, rl.linearise(thing) if isinstance(thing, Plant) else as_model(thing, loaded.path))
         for name, thing in _objects(loaded)
     ]
 
@@ -452,7 +431,7 @@ def _kind_line(loaded: Loaded) -> str:
     return f"{loaded.kind}, " + ("content hash verified" if loaded.verified else "not verified by a content hash")
 
 
-def _stability(model: StateSpaceModel) -> str:
+def _stability(model: rl.StateSpaceModel) -> str:
     if not model.n_states:
         return "static gain: no poles"
     value = model.spectral_abscissa()
@@ -467,23 +446,19 @@ def _complex(pole: complex) -> str:
 
 def _describe(name: str, thing: Any) -> list[str]:
     """A few lines about any object that a file can hold."""
-    from robustlab.delays import DelayedModel
     from robustlab.dynamics.plant_contract import Plant
-    from robustlab.statespace import StateSpaceModel
-    from robustlab.synthesis.problem.design import Controller
-    from robustlab.uncertainty.lft import UncertainModel
 
-    if isinstance(thing, DelayedModel):
+    if isinstance(thing, rl.DelayedModel):
         lengths = ", ".join(f"{t:.6g}" for t in thing.delays.tolist())
         return [repr(thing), f"  delays: {lengths} s", *_describe("between them: ", thing.H)]
-    if isinstance(thing, StateSpaceModel):
+    if isinstance(thing, rl.StateSpaceModel):
         return [f"{name}{thing!r}", *_signal_lines(thing), *_matrix_lines(thing)]
     if isinstance(thing, Plant):
         return _plant_lines(thing)
-    if isinstance(thing, Controller):
+    if isinstance(thing, rl.Controller):
         gamma = "none" if thing.gamma is None else f"{thing.gamma:.6g}"
         return [f"method {thing.method or 'unknown'}, gamma {gamma} ({thing.status})", *_describe(name, thing.K)]
-    if isinstance(thing, UncertainModel):
+    if isinstance(thing, rl.UncertainModel):
         rows = [(b.name, type(b).__name__, f"{b.rows} x {b.cols}", _range(b)) for b in thing.blocks]
         return [
             f"{thing!r}",
@@ -520,14 +495,14 @@ def _range(block: Any) -> str:
     return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip()
 
 
-def _signal_lines(model: StateSpaceModel | Any) -> list[str]:
-    def line(word: str, signals: tuple[Signal, ...]) -> str:
+def _signal_lines(model: rl.StateSpaceModel | Any) -> list[str]:
+    def line(word: str, signals: tuple[rl.Signal, ...]) -> str:
         return f"  {word}: " + ", ".join(named(signals))
 
     return [line("inputs", model.inputs), line("outputs", model.outputs), line("states", model.states)]
 
 
-def _matrix_lines(model: StateSpaceModel) -> list[str]:
+def _matrix_lines(model: rl.StateSpaceModel) -> list[str]:
     if max(model.n_states, model.n_inputs, model.n_outputs) > SHOWN_STATES:
         return [f"  matrices larger than {SHOWN_STATES}: --json prints them"]
     lines = []

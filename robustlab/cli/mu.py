@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+import robustlab as rl
+from robustlab.cli.console import note, save_drawing, table
 from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped, numbers
 from robustlab.cli.progress import ProgressOptions
@@ -16,7 +17,6 @@ from robustlab.errors import InputError, UsageError
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
     from robustlab.mu_analysis.axis.robust_gain import RobustGain
-    from robustlab.uncertainty.lft import UncertainModel
 
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_completion=False)
 
@@ -129,15 +129,13 @@ def mu(
 
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-
     question.check(voices)
     if not 0 < proof.accuracy < 1 or not proof.tolerance > 0:
         found = f"accuracy {proof.accuracy}, tolerance {proof.tolerance}"
         raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
     options: dict[str, Any] = {**vars(proof), "seed": seed}
     uncertain = _uncertain(file, question.inputs, question.outputs)
-    if question.frequency is not None or isinstance(uncertain, UncertainFrequencyData):
+    if question.frequency is not None or isinstance(uncertain, rl.UncertainFrequencyData):
         question.check_at(voices, shown)
         _at_frequencies(uncertain, question, shown, seed, output)
         return
@@ -164,41 +162,31 @@ def mu(
         check = cross_check(uncertain, cast("Margin | WorstCaseGain", result))
         text += f"\nSLICOT: {check.said}"
         more["cross_check"], trusted = check, trusted and check.status.trustworthy
-    output.keep(result)
-    emit("mu", {**result.to_json(), **more}, text, output.as_json)
-    require_trust(result.status)
+    output.finish("mu", result, text, **more)
     if not trusted:
         raise typer.Exit(4)
 
 
 def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int, output: Any) -> None:
     """Margin or gain at frequencies, and where it holds."""
-    from robustlab.mu_analysis.margins.at_frequencies import robust_stability_at, worst_case_gain_at
-
     points = None if question.frequency is None else numbers("--frequency", question.frequency)
-    found = (worst_case_gain_at if question.gain else robust_stability_at)(uncertain, points, seed=seed)
+    found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
     if shown.figure is not None:
-        from robustlab.report.mu_figures import bounds_at
+        from robustlab.report.robustness_figures import bounds_at
 
         save_drawing(bounds_at(found), shown.figure)
     bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
     rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
-    output.keep(found)
     text = f"{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
-    emit("mu", found.to_json(), text, output.as_json)
-    require_trust(found.status)
+    output.finish("mu", found, text)
 
 
 def _uncertain(file: str, inputs: str | None, outputs: str | None) -> Any:
-    from robustlab.storage import load
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-    from robustlab.uncertainty.lft import UncertainModel
-
-    uncertain = load(file)
-    if isinstance(uncertain, UncertainFrequencyData):
+    uncertain = rl.load(file)
+    if isinstance(uncertain, rl.UncertainFrequencyData):
         sides = (uncertain.outputs, outputs), (uncertain.inputs, inputs)
         return uncertain[tuple(given.split(",") if given else [s.name for s in side] for side, given in sides)]
-    if not isinstance(uncertain, UncertainModel):
+    if not isinstance(uncertain, rl.UncertainModel):
         raise InputError(
             file, f"a {type(uncertain).__name__}", "an uncertain model", "robustlab uncertain build --help"
         )
@@ -207,7 +195,7 @@ def _uncertain(file: str, inputs: str | None, outputs: str | None) -> Any:
     return uncertain
 
 
-def _grid(uncertain: UncertainModel, figure: str | None) -> Any:
+def _grid(uncertain: rl.UncertainModel, figure: str | None) -> Any:
     """Frequencies for the curves of a figure; none where nothing is drawn."""
     from robustlab.frequency import default_grid
 
@@ -215,11 +203,9 @@ def _grid(uncertain: UncertainModel, figure: str | None) -> Any:
 
 
 def _margin(
-    uncertain: UncertainModel, performance: bool, options: dict[str, Any], shown: ShownOptions
+    uncertain: rl.UncertainModel, performance: bool, options: dict[str, Any], shown: ShownOptions
 ) -> tuple[Margin, str]:
-    from robustlab.mu_analysis import robust_performance, robust_stability
-
-    analyse = robust_performance if performance else robust_stability
+    analyse = rl.robust_performance if performance else rl.robust_stability
     margin = analyse(uncertain, omega=_grid(uncertain, shown.figure), **options)
     if shown.figure is not None:
         _draw(uncertain, margin, shown.figure, performance)
@@ -235,12 +221,12 @@ def _margin(
     return margin, "\n".join(lines)
 
 
-def _worst_gain(uncertain: UncertainModel, options: dict[str, Any], shown: ShownOptions) -> tuple[WorstCaseGain, str]:
-    from robustlab.mu_analysis import worst_case_gain
-
-    worst = worst_case_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
+def _worst_gain(
+    uncertain: rl.UncertainModel, options: dict[str, Any], shown: ShownOptions
+) -> tuple[WorstCaseGain, str]:
+    worst = rl.worst_case_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
     if shown.figure is not None:
-        from robustlab.report.mu_figures import gain_figure
+        from robustlab.report.robustness_figures import gain_figure
 
         save_drawing(gain_figure(worst), shown.figure)
     lines = [
@@ -256,13 +242,11 @@ def _worst_gain(uncertain: UncertainModel, options: dict[str, Any], shown: Shown
 
 
 def _robust_gain(
-    uncertain: UncertainModel, level: float, options: dict[str, Any], shown: ShownOptions
+    uncertain: rl.UncertainModel, level: float, options: dict[str, Any], shown: ShownOptions
 ) -> tuple[RobustGain, str]:
-    from robustlab.mu_analysis.axis.robust_gain import robust_gain
-
     if shown.intervals or shown.figure is not None:
         raise UsageError("mu", "--intervals or --figure with --level", "--gain for the intervals of a worst-case gain")
-    found = robust_gain(uncertain, level, **options)
+    found = rl.robust_gain(uncertain, level, **options)
     lines = [
         f"robust gain margin  {found.lower:.6g} .. {found.upper:.6g}  ({found.status})",
         f"gain below          {level:g}",
@@ -303,10 +287,9 @@ def _inverse(value: float) -> float:
     return 1 / value if value else float("inf")
 
 
-def _draw(uncertain: UncertainModel, margin: Margin, figure: str, performance: bool) -> None:
-    from robustlab.errors import RobustlabError
+def _draw(uncertain: rl.UncertainModel, margin: Margin, figure: str, performance: bool) -> None:
     from robustlab.mu_analysis.axis.critical_delta import replay
-    from robustlab.report.mu_figures import mu_figure, replay_figure, shares_figure
+    from robustlab.report.robustness_figures import mu_figure, replay_figure, shares_figure
 
     save_drawing(mu_figure(margin), figure)
     if margin.shares:
@@ -315,7 +298,7 @@ def _draw(uncertain: UncertainModel, margin: Margin, figure: str, performance: b
         return
     try:
         shown = replay(uncertain, margin)
-    except RobustlabError as error:
+    except rl.RobustlabError as error:
         note(f"no replay: {error}")
         return
     save_drawing(replay_figure(shown), figure, "-replay")

@@ -11,11 +11,6 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-__all__ = [
-    "COVERS", "FORMULAS", "METRICS", "NORMS", "PLANTS", "REDUCTIONS", "Offer", "one_of", "plant_or_file",
-    "recipe_or_file",
-]  # fmt: skip
-
 Offer = Callable[[str], list[str]]
 
 # Words of choices whose modules load numpy; a test holds them to those modules.

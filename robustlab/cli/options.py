@@ -2,6 +2,8 @@
 
 An option group is a frozen dataclass whose fields are annotated as a command's own parameters are. A command that is
 marked with `grouped` takes the group as one parameter, and the parser sees the fields in its place.
+
+Among them is how the file of a record is read: alone, beside a model, and beside an uncertain one.
 """
 
 from __future__ import annotations
@@ -14,34 +16,11 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from robustlab.cli.console import note
+import robustlab as rl
+from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
-from robustlab.units import amount, share
-
-__all__ = [
-    "BandOption",
-    "ChangesOption",
-    "DtOption",
-    "EffortOption",
-    "EffortOptions",
-    "JsonOption",
-    "OutOption",
-    "OutputOptions",
-    "PrewarpOption",
-    "RecipeArgument",
-    "SeedOption",
-    "TimeLimitOption",
-    "assignments",
-    "band_of",
-    "ends",
-    "grouped",
-    "names",
-    "plant_settings",
-    "rows_of_blocks",
-    "six_numbers",
-    "shares",
-]
+from robustlab.units import amount, same_unit, share
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
@@ -135,9 +114,7 @@ class OutputOptions:
     def keep(self, result: Any) -> None:
         """Write the result, with a note, where a file was named."""
         if self.out is not None:
-            from robustlab.storage import save
-
-            save(self.out, result)
+            rl.save(self.out, result)
             note(f"written: {self.out}")
 
     def keep_made(self, command: str, thing: Any, files: Sequence[str]) -> list[tuple[str, str]]:
@@ -145,10 +122,28 @@ class OutputOptions:
         if self.out is None:
             return []
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage import save
 
-        save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
+        rl.save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
         return [("written", self.out)]
+
+    def finish(self, command: str, result: Any, text: str, **more: Any) -> None:
+        """Write the result where a file was named, print it, and leave with the exit code of its status."""
+        self.keep(result)
+        emit(command, {**result.to_json(), **more}, text, self.as_json)
+        require_trust(result.status)
+
+    def finish_made(self, command: str, found: Any, thing: Any, files: Sequence[str]) -> None:
+        """The same of what was found of files: the thing made there is written, the facts are printed."""
+        rows = [*found.facts(), *self.keep_made(command, thing, files)]
+        emit(command, found.to_json(), table(rows), self.as_json)
+        require_trust(found.status)
+
+
+def load_model(file: str, transpose: bool = False) -> rl.StateSpaceModel:
+    """The plain model in a file; of a controller its own."""
+    from robustlab.statespace import as_model
+
+    return as_model(rl.load(file, transpose=transpose), file)
 
 
 # --- texts of options ------------------------------------------------------------------------------------------------
@@ -268,3 +263,85 @@ def plant_settings(texts: list[str] | None) -> dict[str, Any]:
         except ValueError:
             values[name] = value  # a choice, such as a preset; the plant knows which there are
     return values
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """How the file of a record is to be read."""
+
+    group: Annotated[
+        str | None, typer.Option("--group", help="HDF5 group, MATLAB struct or topic of a bag.", show_default=False)
+    ] = None
+    inputs: Annotated[
+        str | None,
+        typer.Option("--inputs", help="Inputs: u or u,w; u=SIGNAL renames.", show_default=False),
+    ] = None
+    outputs: Annotated[
+        str | None, typer.Option("--outputs", help="Names of the outputs: q or q,v.", show_default=False)
+    ] = None
+    dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None
+    clock: Annotated[
+        str | None,
+        typer.Option("--clock", help="Signal with the times; of a bag: stamp or log.", show_default=False),
+    ] = None
+    unit: Annotated[
+        list[str] | None,
+        typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
+    ] = None
+    delimiter: Annotated[
+        str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
+    ] = None
+    decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
+    allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
+
+    def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> rl.Record:
+        """The record in a file, with these inputs; of this group, where one is given. What was done to it is told."""
+        units = _units(self.unit or [])
+        wanted, told = (None if text is None else names(text) for text in (inputs, self.outputs))
+        record = rl.Record.read(
+            file, group or self.group, wanted, told, self.dt, units=units, clock=self.clock,
+            delimiter=self.delimiter, decimal=self.decimal, allow_gaps=self.allow_gaps,
+        )  # fmt: skip
+        for name in record.units:
+            if name in units and not same_unit(units[name], record.unit(name)):
+                note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
+        if tell:
+            for line in record.meaning.get("t", "").splitlines():
+                note(f"{file}: {line}")
+        return record
+
+
+@dataclass(frozen=True)
+class ModelRecordOptions(RecordOptions):
+    """The same beside a model, which knows its inputs."""
+
+    inputs: Annotated[
+        str | None,
+        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
+    ] = None
+    outputs: Annotated[
+        str | None,
+        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
+    ] = None
+
+
+@dataclass(frozen=True)
+class UncertainRecordOptions(RecordOptions):
+    """The same beside an uncertain model, whose inputs the record must have; gaps are refused."""
+
+    inputs: None = None
+    outputs: Annotated[
+        str | None, typer.Option("--outputs", "--output", help="Names of the outputs.", show_default=False)
+    ] = None
+    clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None
+    allow_gaps: bool = False
+
+
+def _units(settings: list[str]) -> dict[str, str]:
+    units = {}
+    for text in settings:
+        name, equals, unit = text.partition("=")
+        if not (name and equals):
+            raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
+        units[name] = unit
+    return units

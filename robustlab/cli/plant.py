@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, result_alone, table
 from robustlab.cli.members import named
 from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import JsonOption, assignments, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
-
-__all__ = ["app", "made_of", "plant_or_model", "read_plant", "uncertain_or_plant"]
 
 app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_args_is_help=True, add_completion=False)
 
@@ -24,15 +23,14 @@ app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_
 
 def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
     """The plant of that name, in that file of Python (``file.py:name``: it is run), or in that HDF5 file."""
-    from robustlab.dynamics import plant
     from robustlab.dynamics.plant_file import plant_reference, unit_reference
     from robustlab.storage.interchange import is_plant_file, load_plant
 
     if plant_reference(name) or unit_reference(name):
         result_alone()
-        return plant(name, **parameters)
+        return rl.plant(name, **parameters)
     if not is_plant_file(name):
-        return plant(name, **parameters)
+        return rl.plant(name, **parameters)
     made = load_plant(name)
     return made.with_parameters(**parameters) if parameters else made
 
@@ -41,21 +39,19 @@ def plant_or_model(name: str, settings: list[str]) -> Any:
     """The same, or the model in a file."""
     from robustlab.dynamics import plant_names
     from robustlab.dynamics.plant_file import plant_reference, unit_reference
-    from robustlab.storage import load
 
     if name in plant_names() or plant_reference(name) or unit_reference(name):
         return read_plant(name, plant_settings(settings))
     if settings:
         known = f"one of {', '.join(plant_names())}, or path/to/file.py:name"
         raise UsageError(f"--set {settings[0]}", f"{name} is no plant", known, did_you_mean(name, plant_names()))
-    return load(name)
+    return rl.load(name)
 
 
 def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
     """The uncertain model in a file, or the set of a plant whose parameters have tolerances; the code that made it."""
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.dynamics.plant_file import code_of
-    from robustlab.uncertainty.lft import UncertainModel
 
     model = plant_or_model(name, [])
     if isinstance(model, Plant):
@@ -65,7 +61,7 @@ def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
         if not any(p.tolerance for p in model.parameters.values()):
             raise InputError(name, "no parameter has a tolerance", "a plant whose parameters may vary")
         return uncertain(), code_of(model)
-    if not isinstance(model, UncertainModel):
+    if not isinstance(model, rl.UncertainModel):
         raise InputError(name, f"a {type(model).__name__}", "an uncertain model", "robustlab uncertain build")
     return model, {}
 
@@ -159,17 +155,17 @@ class _Rest:
     """Where a plant stays, and its poles there; or why there is no such point."""
 
     def __init__(self, plant: Any, at: Mapping[str, float]) -> None:
-        from robustlab.dynamics import LinearPlant, linearise, trim
+        from robustlab.dynamics import LinearPlant
 
         self.plant, self.trim, self.model, self.problem = plant, None, None, None
         if isinstance(plant, LinearPlant):
             if at:
                 raise UsageError("--at", f"{plant.name} is linear", "no --at: its poles are the same everywhere")
-            self.model = linearise(plant)
+            self.model = rl.linearise(plant)
             return
         try:
-            self.trim = trim(plant, **at)
-            self.model = linearise(plant, at=self.trim)
+            self.trim = rl.trim(plant, **at)
+            self.model = rl.linearise(plant, at=self.trim)
         except NoTrustworthyNumber as error:
             self.problem = error
         except InputError as error:

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, SeedOption, grouped, names
+from robustlab.cli.options import JsonOption, RecordOptions, SeedOption, grouped, names
 from robustlab.cli.plant import plant_or_model
-from robustlab.cli.record_options import RecordOptions
 from robustlab.errors import InputError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = ["KINDS", "plot_model", "plot_record"]
 
 # Kind -> function of robustlab.report.model_figures.
 KINDS = {"bode": "bode_figure", "step": "step_figure", "sigma": "sigma_figure", "pzmap": "pole_figure"}
@@ -89,19 +87,17 @@ def plot_record(
 
 def _model(name: str) -> Any:
     """A model, linearised at rest where it is a plant."""
-    from robustlab.dynamics import Plant, linearise
+    from robustlab.dynamics import Plant
 
     found = plant_or_model(name, [])
-    return linearise(found) if isinstance(found, Plant) else found
+    return rl.linearise(found) if isinstance(found, Plant) else found
 
 
 def _channels(model: Any, inputs: str | None, outputs: str | None) -> Any:
     """The model between the channels that were asked for; of many the first, with a note."""
-    from robustlab.delays import DelayedModel
     from robustlab.statespace import as_model
-    from robustlab.uncertainty.lft import UncertainModel
 
-    model = model if isinstance(model, (UncertainModel, DelayedModel)) else as_model(model, "model plot")
+    model = model if isinstance(model, (rl.UncertainModel, rl.DelayedModel)) else as_model(model, "model plot")
     chosen = []
     for option, given, side in (("--inputs", inputs, model.inputs), ("--outputs", outputs, model.outputs)):
         known = [s.name for s in side]

@@ -27,8 +27,6 @@ from robustlab.cli.console import note
 from robustlab.cli.offers import one_of
 from robustlab.errors import UsageError, plain_text
 
-__all__ = ["MODES", "SCHEMA", "Display", "ProgressOptions"]
-
 SCHEMA = "robustlab.progress/1"
 MODES = ("auto", "json", "none")
 PATIENCE = 2.0  # s; what takes less shows nothing on a terminal

@@ -25,8 +25,7 @@ def check(
 
     Example: robustlab recipe check first-light
     """
-    from robustlab.recipe.load import load_recipe
-    from robustlab.recipe.paths import find_files, recipe_path
+    from robustlab.recipe.load import find_files, load_recipe, recipe_path
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     files = {name: str(path) for name, path in find_files(loaded).items()}

@@ -44,10 +44,8 @@ def run(
     """
     from pathlib import Path
 
-    from robustlab.recipe.folders import default_folder, point_latest, replaced
-    from robustlab.recipe.load import load_recipe
-    from robustlab.recipe.paths import recipe_path
-    from robustlab.recipe.run import run_recipe
+    from robustlab.recipe.load import load_recipe, recipe_path
+    from robustlab.recipe.run import default_folder, point_latest, replaced, run_recipe
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     folder = Path(out) if out else default_folder(loaded)

@@ -6,11 +6,9 @@ from typing import Annotated
 
 import typer
 
-from robustlab.cli.console import emit, require_trust, table
-from robustlab.cli.options import OutputOptions, assignments, grouped
+import robustlab as rl
+from robustlab.cli.options import OutputOptions, assignments, grouped, load_model
 from robustlab.errors import UsageError
-
-__all__ = ["kalman", "lqi"]
 
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 
@@ -57,20 +55,15 @@ def lqi(
 
     Example: robustlab synth lqi motor.h5 --integral omega=100 --control u=0.1 --out k.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.h2.integral_feedback import lqi as design
     from robustlab.synthesis.h2.named_weights import integral_weights
 
     followed = assignments("--integral", integral)
     if not followed:
         raise UsageError("synth lqi", "no output", "--integral NAME=VALUE: which output follows, and its weight")
-    model = as_model(load(file), file)
+    model = load_model(file)
     Q, R = integral_weights(model, followed, assignments("--state", state), assignments("--control", control))
-    found = design(model, Q, R, outputs=list(followed))
-    rows = [*found.facts(), *output.keep_made("synth lqi", found.controller, [file])]
-    emit("synth lqi", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    found = rl.lqi(model, Q, R, outputs=list(followed))
+    output.finish_made("synth lqi", found, found.controller, [file])
 
 
 @grouped
@@ -87,15 +80,10 @@ def kalman(
 
     Example: robustlab synth kalman motor.h5 --process u=0.04 --measurement omega=1e-4 --out filter.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.h2.kalman_filter import kalman as design
     from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
 
-    model = as_model(load(file), file)
+    model = load_model(file)
     W = process_noise(model, assignments("--process", process), "--process")
     V = diagonal_weight(assignments("--measurement", measurement), model.output_names, "--measurement")
-    found = design(model, W, V)
-    rows = [*found.facts(), *output.keep_made("synth kalman", found.estimator, [file])]
-    emit("synth kalman", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    found = rl.kalman(model, W, V)
+    output.finish_made("synth kalman", found, found.estimator, [file])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.design_options import (
     ChannelOptions,
@@ -28,6 +29,7 @@ from robustlab.cli.options import (
     PrewarpOption,
     SeedOption,
     grouped,
+    load_model,
     names,
     rows_of_blocks,
 )
@@ -84,11 +86,10 @@ def hinf(
     """
     channels.check("synth hinf")
     output.check()
-    from robustlab.synthesis.hinf.hinf_synthesis import hinf as design
 
     plant = channels.plant("synth hinf", file, nominal)
     with output.shown("synth hinf", verbose=output.verbose) as report:
-        found = design(plant, gamma_rel=gamma_rel, **vars(effort), progress=report)
+        found = rl.hinf(plant, gamma_rel=gamma_rel, **vars(effort), progress=report)
     output.finish("synth hinf", found, file)
 
 
@@ -110,11 +111,10 @@ def h2(
     """
     channels.check("synth h2")
     output.check()
-    from robustlab.synthesis.h2.h2_synthesis import h2 as design
 
     plant = channels.plant("synth h2", file, nominal)
     with output.shown("synth h2", verbose=output.verbose) as report:
-        found = design(plant, **vars(effort), progress=report)
+        found = rl.h2(plant, **vars(effort), progress=report)
     output.finish("synth h2", found, file)
 
 
@@ -143,16 +143,14 @@ def ncf(
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
-    from robustlab.synthesis.hinf.loop_shaping import ncf as design
-
     output.check()
     model = signals.model(file)
     weights = [None if text is None else number_or_model(text) for text in (w1, w2)]
     if reference_model is None:
-        output.finish("synth ncf", design(model, *weights, factor=factor), file)
+        output.finish("synth ncf", rl.ncf(model, *weights, factor=factor), file)
         return
     wanted, outputs = number_or_model(reference_model), None if follow is None else names(follow)
-    found = design(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
+    found = rl.ncf(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
     output.finish("synth ncf", found, file)
 
 
@@ -206,14 +204,13 @@ def dk(
     channels.check("synth dk")
     output.check()
     rows = None if blocks is None else rows_of_blocks(blocks)
-    from robustlab.synthesis.dk.dk_iteration import dk as design
     from robustlab.synthesis.laws.controller_structures import structure_in_words
 
     plant = channels.plant("synth dk", file)
     words = None if structure is None else structure_in_words(structure, plant)
     given: dict[str, Any] = {"structure": words, "starts": starts, "seed": seed, **vars(effort)}
     with output.shown("synth dk", verbose=output.verbose) as report:
-        found = design(plant, rows, direct=direct, mixed=mixed, max_order=max_order, progress=report, **given)
+        found = rl.dk(plant, rows, direct=direct, mixed=mixed, max_order=max_order, progress=report, **given)
     output.finish("synth dk", found, file)
 
 
@@ -296,7 +293,6 @@ def tune(
     """
     output.check()
     from robustlab.synthesis.fixed.design_goals import goal_in_words
-    from robustlab.synthesis.fixed.goal_tuning import tune as design
     from robustlab.synthesis.laws.controller_structures import structure_in_words
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
@@ -308,7 +304,7 @@ def tune(
     goals += [limit_of(text) for text in limit or []]
     options: dict[str, Any] = {"starts": starts, "seed": seed, **vars(effort)}
     with output.shown("synth tune", verbose=output.verbose) as report:
-        found = design(models, words, goals, progress=report, **options)
+        found = rl.tune(models, words, goals, progress=report, **options)
     output.finish("synth tune", found, files[0])
 
 
@@ -339,17 +335,11 @@ def mixsyn(
     Example: robustlab synth mixsyn motor.h5 --outputs omega --w1 bandwidth=100,error=0.01 --w2 limit=2 --out k.h5
     """
     from robustlab.structural import drop_unconnected
-    from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as design
-    from robustlab.synthesis.specifications.weight_design import (
-        complementary_weight,
-        control_weight,
-        performance_weight,
-    )
 
     weights = (
-        weight_of("--w1", w1, performance_weight),
-        weight_of("--w2", w2, control_weight),
-        weight_of("--w3", w3, complementary_weight),
+        weight_of("--w1", w1, rl.performance_weight),
+        weight_of("--w2", w2, rl.control_weight),
+        weight_of("--w3", w3, rl.complementary_weight),
     )
     if all(weight is None for weight in weights):
         raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
@@ -360,7 +350,7 @@ def mixsyn(
     if left_out:
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
     with output.shown("synth mixsyn", verbose=output.verbose) as report:
-        found = design(kept, *weights, gamma_rel=gamma_rel, **vars(effort), progress=report)
+        found = rl.mixsyn(kept, *weights, gamma_rel=gamma_rel, **vars(effort), progress=report)
     output.finish("synth mixsyn", found, file)
 
 
@@ -391,19 +381,13 @@ def reduce(
 
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.reduction.controller_reduction import reduce_controller
-
-    K = as_model(load(controller), controller)
+    K = load_model(controller)
     measure_given: Any = measure
     with progress.shown("synth reduce") as report:
-        found = reduce_controller(
+        found = rl.reduce_controller(
             channels.plant(plant, K), K, loss=loss, order=order, measure=measure_given, **vars(effort), progress=report
         )
-    rows = [*found.facts(), *output.keep_made("synth reduce", found.controller, (plant, controller))]
-    emit("synth reduce", found.to_json(), table(rows), output.as_json)
-    require_trust(found.status)
+    output.finish_made("synth reduce", found, found.controller, (plant, controller))
 
 
 @dataclass(frozen=True)
@@ -448,19 +432,13 @@ def discretise(
 
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
-    from robustlab.synthesis.sampled.sampled_controller import discretise_controller
-
-    K = as_model(load(controller), controller)
+    K = load_model(controller)
     given = channels.plant(plant, K)
     robust = None
     with progress.shown("synth discretise") as report:
-        found = discretise_controller(_nominal(given), K=K, **vars(sampling), **vars(effort), progress=report)
+        found = rl.discretise_controller(_nominal(given), K=K, **vars(sampling), **vars(effort), progress=report)
         if given.blocks:
-            from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness
-
-            robust = sampled_robustness(
+            robust = rl.sampled_robustness(
                 given, found.K, delay=sampling.delay, antialiasing=sampling.antialiasing, **vars(effort),
                 progress=report,
             )  # fmt: skip
@@ -482,6 +460,5 @@ app.command()(kalman)
 def _nominal(plant: GeneralizedPlant) -> GeneralizedPlant:
     """The plant at Delta = 0."""
     from robustlab.synthesis.problem.partition import GeneralizedPlant
-    from robustlab.uncertainty.lft import UncertainModel
 
-    return GeneralizedPlant(UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)
+    return GeneralizedPlant(rl.UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)

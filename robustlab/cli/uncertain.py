@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
-from robustlab.cli.delays import cover_delays, neglected_weight
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.offers import COVERS, one_of, plant_or_file
 from robustlab.cli.options import (
@@ -21,12 +21,14 @@ from robustlab.cli.options import (
     assignments,
     ends,
     grouped,
+    load_model,
     plant_settings,
     shares,
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.timing import cover_delays, neglected_weight
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
@@ -35,9 +37,7 @@ if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
     from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.provenance import Provenance
-    from robustlab.uncertainty.blocks import ParameterRange
     from robustlab.uncertainty.elementwise import EndpointResidual
-    from robustlab.uncertainty.lft import UncertainModel
     from robustlab.worst_case_analysis import Responses
 
 app = typer.Typer(help="Build, show and sample uncertain models.", no_args_is_help=True, add_completion=False)
@@ -72,19 +72,18 @@ class TwoModels:
         typer.Option("--noise", help="Relative differences up to this are noise; none where left out."),
     ] = None
 
-    def build(self) -> tuple[UncertainModel, EndpointResidual, Provenance]:
+    def build(self) -> tuple[rl.UncertainModel, EndpointResidual, Provenance]:
         """The set between the two, and what it misses of the perturbed one."""
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.statespace import as_model
-        from robustlab.storage import load, load_pair
-        from robustlab.uncertainty.elementwise import elementwise, endpoint_residual
+        from robustlab.storage import load_pair
+        from robustlab.uncertainty.elementwise import endpoint_residual
 
         assert self.nominal is not None
         if self.perturbed is None:
             first, second = load_pair(self.nominal)
         else:
-            first, second = (as_model(load(path), path) for path in (self.nominal, self.perturbed))
-        model = elementwise(first, second, self.structure, self.noise)
+            first, second = (load_model(path) for path in (self.nominal, self.perturbed))
+        model = rl.elementwise(first, second, self.structure, self.noise)
         files = {path: file_sha256(path) for path in (self.nominal, self.perturbed) if path is not None}
         said = f"structure {self.structure}" + (f", noise {self.noise:g}" if self.noise else "")
         return model, endpoint_residual(model, second), Provenance.now("uncertain build", files, note=said)
@@ -132,7 +131,7 @@ class PlantRanges:
         typer.Option("--hold", help="States and inputs a,b of a nonlinear plant that stay while parameters change."),
     ] = None
 
-    def build(self, name: str, outputs: list[str] | None) -> tuple[UncertainModel, Provenance]:
+    def build(self, name: str, outputs: list[str] | None) -> tuple[rl.UncertainModel, Provenance]:
         """The set of a plant of that name, or in that file."""
         from robustlab.provenance import Provenance
 
@@ -211,17 +210,14 @@ class CoverOptions:
         self, tolerance: float | None, effort: EffortOptions, report: Callable[[str], None]
     ) -> tuple[Cover, Provenance]:
         """The cover, with its worst gain in the loop of a controller where one is given."""
-        from robustlab.mu_analysis.margins.cover import cover
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.statespace import as_model
-        from robustlab.storage import load
 
         files = self.cover or []
-        models = [as_model(load(path), path) for path in files]
-        k = None if self.controller is None else as_model(load(self.controller), self.controller)
+        models = [load_model(path) for path in files]
+        k = None if self.controller is None else load_model(self.controller)
         loop = None if k is None else lambda g: g.feedback(k, 1)  # u = K y, positive feedback
         options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
-        found = cover(
+        found = rl.cover(
             models, self.form, directions=self.directions, order=self.order, loop=loop, progress=report,
             **options, **vars(effort),
         )  # fmt: skip
@@ -255,7 +251,6 @@ class DiscoveryOptions:
         """The blocks of an updated plant: of a plant file, or of the folder that ``data discover --out`` wrote."""
         from robustlab.cli.data import PLANT_FILE
         from robustlab.dynamics.extended.force_blocks import Dry
-        from robustlab.identification.naming.updated_plant import uncertain_from
         from robustlab.provenance import Provenance, file_sha256
         from robustlab.storage.interchange import is_plant_file, load_plant
 
@@ -270,7 +265,7 @@ class DiscoveryOptions:
             raise UsageError("uncertain build", f"--dry {self.dry}", f"one of {', '.join(get_args(Dry))}")
         dry: Any = self.dry
         try:
-            found = uncertain_from(load_plant(file), outputs, amplitude=amplitude, dry=dry, pade=self.pade)
+            found = rl.uncertain_from(load_plant(file), outputs, amplitude=amplitude, dry=dry, pade=self.pade)
         except InputError as error:
             if "amplitude" in (error.expected or "") and error.hint:
                 raise UsageError("uncertain build", error.found, "--amplitude NAME=VALUE for it", error.hint) from None
@@ -345,7 +340,7 @@ def build(
 
 
 def _tell(
-    model: UncertainModel,
+    model: rl.UncertainModel,
     origin: Provenance,
     output: OutputOptions,
     before: dict[str, Any],
@@ -353,10 +348,8 @@ def _tell(
     more: list[str],
 ) -> None:
     """Write the model where a file was named, and print it; ``before`` and ``after`` stand in the JSON object."""
-    from robustlab.storage import save
-
     if output.out is not None:
-        save(output.out, model, origin)
+        rl.save(output.out, model, origin)
     lines = [f"{output.out}: {model!r}" if output.out else repr(model), *_block_lines(model), *more]
     sizes = {"delta_shape": model.delta_shape, "blocks": _blocks(model), "sampled": model.sampled}
     emit("uncertain build", {"file": output.out, **before, **sizes, **after}, "\n".join(lines), output.as_json)
@@ -368,11 +361,8 @@ def _tell_discovery(found: EffectBlocks, origin: Provenance, output: OutputOptio
 
 
 def _tell_cover(found: Cover, origin: Provenance, output: OutputOptions) -> None:
-    from robustlab.result import Status
-    from robustlab.storage import save
-
     if output.out is not None:
-        save(output.out, found.model, origin)
+        rl.save(output.out, found.model, origin)
     lines = [*([f"{output.out}:"] if output.out else []), found.summary(), *_block_lines(found.model)]
     evidence = {key: value for key, value in vars(found).items() if key not in ("model", "deltas")}
     deltas = [{k: v for k, v in d.items() if isinstance(v, float)} for d in found.deltas]
@@ -380,7 +370,7 @@ def _tell_cover(found: Cover, origin: Provenance, output: OutputOptions) -> None
     emit("uncertain build", {**result, **evidence, "deltas": deltas}, "\n".join(lines), output.as_json)
     require_trust(found.status)
     judged = found.conservatism
-    if judged is not None and judged.status is not Status.FAILED:
+    if judged is not None and judged.status is not rl.Status.FAILED:
         require_trust(judged.status)
 
 
@@ -428,14 +418,13 @@ def sample(
 
     Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input u=42 --t-end 0.1
     """
-    from robustlab.worst_case_analysis import sample as draw
     from robustlab.worst_case_analysis.ensemble import default_clock
 
     model = load_uncertain(file)
     clock = response.times(model)
     if clock is None:
         clock = default_clock(model.nominal, "uncertain sample")
-    members = draw(model, n, seed, _vertex_count(vertices))
+    members = rl.sample(model, n, seed, _vertex_count(vertices))
     responses = members.respond(clock, response.driven(model))
     if responses.unstable:
         note(f"{len(responses.unstable)} of {len(members)} samples are unstable: {_listed(responses.unstable)}")
@@ -453,7 +442,7 @@ app.command("neglected")(neglected_weight)
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
-def _from_expressions(file: str) -> tuple[UncertainModel, Provenance]:
+def _from_expressions(file: str) -> tuple[rl.UncertainModel, Provenance]:
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage.expression_files import load_parametric
 
@@ -487,11 +476,11 @@ def _listed(indices: tuple[int, ...]) -> str:
     return ", ".join(map(str, indices[:10])) + (", ..." if len(indices) > 10 else "")
 
 
-def _blocks(model: UncertainModel) -> Any:
+def _blocks(model: rl.UncertainModel) -> Any:
     return model.to_json()["blocks"]
 
 
-def _block_lines(model: UncertainModel) -> list[str]:
+def _block_lines(model: rl.UncertainModel) -> list[str]:
     """The blocks as a table, the first SHOWN_BLOCKS of them."""
     rows = []
     for block in model.blocks[:SHOWN_BLOCKS]:
@@ -514,7 +503,7 @@ def _block_lines(model: UncertainModel) -> list[str]:
     return [*lines, *([f"... and {hidden} more blocks"] if hidden else []), *told]
 
 
-def _around(parameter: ParameterRange) -> str:
+def _around(parameter: rl.ParameterRange) -> str:
     """The nominal value, where it is not the middle of the range."""
     return "" if parameter.below is None else f" around {parameter.nominal:.6g}"
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, save_figures, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
 from robustlab.cli.offers import METRICS, one_of
@@ -110,16 +111,15 @@ def worst_case(
 def _keep(out: str | None, found: Any, file: str, seed: int) -> None:
     if out is not None:
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage import save
 
-        save(out, found, Provenance.now("worst-case", {file: file_sha256(file)}, seed))
+        rl.save(out, found, Provenance.now("worst-case", {file: file_sha256(file)}, seed))
 
 
 def _report_violation(file: str, found: Any, folder: str | None, as_json: bool) -> None:
     """Print the probability, draw it, and end with the exit code that says whether it was shown."""
     result: dict[str, Any] = {"file": file, **found.to_json()}
     if folder is not None:
-        from robustlab.report.worst_case_figures import distribution_figure, influence_figure
+        from robustlab.report.robustness_figures import distribution_figure, influence_figure
 
         figures = {"distribution": distribution_figure(found)}
         if found.influence is not None:

@@ -43,9 +43,9 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.decomposition_tree import Exponents, MatrixPolynomial, polynomial_lft
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.matrix_polynomial import Exponents, MatrixPolynomial, polynomial_lft
 
 __all__ = ["TrimmedDescriptor", "uncertain_family"]
 

@@ -12,8 +12,6 @@ from pathlib import Path
 
 from robustlab.errors import EnvironmentFault
 
-__all__ = ["atomic_write"]
-
 PREFIX = ".robustlab-"
 SUFFIX = ".tmp"
 STRAY_AGE = 3600.0  # s; a temporary file this old was left by a process that was killed

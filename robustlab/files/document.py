@@ -14,8 +14,6 @@ from typing import Any, Literal
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 
-__all__ = ["MAX_DEPTH", "Kind", "parse_document", "read_document"]
-
 Kind = Literal["json", "toml"]
 
 MAX_DEPTH = 64  # lists and tables in each other; what follows walks them by recursion

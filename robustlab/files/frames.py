@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-__all__ = ["dataset_of", "frame_of", "keywords_of_dataset", "keywords_of_frame"]
-
 INDEX = "index"  # what messages call a row index without a name
 # A frame from memory may have holes, as a record may; `check_record` tells of them.
 _ANY_CLOCK = True

@@ -11,12 +11,9 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.isolation import read_isolated
-from robustlab.files.matlab import from_matlab73, read_matlab5
-from robustlab.files.octave import from_octave
+from robustlab.files.matlab import from_matlab73, from_octave, read_matlab5
 from robustlab.files.signature import MIB, Limits, content_of
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
-
-__all__ = ["read_tree", "write_tree"]
 
 COMPRESS_FROM = 64 << 10  # bytes; smaller datasets gain nothing
 MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 KiB

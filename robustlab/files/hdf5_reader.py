@@ -22,8 +22,6 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
 
-__all__ = ["read_hdf5"]
-
 # id -> name; all of these are built into HDF5 or h5py, so that no plugin is loaded.
 KNOWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
 FLETCHER32 = 3

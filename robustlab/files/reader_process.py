@@ -15,10 +15,8 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.errors import InputError
+from robustlab.files.isolation import send_document, send_error, send_tree
 from robustlab.files.signature import MIB, Limits
-from robustlab.files.wire import send_document, send_error, send_tree
-
-__all__ = ["main"]
 
 # What Python, numpy and h5py (or scipy) take of the address space before a file is opened, with room to spare.
 BASE_ADDRESS_SPACE = 2048 * MIB
@@ -104,11 +102,11 @@ def _tree(kind: str, request: dict[str, Any], limits: Limits) -> Any:
 
         return read_hdf5(path, limits, request["group"], shown, _more_time(limits))
     if kind == "parquet":
-        from robustlab.files.parquet import parquet_tree
+        from robustlab.files.optional_formats import parquet_tree
 
         return parquet_tree(path, request["wanted"], limits, shown, _more_time(limits))
     if kind == "mcap":
-        from robustlab.files.ros_bag import bag_tree
+        from robustlab.files.optional_formats import bag_tree
 
         return bag_tree(path, request["group"], request["wanted"], limits, shown)
     if kind == "matlab5":

@@ -10,8 +10,6 @@ from typing import Literal
 
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = ["Content", "Limits", "content_of", "require_file", "size_text"]
-
 MIB = 1 << 20
 Content = Literal["hdf5", "matlab5", "parquet", "mcap", "text"]
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"

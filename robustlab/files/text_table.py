@@ -14,8 +14,6 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, require_file, size_text
 from robustlab.files.tree import Tree, canonical
 
-__all__ = ["TextTable", "name_and_unit", "read_table", "table_tree"]
-
 COMMENTS = ("#", "%")
 BRACKETS = ("[]", "()")  # of a unit behind a name
 DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")

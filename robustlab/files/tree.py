@@ -17,27 +17,6 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Provenance
 
-__all__ = [
-    "FORMAT",
-    "FORMAT_VERSION",
-    "KINDS",
-    "REFERENCES",
-    "Dataset",
-    "Tree",
-    "Unread",
-    "canonical",
-    "check_header",
-    "content_sha256",
-    "decode_provenance",
-    "is_stamped",
-    "link_name",
-    "signal_name",
-    "stamp",
-    "table_of",
-    "text_attr",
-    "type_name",
-]
-
 FORMAT = "robustlab"
 FORMAT_VERSION = "1.0"
 KINDS = (

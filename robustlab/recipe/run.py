@@ -8,6 +8,9 @@
     out/NAME/figures/       each figure as SVG and PNG
     out/NAME/evidence/      results with what is needed to check them again, as HDF5
     out/NAME/*.h5           what save steps wrote
+
+Where nobody says where, each recipe and each choice of settings has a folder of its own, and ``out/latest`` is the
+last.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
+import os
+import re
 import shutil
 import stat
 import tempfile
@@ -40,16 +45,12 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
-from robustlab.recipe.load import LoadedRecipe, references
-from robustlab.recipe.paths import find_files
-from robustlab.recipe.requirements import judge, look_up
-from robustlab.recipe.schema import Recipe
+from robustlab.recipe.load import LoadedRecipe, find_files, references
+from robustlab.recipe.schema import Recipe, judge, look_up
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
 from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 from robustlab.shown import Facts, Shown, listed
-
-__all__ = ["RunResult", "read_result", "recipe_origin", "run_recipe", "write_report"]
 
 DONE, NOT_RUN = "done", "not run"
 LOCK = ".running"  # held by the run that writes the folder
@@ -365,3 +366,72 @@ def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
         _check_parts(data.get(key), part, f"{at}.{key}".lstrip("."), where)
     for i, item in enumerate(data if isinstance(parts, list) else ()):
         _check_parts(item, parts[0], f"{at}.{i}", where)
+
+
+LATEST = "latest"
+LONGEST_SLUG = 40  # characters; longer settings are told by their hash
+
+
+def default_folder(loaded: LoadedRecipe, root: str | Path = "out") -> Path:
+    """The folder of this recipe with these settings below ``root``.
+
+    ``NAME`` where it is free or holds an earlier run of the same recipe file with the same settings; else ``NAME`` and
+    the settings, as in ``first-light-seed-7``; else ``NAME`` and a hash. So no other recipe's and no other setting's
+    report is overwritten, and the same command comes back to the same folder.
+    """
+    name, root = loaded.recipe.name, Path(root)
+    changes = sorted(loaded.overrides.items())
+    mark = hashlib.sha256(repr((recipe_origin(loaded), changes)).encode()).hexdigest()[:8]
+    slug = "-".join(re.sub(r"[^A-Za-z0-9.]+", "-", f"{key}-{value}").strip("-.") for key, value in changes)
+    names = [name]
+    if slug and len(slug) <= LONGEST_SLUG:
+        names.append(f"{name}-{slug}")
+    for candidate in names:
+        folder = root / candidate
+        earlier = _earlier(folder)
+        if not folder.is_symlink() and (earlier is None or _same(earlier, loaded)):
+            return folder
+    return root / f"{name}-{mark}"
+
+
+def replaced(folder: Path, loaded: LoadedRecipe) -> str:
+    """What a run into ``folder`` replaces, in words; empty where nothing, or the same recipe with the same settings."""
+    earlier = _earlier(folder)
+    if not earlier:
+        return ""
+    recipe = earlier["recipe"]
+    if _same(earlier, loaded) and recipe["sha256"] == hashlib.sha256(loaded.text.encode()).hexdigest():
+        return ""
+    settings = ", ".join(f"{key}={value}" for key, value in recipe["overrides"].items()) or "no changed settings"
+    what = "an earlier text of the recipe" if _same(earlier, loaded) else f"recipe {recipe['name']} with {settings}"
+    return f"{folder} held the report of {what}; this run replaced it"
+
+
+def point_latest(folder: Path) -> None:
+    """Make the link ``latest`` beside ``folder`` point to it; a file or folder of that name, or a system without
+    links, is left as it is.
+    """
+    link = folder.parent / LATEST
+    if folder.name == LATEST or (link.exists() and not link.is_symlink()):
+        return
+    fresh = folder.parent / f".{LATEST}-{os.getpid()}"
+    with suppress(OSError, NotImplementedError):  # a convenience: the run itself is written
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(folder.name, target_is_directory=True)
+        fresh.replace(link)
+
+
+def _earlier(folder: Path) -> Mapping[str, Any] | None:
+    """The result that lies there; None without one; an empty table where it is not readable, and so somebody else's."""
+    if not (folder / "result.json").exists():
+        return None
+    try:
+        return read_result(folder)
+    except InputError:
+        return {}
+
+
+def _same(earlier: Mapping[str, Any], loaded: LoadedRecipe) -> bool:
+    recipe = earlier.get("recipe", {})
+    origin = recipe.get("origin", "")
+    return recipe.get("overrides") == loaded.overrides and origin in ("", recipe_origin(loaded))

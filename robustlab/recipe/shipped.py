@@ -6,8 +6,6 @@ from pathlib import Path
 
 import robustlab
 
-__all__ = ["shipped_folder", "shipped_recipes"]
-
 
 def shipped_folder() -> Path:
     """Beside the package in a checkout, inside it when installed from a wheel."""

@@ -15,8 +15,6 @@ from robustlab.files.atomic import atomic_write
 from robustlab.record import Record
 from robustlab.units import factor_between, same_unit
 
-__all__ = ["Channels", "recognised", "record_recipe", "stem_of", "write_starter"]
-
 STARTER = """\
 # A robustlab recipe: steps, run in the order written, and requirements that decide the exit code.
 #   check it:  robustlab recipe check {name}.toml

@@ -31,28 +31,6 @@ from robustlab.report.figures import (
     zero_line,
 )
 
-__all__ = [
-    "where_of",
-    "time_of",
-    "speed_of",
-    "spectrum_of",
-    "response_of",
-    "residual_of",
-    "outputs_of",
-    "harmonics_of",
-    "comparison_figures",
-    "harmonics_figure",
-    "outline",
-    "outputs_figure",
-    "residual_figure",
-    "response_figure",
-    "spectrum_figure",
-    "speed_figure",
-    "time_figure",
-    "where_figure",
-]
-
-
 FEW_LINES = 60  # drawn with a marker each
 MOST_INPUTS = 3  # beside each other
 SHOWN_BEYOND = 3.0  # times the highest excited line
@@ -89,12 +67,13 @@ def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
     return figures
 
 
-def where_figure(comparison: Comparison, output: str) -> Figure:
+def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """RMS of the windowed error over time, direction, speed, position and input, on one scale; and frequency.
 
     The largest of each panel is orange; the green line is the noise of a sample where the record repeats. Panels that
     need a speed or a position which is not recorded are left out.
     """
+    output = chosen(list(comparison.outputs), output, "output")
     panels = _where_panels(comparison, output)
     count = len(panels) + (output in comparison.frequency)
     figure, axes = new_figure(1 + (count + 1) // 2, 2, width=8.2, height=2.15)
@@ -178,8 +157,9 @@ def _band_bars(axes: Axes, comparison: Comparison, output: str) -> None:
     axes.set_title(f"free run: {100 * s.error_share[top]:.0f} % at {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz")
 
 
-def time_figure(comparison: Comparison, output: str) -> Figure:
+def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """Recorded and simulated output, the error of the free run, the error of the windows with the worst one shaded."""
+    output = chosen(list(comparison.outputs), output, "output")
     t, unit = comparison.measured.t, comparison.outputs[output].unit
     y, windowed = (r.outputs[output] for r in (comparison.measured, comparison.windowed))
     run = comparison.simulated
@@ -224,10 +204,11 @@ def time_figure(comparison: Comparison, output: str) -> Figure:
     return figure
 
 
-def speed_figure(comparison: Comparison, output: str) -> Figure:
+def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """Windowed error over speed and direction, and what would have to be added to each input over the same speed: to
     those that drive the same joint.
     """
+    output = chosen(list(comparison.speed), output, "output")
     motion, unit = comparison.motions[output], comparison.outputs[output].unit
     own = {name: d for name, d in comparison.disturbance.items() if d.speed_source == motion.speed_source}
     figure, axes = new_figure(1, 1 + len(own), width=4.4 * (1 + len(own)), height=3.4)
@@ -239,8 +220,8 @@ def speed_figure(comparison: Comparison, output: str) -> Figure:
             speed = np.zeros(0) if d.speed is None else d.speed
             zero_line(panel)
             panel.axvline(0.0, color="#888888", lw=0.8)
-            for colour, chosen in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
-                panel.plot(speed[chosen], d.value[chosen], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
+            for colour, some in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
+                panel.plot(speed[some], d.value[some], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
             panel.set_ylabel(axis_label(f"addition to {name}", comparison.measured.unit(name)))
             panel.set_title(f"what {plain_label(name)} lacks, in pieces of {d.seconds:.3g} s")
         for panel in axes:
@@ -248,10 +229,11 @@ def speed_figure(comparison: Comparison, output: str) -> Figure:
     return figure
 
 
-def spectrum_figure(comparison: Comparison, output: str) -> Figure:
+def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """Power spectral densities of recorded output, free run and error; below, the coherence of
     the inputs (of many those with the largest) with the error.
     """
+    output = chosen(list(comparison.frequency), output, "output")
     s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
     f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
     figure, (above, below) = new_figure(2, 1, width=7.6, height=2.7, sharex=True)
@@ -294,10 +276,11 @@ def spectrum_figure(comparison: Comparison, output: str) -> Figure:
     return figure
 
 
-def residual_figure(comparison: Comparison, output: str) -> Figure:
+def residual_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """Autocorrelation of the recursive residual and its correlation with each input, with 99 % bands; of many inputs
     with those that explain most of it.
     """
+    output = chosen(list(comparison.residual), output, "output")
     tests = comparison.residual[output]
     most = sorted(tests.inputs, key=lambda name: -tests.inputs[name].explained_share)[:MOST_INPUTS]
     drawn = {name: test for name, test in tests.inputs.items() if name in most}
@@ -344,8 +327,9 @@ def outputs_figure(comparison: Comparison) -> Figure:
     return figure
 
 
-def response_figure(comparison: Comparison, output: str) -> Figure:
+def response_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """Magnitude, phase and coherence of the recorded response from each input, beside the model's."""
+    output = chosen([y for y, row in comparison.linear.items() if row], output, "output")
     row = comparison.linear[output]
     figure, axes = new_figure(
         3, len(row), width=max(7.6, 4.6 * len(row)), height=2.2, sharex="col", gridspec_kw={"height_ratios": [3, 2, 2]}
@@ -398,8 +382,16 @@ def response_figure(comparison: Comparison, output: str) -> Figure:
 
 
 def harmonics_figure(comparison: Comparison) -> Figure:
-    """Lines of every judged signal: excited, even and odd ones that are not, over the noise."""
+    """Lines of every judged signal: excited, even and odd ones that are not, over the noise.
+
+    Raises
+    ------
+    InputError
+        The excitation does not allow the test.
+    """
     test = comparison.nonlinearity
+    if not test.signals:
+        raise InputError("plot('harmonics')", test.reason or "no test", "a periodic excitation")
     figure, axes = new_figure(len(test.signals), 1, width=7.6, height=2.6, sharex=True)
     kinds = ((0, "excited", "measured", "o"), (1, "even", "worst", "s"), (2, "odd, not excited", "nominal", "D"))
     with house_style():
@@ -407,12 +399,12 @@ def harmonics_figure(comparison: Comparison) -> Figure:
             excited = s.frequency[s.kind == 0]
             shown = s.frequency <= max(SHOWN_BEYOND * excited.max(), FEWEST_SHOWN * s.frequency[0])
             for kind, label, colour, marker in kinds:
-                chosen = shown & (s.kind == kind) & (s.amplitude > 0)
+                some = shown & (s.kind == kind) & (s.amplitude > 0)
                 panel.plot(
-                    s.frequency[chosen], s.amplitude[chosen], marker, ms=4, mew=0, color=COLOURS[colour], label=label
+                    s.frequency[some], s.amplitude[some], marker, ms=4, mew=0, color=COLOURS[colour], label=label
                 )
-            chosen = shown & (s.noise > 0)
-            panel.plot(s.frequency[chosen], s.noise[chosen], "-", lw=1.0, color=COLOURS["good"], label="noise alone")
+            some = shown & (s.noise > 0)
+            panel.plot(s.frequency[some], s.noise[some], "-", lw=1.0, color=COLOURS["good"], label="noise alone")
             logarithmic(panel.yaxis)
             top = float(s.amplitude[shown].max())
             panel.set_ylim(bottom=max(panel.get_ylim()[0], 1e-9 * top), top=5.0 * top)
@@ -483,54 +475,3 @@ def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> No
 def _cycle(count: int) -> list[str]:
     colours = [COLOURS[key] for key in ("nominal", "good", "worst", "sample")]
     return [colours[i % len(colours)] for i in range(count)]
-
-
-# --- single drawings --------------------------------------------------------------------------------------------------
-
-
-def where_of(comparison: Comparison, output: str | None = None) -> Figure:
-    """Where in time, direction, speed, position, input and frequency an output is missed; the first by default."""
-    return where_figure(comparison, chosen(list(comparison.outputs), output, "output"))
-
-
-def time_of(comparison: Comparison, output: str | None = None) -> Figure:
-    """Record and simulations over time."""
-    return time_figure(comparison, chosen(list(comparison.outputs), output, "output"))
-
-
-def speed_of(comparison: Comparison, output: str | None = None) -> Figure:
-    """Error over speed, of the outputs with a known speed."""
-    return speed_figure(comparison, chosen(list(comparison.speed), output, "output"))
-
-
-def spectrum_of(comparison: Comparison, output: str | None = None) -> Figure:
-    """Densities over frequency, of the outputs with a whole free run."""
-    return spectrum_figure(comparison, chosen(list(comparison.frequency), output, "output"))
-
-
-def response_of(comparison: Comparison, output: str | None = None) -> Figure:
-    """Measured frequency response beside the model's, of the outputs that have one."""
-    return response_figure(comparison, chosen([y for y, row in comparison.linear.items() if row], output, "output"))
-
-
-def residual_of(comparison: Comparison, output: str | None = None) -> Figure:
-    """Residual tests."""
-    return residual_figure(comparison, chosen(list(comparison.residual), output, "output"))
-
-
-def outputs_of(comparison: Comparison) -> Figure:
-    """Errors of all outputs."""
-    return outputs_figure(comparison)
-
-
-def harmonics_of(comparison: Comparison) -> Figure:
-    """Lines of the judged signals.
-
-    Raises
-    ------
-    InputError
-        The excitation does not allow the test.
-    """
-    if not comparison.nonlinearity.signals:
-        raise InputError("plot('harmonics')", comparison.nonlinearity.reason or "no test", "a periodic excitation")
-    return harmonics_figure(comparison)

@@ -18,8 +18,6 @@ from matplotlib.figure import Figure, SubFigure
 from robustlab.errors import InputError, did_you_mean
 from robustlab.report.figures import drawn_on
 
-__all__ = ["DRAWINGS", "draw", "drawings_of"]
-
 _MODEL = {
     "bode": "model_figures.bode_figure",
     "step": "model_figures.step_figure",
@@ -38,32 +36,32 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
-    "EffectBlocks": {"blocks": "cover_figures.blocks_of"},
+    "EffectBlocks": {"blocks": "set_figures.blocks_of"},
     "Record": {"signals": "result_figures.record_figure"},
     "FrequencyData": {"bode": "result_figures.measured_response_figure"},
     "ReducedModel": {"sigma": "result_figures.reduction_figure", "hankel": "result_figures.hankel_figure"},
     "StructuralTest": {"modes": "result_figures.mode_figure"},
     # robustness
-    "Margin": {"mu": "mu_figures.mu_figure", "shares": "mu_figures.margin_shares"},
-    "WorstCaseGain": {"gain": "mu_figures.gain_figure"},
-    "MarginAt": {"margin": "mu_figures.bounds_at"},
-    "GainAt": {"gain": "mu_figures.bounds_at"},
-    "DiskMarginsAt": {"margin": "mu_figures.bounds_at"},
+    "Margin": {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"},
+    "WorstCaseGain": {"gain": "robustness_figures.gain_figure"},
+    "MarginAt": {"margin": "robustness_figures.bounds_at"},
+    "GainAt": {"gain": "robustness_figures.bounds_at"},
+    "DiskMarginsAt": {"margin": "robustness_figures.bounds_at"},
     "MuBounds": {"mu": "result_figures.mu_bars"},
     "SmallGain": {"gain": "result_figures.small_gain_figure"},
     "DiskMargins": _DISK,
     "DiskBounds": _DISK,
     "DelayDiskMargin": _DISK,
-    "SampledRobustness": {"mu": "mu_figures.sampled_figure"},
+    "SampledRobustness": {"mu": "robustness_figures.sampled_figure"},
     "SampledDataNorm": {"history": "result_figures.norm_history"},
-    "Cover": {"set": "cover_figures.cover_figure"},
-    "Overbound": {"weight": "cover_figures.overbound_figure"},
+    "Cover": {"set": "set_figures.cover_figure"},
+    "Overbound": {"weight": "set_figures.overbound_figure"},
     # members
     "Responses": {"step": "result_figures.band_figure"},
     "WorstCase": {"delta": "result_figures.delta_figure"},
     "ViolationProbability": {
-        "distribution": "worst_case_figures.distribution_figure",
-        "influence": "worst_case_figures.violation_influence",
+        "distribution": "robustness_figures.distribution_figure",
+        "influence": "robustness_figures.violation_influence",
     },
     "CampaignResult": {"exceedance": "result_figures.campaign_figure", "delta": "result_figures.delta_figure"},
     # designs
@@ -77,18 +75,18 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "DesignWeights": {"weights": "result_figures.weights_figure"},
     # measurements
     "Comparison": {
-        name: f"comparison_figures.{name}_of"
+        name: f"comparison_figures.{name}_figure"
         for name in ("where", "time", "speed", "spectrum", "response", "residual", "outputs", "harmonics")
     },
     "Discovery": {
-        "gap": "discovery_figures.gap_figure",
-        "force": "discovery_figures.force_of",
-        "run": "discovery_figures.run_of",
-        "stretch": "discovery_figures.stretch_of",
-        "posterior": "discovery_figures.posterior_of",
+        "gap": "discovery.gap_figure",
+        "force": "discovery.force_of",
+        "run": "discovery.free_run_figure",
+        "stretch": "discovery.stretch_figure",
+        "posterior": "discovery.posterior_figure",
     },
-    "Validation": {"record": "validation_figures.record_of", "delta": "validation_figures.delta_of"},
-    "DataCover": {"record": "validation_figures.cover_record"},
+    "Validation": {"record": "set_figures.record_of", "delta": "set_figures.delta_figure"},
+    "DataCover": {"record": "set_figures.cover_record"},
 }
 
 

@@ -23,25 +23,6 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-__all__ = [
-    "COLOURS",
-    "Canvas",
-    "axis_label",
-    "chosen",
-    "drawn_on",
-    "frequency_axis",
-    "headroom",
-    "house_style",
-    "is_guest",
-    "legend_below",
-    "logarithmic",
-    "new_figure",
-    "plain_label",
-    "save_figure",
-    "stem",
-    "zero_line",
-]
-
 # Okabe and Ito (2008): told apart by colour-blind readers too, and in grey print by their lightness.
 COLOURS = {
     "nominal": "#0072B2",
@@ -232,7 +213,7 @@ def _power_of_ten(value: float) -> str:
 def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     """Write ``name.svg`` and ``name.png`` into ``folder``; the same figure gives the same bytes.
 
-    The SVG carries its curves as numbers, see `robustlab.report.curves`.
+    The SVG carries its curves as numbers, see `robustlab.report.svg`.
 
     Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
 
@@ -268,8 +249,7 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Pa
 
 
 def _write_svg(figure: Figure, path: Path) -> None:
-    from robustlab.report.curves import with_curves
-    from robustlab.report.drawn import compact
+    from robustlab.report.svg import compact, with_curves
 
     text = StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None})

@@ -29,14 +29,11 @@ from xml.etree import ElementTree as ET
 from markupsafe import Markup
 
 from robustlab.errors import InputError, plain_text
-from robustlab.report.curves import split
+from robustlab.report.svg import split
 from robustlab.result import Status
 
 if TYPE_CHECKING:
     from jinja2 import Template
-
-__all__ = ["Verdict", "found_in_words", "in_words", "junit_xml", "render", "verdict"]
-
 
 MAX_FIGURES = 2_500_000  # characters of all figures in the page: pictures first, then the curves of the first ones
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them

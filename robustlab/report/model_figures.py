@@ -37,8 +37,6 @@ from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.ensemble import default_clock
 from robustlab.worst_case_analysis.sampling import Samples
 
-__all__ = ["bode_figure", "pole_figure", "sigma_figure", "step_figure"]
-
 MEMBERS, ALL_VERTICES, VERTICES = 30, 5, 32  # members drawn; vertices besides: all of up to 5 blocks, else so many
 MOST = 4  # outputs or inputs side by side
 POINTS = 500

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -31,7 +31,7 @@ from robustlab.report.figures import (
     plain_label,
     zero_line,
 )
-from robustlab.report.worst_case_figures import exceedance_figure, response_figure
+from robustlab.report.robustness_figures import exceedance_figure, response_figure
 from robustlab.structural import StructuralTest
 from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
 from robustlab.synthesis.h2.kalman_filter import KalmanFilter
@@ -42,23 +42,6 @@ from robustlab.synthesis.specifications.weight_design import DesignWeights
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses
-
-__all__ = [
-    "band_figure",
-    "campaign_figure",
-    "delta_figure",
-    "disk_figure",
-    "feedback_figure",
-    "hankel_figure",
-    "measured_response_figure",
-    "mode_figure",
-    "mu_bars",
-    "norm_history",
-    "record_figure",
-    "reduction_figure",
-    "small_gain_figure",
-    "weights_figure",
-]
 
 LARGEST_GAIN = 60  # dB; of a disk margin's curve
 
@@ -162,19 +145,13 @@ def campaign_figure(result: CampaignResult) -> Figure:
     """
     if result.kind != "samples":
         raise InputError("plot('exceedance')", f"a campaign of {result.kind}", "one of samples", "plot('delta')")
-    store = Store.open(_path(result))
+    store = Store.open(Path(result.store))
     try:
         values, share, upper = exceedance_curve(store, result.sense, result.done, result.lost)
     finally:
         store.close()
     limit = result.violation.limit if result.violation is not None else None
     return exceedance_figure(values, share, upper, metric=(result.metric, result.unit), limit=limit)
-
-
-def _path(result: CampaignResult) -> Any:
-    from pathlib import Path
-
-    return Path(result.store)
 
 
 def mu_bars(bounds: MuBounds) -> Figure:

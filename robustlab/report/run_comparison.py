@@ -9,8 +9,6 @@ from typing import Any
 
 from robustlab.report.html import found_in_words
 
-__all__ = ["Change", "RunComparison", "compare_runs"]
-
 BETTER, WORSE, SAME, CHANGED, FRESH, GONE = "better", "WORSE", "same", "changed", "new", "gone"
 CLOCKED = ("seconds",)  # last part of a number that differs between any two runs
 

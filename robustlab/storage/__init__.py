@@ -1,11 +1,10 @@
 """Storage: format 1 and plain files to models, records and results, and back.
 
-`interchange` decides which object a file holds; `matrices`, `uncertain_models`, `plants`, `model_pairs` and `results`
-know one kind each. `controller_export` writes controllers for other programs; `expression_files` reads parametric
-models.
+`interchange` decides which object a file holds; `matrices`, `models`, `plants` and `results` know some kinds each.
+`controller_export` writes controllers for other programs; `expression_files` reads parametric models.
 """
 
 from robustlab.storage.interchange import Loaded, load, load_pair, read, save
-from robustlab.storage.model_pairs import check_pair
+from robustlab.storage.models import check_pair
 
 __all__ = ["Loaded", "check_pair", "load", "load_pair", "read", "save"]

@@ -1,23 +1,239 @@
-"""Controllers for other programs: C99 source, JSON, MATLAB; robustlab's own format is `robustlab.storage.save`."""
+r"""Controllers for other programs: C99 source, JSON, MATLAB; robustlab's own format is `robustlab.storage.save`.
+
+In C99 it is one struct of state, an init and a step function, nothing allocated.
+
+.. math:: y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k
+
+Where its outputs are limited, back-calculation tells the states what the limits took away
+(`robustlab.synthesis.windup.back_calculation`). Every number is written as a hexadecimal floating constant, which is
+the number itself, with its decimal form beside it in a comment. Sums are written out from left to right, zeros left
+out; with a compiler that keeps to C99's order of additions (no ``-ffast-math``) the step reproduces the model's
+recursion to rounding.
+
+Names of signals are shown in comments, never used as code: what a file may hold as a name must not become code. The
+text itself is the template ``controller.c.j2``.
+"""
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
-from robustlab.statespace import as_model
-from robustlab.storage.controller_code import c_source, saturation_limits
+from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.storage.controller_json import controller_to_json
 from robustlab.storage.interchange import save
 from robustlab.synthesis.problem.design import Controller
+from robustlab.synthesis.windup.back_calculation import back_calculation
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EXPORTS", "export_controller"]
+PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
+RESERVED = (
+    "auto break case char const continue default do double else enum extern float for goto if inline int long",
+    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while",
+    "main",
+)
+# Rows of one statement are broken after so many terms.
+TERMS = 4
+# During saturation slow modes decay within this many samples, unless a time is given.
+ANTI_WINDUP_SAMPLES = 10.0
+# Samples of the sign check in the comment.
+CHECKED = 3
+
+
+def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tuple[tuple[float, float], ...] | None:
+    """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none.
+
+    Raises
+    ------
+    InputError
+        Unknown or missing outputs, limits that are no two numbers with ``low < high``.
+    """
+    if saturation is None:
+        return None
+    names = model.output_names
+    if isinstance(saturation, dict):
+        unknown = [name for name in saturation if name not in names]
+        missing = [name for name in names if name not in saturation]
+        if unknown or missing:
+            found = f"no output {unknown[0]!r}" if unknown else f"no limits of {missing[0]!r}"
+            raise InputError(f"{where}: saturation", found, f"limits of {', '.join(names)}")
+        pairs = [saturation[name] for name in names]
+    else:
+        pairs = [saturation] * len(names)
+    found_limits = []
+    for name, pair in zip(names, pairs, strict=True):
+        try:
+            low, high = (float(v) for v in pair)
+        except (TypeError, ValueError):
+            raise InputError(f"{where}: saturation of {name}", f"{pair!r}", "two numbers (low, high)") from None
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise InputError(f"{where}: saturation of {name}", f"{low:g} .. {high:g}", "finite low < high")
+        found_limits.append((low, high))
+    return tuple(found_limits)
+
+
+def _back_calculation(
+    model: StateSpaceModel, limits: Sequence[tuple[float, float]] | None, anti_windup: Any
+) -> tuple[float | None, Array]:
+    """The time of the back-calculation, None where its gain is given; and the gain."""
+    shape = (model.n_states, model.n_outputs)
+    if not limits:
+        return ANTI_WINDUP_SAMPLES * model.dt, np.zeros(shape)
+    if anti_windup is None or np.ndim(anti_windup) == 0:
+        time = ANTI_WINDUP_SAMPLES * model.dt if anti_windup is None else float(anti_windup)
+        return time, back_calculation(model, limits, time)
+    gain = real_array("anti_windup", anti_windup, 2, "C export")
+    if gain.shape != shape:
+        raise InputError("C export: anti_windup", f"a gain of {gain.shape}", f"{shape}: states and outputs")
+    return None, gain
+
+
+def c_source(
+    model: StateSpaceModel,
+    prefix: str = "controller",
+    limits: Sequence[tuple[float, float]] | None = None,
+    notes: Sequence[str] = (),
+    anti_windup: Any = None,
+) -> str:
+    """The C99 source of a discrete model.
+
+    Parameters
+    ----------
+    model
+        Discrete model with n states, m inputs and p outputs; at least one input and one output.
+    prefix
+        Of every name in the file: a lower-case letter, then letters, digits, underscores (31 at most).
+    limits
+        ``(low, high)`` of each output; the outputs are held between them, and back-calculation keeps the states from
+        winding up.
+    notes
+        Lines for the comment at the top.
+    anti_windup
+        Time T in s: during saturation modes that are slower are made to decay within it. Ten samples where left out;
+        inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for`` adds to
+        the states. Of no effect without limits.
+
+    Raises
+    ------
+    InputError
+        A continuous model, one in deviations from an operating point, one without inputs or outputs, a prefix that is
+        no identifier.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
+    >>> "x0 = 0x1.0000000000000p-1 * s->x[0]" in c_source(lag)
+    True
+    """
+    if not model.is_discrete:
+        raise InputError(
+            "C export", "a continuous controller (dt = 0)", "a discrete one", "discretise it with its sample time first"
+        )
+    if model.operating_point is not None:
+        hint = "take u and y of that point off in the program around it, and export the model without the point"
+        raise InputError("C export", "a model in deviations from an operating point", "one without", hint)
+    if not model.n_inputs or not model.n_outputs:
+        raise InputError("C export", f"{model.n_inputs} inputs and {model.n_outputs} outputs", "at least one of each")
+    if not PREFIX.fullmatch(prefix) or any(prefix in words.split() for words in RESERVED):
+        raise InputError(
+            "C export: prefix", f"{prefix!r}", "a lower-case letter, then lower-case letters, digits or underscores"
+        )
+    time, back = _back_calculation(model, limits, anti_windup)
+    unused = [name for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any())) if not used]
+    return _template().render(
+        model=model,
+        prefix=prefix,
+        limits=limits,
+        notes=notes,
+        outputs=[_terms(*rows) for rows in zip(model.C, model.D, strict=True)],
+        states=[_terms(*rows) for rows in zip(model.A, model.B, back, strict=True)],
+        fed_back=[i for i in range(model.n_outputs) if back[:, i].any()],
+        anti_windup=time,
+        signs=[_sign(signal, model.input_names) for signal in model.inputs],
+        check=_first_samples(model),
+        unused=unused,
+        TERMS=TERMS,
+    )
+
+
+def _template() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("robustlab.storage", ""),
+        autoescape=False,  # noqa: S701  C, not HTML; texts go through `_comment`
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters.update(exact=_exact, unit=_unit, comment=_comment)
+    return environment.get_template("controller.c.j2")
+
+
+def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> list[tuple[float, str]]:
+    """The terms of a row that are not zero: number and place."""
+    rows = (("s->x[{}]", from_x), ("u[{}]", from_u), ("cut{}", np.zeros(0) if from_limits is None else from_limits))
+    return [(v, place.format(j)) for place, row in rows for j, v in enumerate(row.tolist()) if v != 0]
+
+
+def _sign(signal: Signal, names: Sequence[str]) -> list[str]:
+    """What an input is, with its sign, as its name in the model tells it: lines for the comment.
+
+    Designs call the error ``e NAME`` (reference minus measurement) and a reference ``r NAME``; every other name is the
+    signal itself, and then the loop's minus is within the controller: ``u = K (y - r)`` follows a reference.
+    """
+    kind, _, name = signal.name.partition(" ")
+    if name and kind == "e":
+        return [f"REFERENCE MINUS MEASUREMENT: ({name} wanted) - ({name} measured)", f"positive: {name} is too small"]
+    if name and kind == "r":
+        return [f"THE REFERENCE of {name}: the value that is wanted, by itself"]
+    lines = [f"THE SIGNAL ITSELF: {signal.name} with its own sign, not negated"]
+    if not any(other.startswith("r ") for other in names):
+        lines.append("to follow a reference: MEASUREMENT MINUS REFERENCE, never reference minus measurement")
+    return lines
+
+
+def _first_samples(model: StateSpaceModel) -> list[list[str]]:
+    """For each input held at +1 from the zero state: all outputs over the first samples, as text."""
+    rows = []
+    for i in range(model.n_inputs):
+        x, seen = np.zeros(model.n_states), []
+        for _ in range(CHECKED):
+            with np.errstate(over="ignore", invalid="ignore"):  # text for a comment: inf is what it is
+                seen.append(model.C @ x + model.D[:, i])
+                x = model.A @ x + model.B[:, i]
+        rows.append([", ".join(f"{y[j]:+.6g}" for y in seen) for j in range(model.n_outputs)])
+    return rows
+
+
+def _exact(value: float) -> str:
+    """The hexadecimal constant of a number, in parentheses where it is negative."""
+    text = float(value).hex()
+    if text in ("0x0.0p+0", "-0x0.0p+0"):
+        return "0.0"
+    return f"({text})" if text.startswith("-") else text
+
+
+def _unit(signal: Signal) -> str:
+    return _comment(f"[{signal.unit}]" if signal.unit else "[unit not stated in the model]")
+
+
+def _comment(text: str) -> str:
+    """Text that cannot end a comment, continue a line or hide in it: printable ASCII, the rest as numbers."""
+    plain = "".join(c if " " <= c <= "~" else f"<U+{ord(c):04X}>" for c in text)
+    return plain.replace("*/", "* /").replace("/*", "/ *").replace("\\", "<U+005C>").replace("??", "? ?")
+
 
 EXPORTS = (".c", ".json", ".mat", ".h5", ".hdf5")
 

@@ -19,8 +19,6 @@ from robustlab.result import Status, plain
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.synthesis.problem.design import Controller
 
-__all__ = ["LoadedController", "controller_to_json", "is_json", "read_controller_json"]
-
 SCHEMA, VERSION = "robustlab.controller", 1
 CONVENTION = "u = K y, positive feedback; x[k+1] = A x[k] + B y[k], u[k] = C x[k] + D y[k]; dx/dt if dt = 0"
 NEEDED = ("schema", "dt", "inputs", "outputs", "states", "A", "B", "C", "D")

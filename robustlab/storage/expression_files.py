@@ -25,8 +25,6 @@ from robustlab.uncertainty.blocks import ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric
 
-__all__ = ["load_parametric"]
-
 MAX_BYTES = 1 << 20
 MATRICES = ("A", "B", "C", "D")
 KEYS = (*MATRICES, "parameters", "dt", "inputs", "outputs", "states")

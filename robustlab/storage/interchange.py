@@ -14,8 +14,7 @@ from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
-from robustlab.files.record_layout import decode_record, encode_record
-from robustlab.files.records import CLOCK_NAMES, RecordOptions, read_record
+from robustlab.files.records import CLOCK_NAMES, RecordOptions, decode_record, encode_record, read_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced
@@ -23,9 +22,7 @@ from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.matrices import Problems, decode_model, encode_model
-from robustlab.storage.model_pairs import decode_pair, looks_like_a_pair
-
-__all__ = ["Loaded", "load", "load_pair", "read", "save", "is_plant_file", "load_plant"]
+from robustlab.storage.models import decode_pair, looks_like_a_pair
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
@@ -219,19 +216,19 @@ def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: b
 
 def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stored:
     if kind in ("uncertain", "controller"):
-        from robustlab.storage.uncertain_models import decode_controller, decode_uncertain
+        from robustlab.storage.models import decode_controller, decode_uncertain
 
         return (decode_uncertain if kind == "uncertain" else decode_controller)(tree, problems, transpose)
     if kind == "delayed":
-        from robustlab.storage.delayed_models import decode_delayed
+        from robustlab.storage.models import decode_delayed
 
         return decode_delayed(tree, problems, transpose)
     if kind == "frequency-data":
-        from robustlab.storage.frequency_files import decode_frequency_data
+        from robustlab.storage.models import decode_frequency_data
 
         return decode_frequency_data(tree, problems)
     if kind in ("lpv", "lpv-controller"):
-        from robustlab.storage.lpv_models import decode_lpv
+        from robustlab.storage.models import decode_lpv
 
         return decode_lpv(tree, problems, controller=kind == "lpv-controller")
     if kind == "record":
@@ -349,12 +346,15 @@ def _origin(obj: Any, given: Provenance) -> Provenance:
 def _encode(tree: Tree, obj: Any) -> str:
     from robustlab.delays.model import DelayedModel
     from robustlab.dynamics.plant_contract import Plant
-    from robustlab.storage.delayed_models import encode_delayed
-    from robustlab.storage.frequency_files import encode_frequency_data
-    from robustlab.storage.lpv_models import encode_lpv
+    from robustlab.storage.models import (
+        encode_controller,
+        encode_delayed,
+        encode_frequency_data,
+        encode_lpv,
+        encode_uncertain,
+    )
     from robustlab.storage.plants import encode_plant
     from robustlab.storage.results import encode_result
-    from robustlab.storage.uncertain_models import encode_controller, encode_uncertain
     from robustlab.synthesis.problem.design import Controller
     from robustlab.synthesis.scheduling.parameter_varying import LPVModel
     from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController

@@ -21,17 +21,6 @@ from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 if TYPE_CHECKING:
     from robustlab.dynamics.descriptor_elimination import Eliminated
 
-__all__ = [
-    "Problems",
-    "decode_model",
-    "decode_point",
-    "encode_model",
-    "encode_point",
-    "entries",
-    "find_children",
-    "sample_time",
-]
-
 
 @dataclass
 class Problems:

@@ -12,8 +12,6 @@ from robustlab.errors import InputError
 from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
 from robustlab.result import Result, Status
 
-__all__ = ["decode_result", "encode_result"]
-
 
 def encode_result(tree: Tree, result: Any) -> None:
     """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table."""

@@ -25,18 +25,8 @@ from robustlab.signals import same_units
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.interconnection import Wiring
-from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
+from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected
 from robustlab.uncertainty.reduction import reduced
-
-__all__ = ["Reduction", "reduction", "beside", "centred", "lower", "series", "stacked", "star", "upper"]
-
-
-def series(first: Any, *others: Any) -> UncertainModel:
-    """What leaves each operand enters the next: ``series(a, b, c) = c @ b @ a``; see `product`."""
-    result = as_uncertain(first, "series")
-    for other in others:
-        result = product(other, result)
-    return result
 
 
 @carried_by_rank
@@ -93,21 +83,6 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
     F[a_out - go :, a_out + back :] = np.eye(b_out - back)
     inputs, outputs = a.inputs[: a_in - back] + b.inputs[go:], a.outputs[: a_out - go] + b.outputs[back:]
     return interconnected([a, b], Wiring(K, E, F), inputs, outputs, "star")
-
-
-def lower(P: Any, K: Any) -> UncertainModel:
-    r"""Lower LFT :math:`F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}`: K closes the last channels of P.
-
-    Raises
-    ------
-    InputError
-        K is larger than P.
-    NoTrustworthyNumber
-        The nominal loop is not well posed.
-    """
-    p, k = as_uncertain(P, "lower"), as_uncertain(K, "lower")
-    _check_inside("lower", k, p)
-    return star(p, k, len(k.inputs), len(k.outputs))
 
 
 def upper(M: Any, K: Any) -> UncertainModel:

@@ -24,20 +24,10 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
-from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, as_model
+from robustlab.signals import MAX_NAME
+from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-
-__all__ = [
-    "STRUCTURES",
-    "EndpointResidual",
-    "by_cause",
-    "check_pair",
-    "elementwise",
-    "endpoint_residual",
-    "natural_magnitude",
-]
-
 
 # Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
 EXACT = 3e-14

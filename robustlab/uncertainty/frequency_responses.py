@@ -34,8 +34,6 @@ from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blo
 from robustlab.uncertainty.lft import UncertainModel, feedback, parallel, product
 from robustlab.uncertainty.upper_lft import ILL_POSED, closed_response
 
-__all__ = ["UncertainFrequencyData", "frequency_data", "response_radius"]
-
 
 @dataclass(frozen=True, init=False, eq=False)
 class UncertainFrequencyData(TransferMatrix, Shown, Traced):

@@ -20,8 +20,6 @@ import numpy as np
 
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = ["Algebra", "Laurent", "Monomial", "parsed", "walk"]
-
 Monomial = tuple[tuple[str, int], ...]
 
 MAX_TEXT = 10_000

@@ -25,20 +25,9 @@ from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.signals import Signal, is_constant, is_number, names_of, picked, real_array, same_units
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
-from robustlab.uncertainty.dynamic_blocks import weighted
-from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, wired
+from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, weighted, wired
 from robustlab.uncertainty.reduction import reduced
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
-
-__all__ = [
-    "UncertainModel",
-    "as_uncertain",
-    "feedback",
-    "interconnected",
-    "inverse",
-    "parallel",
-    "product",
-]
 
 
 @dataclass(frozen=True, init=False, eq=False)

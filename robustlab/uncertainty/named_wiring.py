@@ -24,8 +24,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected
 
-__all__ = ["connect", "connected"]
-
 FORM = '"e = r - y": a new name, then names with + or - between them'
 _SUM = re.compile(r"([^\s=+-]+)\s*=(.*)", re.DOTALL)
 _TERM = re.compile(r"\s*([+-]?)\s*([^\s=+-]+)")

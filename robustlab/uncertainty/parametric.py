@@ -25,9 +25,6 @@ from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, p
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["as_range", "parametric"]
-
-
 # The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
 EXACT = 1e-9
 MAX_SIZE = 200_000  # factors times variables

@@ -33,9 +33,6 @@ from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
 
-__all__ = ["perturbed_model", "realise_delta"]
-
-
 # Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
 REAL = 1e-7
 # A discrete frequency is an end of the axis where omega dt / 2 comes as close as this to 0 or pi / 2.

@@ -33,8 +33,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
 from robustlab.uncertainty.upper_lft import balancing_scale, closed_response
 
-__all__ = ["Reduced", "reduce_blocks", "reduced"]
-
 # A reduced block must give the same F(delta) to this share of the entries' natural magnitude, or it is not reduced.
 UNCHANGED = 1e-10
 # A difference below this share of the summands is their rounding, where F itself is what is left when they cancel.

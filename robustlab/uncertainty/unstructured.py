@@ -34,8 +34,6 @@ from robustlab.statespace import Signal, StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["FORMS", "Form", "unstructured"]
-
 Form = Literal[
     "additive",
     "input-multiplicative",

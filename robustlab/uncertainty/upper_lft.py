@@ -15,8 +15,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import strong_components
 
-__all__ = ["balanced", "balancing_scale", "closed_response", "is_singular", "upper_lft"]
-
 # I - M11 Delta with a condition number above this has no digits left that could be trusted.
 ILL_POSED = 1e12
 # Passes of balancing.

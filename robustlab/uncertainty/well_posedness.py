@@ -33,8 +33,6 @@ from robustlab.uncertainty.blocks import Block, block_slices, delta_values, stru
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["WellPosedness", "well_posedness"]
-
 Matrix = NDArray[Any]
 
 # A Perron bound this near to one proves nothing: rounding of its own eigenvalue.

@@ -25,9 +25,6 @@ from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.ensemble import Ensemble, lft_parts, split, state_scale
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
-
-
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
 MAX_LISTED = 16
 

@@ -25,27 +25,6 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = [
-    "Ensemble",
-    "Excitation",
-    "Hold",
-    "Lanes",
-    "chunks",
-    "default_clock",
-    "delta_stack",
-    "excitation",
-    "in_lanes",
-    "lft_parts",
-    "members",
-    "peak_gains",
-    "responses",
-    "split",
-    "state_scale",
-    "time_responses",
-    "transitions",
-]
-
-
 Hold = Literal["zoh", "foh"]
 
 # A discrete model's clock may differ from its sample time by this share.

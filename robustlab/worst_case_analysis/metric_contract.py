@@ -20,8 +20,6 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, members
 
-__all__ = ["Evaluation", "Metric", "connected", "need_real", "need_stable", "selected"]
-
 
 class Evaluation(NamedTuple):
     """A metric at one Delta.

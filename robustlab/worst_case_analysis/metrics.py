@@ -15,17 +15,20 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.controllability_metrics import HankelValue, RelativeReach
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
 from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, default_clock, delta_stack, excitation
 from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, need_real
-from robustlab.worst_case_analysis.model_metrics import Damping, H2Gain, HinfGain, SpectralAbscissa
+from robustlab.worst_case_analysis.model_metrics import (
+    Damping,
+    H2Gain,
+    HankelValue,
+    HinfGain,
+    RelativeReach,
+    SpectralAbscissa,
+)
 from robustlab.worst_case_analysis.streaming import blocks_of, in_order
 from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
 from robustlab.worst_case_analysis.tuning import TUNING
-
-__all__ = ["METRICS", "MetricBatch", "MetricRequest", "UserMetric", "make_metric"]
-
 
 MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]

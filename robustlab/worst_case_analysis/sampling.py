@@ -30,9 +30,6 @@ from robustlab.worst_case_analysis.streaming import (
 )
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["PlantSamples", "Responses", "Samples", "StreamedResponses", "sample"]
-
-
 # A response is kept whole: samples x times x outputs.
 MAX_NUMBERS = 64_000_000
 

@@ -31,9 +31,6 @@ from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.sensitivity import delta_slope
 from robustlab.worst_case_analysis.tuning import TUNING, WorstCaseTuning
 
-__all__ = ["WorstCase", "worst_case"]
-
-
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"

@@ -25,8 +25,6 @@ from robustlab.magnitude import refuse_overflow
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, lft_parts, transitions
 
-__all__ = ["delta_slope", "pole_slope", "response_slope", "steady_state_slope"]
-
 
 def delta_slope(uncertain: UncertainModel, delta: Array, slope: Array) -> Array:
     """``dv / dDelta`` (q, p) from ``slope = dv / d[A B; C D]`` at a real Delta (q, p)."""

@@ -21,8 +21,6 @@ from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, in_lanes, responses
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["Bins", "StreamedResponses", "Sums", "blocks_of", "in_order", "stream"]
-
 T = TypeVar("T")
 
 LABEL = "sampled: the true envelope may be wider"

@@ -26,8 +26,6 @@ from robustlab.worst_case_analysis.metric_contract import (
 from robustlab.worst_case_analysis.sensitivity import response_slope, steady_state_slope
 from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["Overshoot", "Peak", "PeakDeviation", "Rms", "SettlingTime", "TimeMetric", "settling_times"]
-
 
 class TimeMetric(Metric):
     """What metrics of a response share. It starts from zero initial state.

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from robustlab.budget import MILLION
 
-__all__ = ["TUNING", "WorstCaseTuning"]
-
 
 @dataclass(frozen=True)
 class WorstCaseTuning:
@@ -37,7 +35,7 @@ class WorstCaseTuning:
     zoom_points: int = 7  # of each round of the zoom on the highest grid point ...
     zoom_rounds: int = 8  # ... each of which narrows its bracket by a factor of 4
     grid_points: int = 48  # frequencies at which the gain of every member is looked at, besides those of its own poles
-    # --- Gramians and responses (controllability_metrics, time_metrics) ---
+    # --- Gramians and responses (model_metrics, time_metrics) ---
     doublings: int = 46  # of the Smith iteration; a pole at 1e-12 of its size from the boundary is through by then
     taylor_reach: float = 0.25  # |A| h up to which a finite horizon begins as a Taylor series ...
     taylor_terms: int = 12  # ... of so many terms

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.model import app as model_app
 from robustlab.cli.uncertain import app as uncertain_app
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 
 T = 1e-3 * np.arange(2000)
 U = np.repeat(np.random.default_rng(0).uniform(-1, 1, 20), 100)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming import discovery
 from robustlab.identification.naming.discovery_parts import Rival

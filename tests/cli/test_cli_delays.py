@@ -9,7 +9,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import main
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
 OMEGA = np.geomspace(0.01, 100, 50)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from robustlab.cli import warm
-from robustlab.cli.console import main_guard
+from robustlab.cli import doctor
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 from robustlab.provenance import library_versions
 
@@ -79,7 +79,7 @@ def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
 def test_warm_tells_times_place_and_what_was_left_out(capsys, monkeypatch, tmp_path):
     used = []
     parts = {"one": (2, lambda: used.append(1), ""), "two": (1, lambda: used.append(2), "no_such_library")}
-    monkeypatch.setattr(warm, "_PARTS", parts)
+    monkeypatch.setattr(doctor, "_PARTS", parts)
     assert robustlab("doctor", "--warm", "--json", "--progress", "json") == 0
     out, err = capsys.readouterr()
     told = json.loads(out)["warm"]

@@ -8,7 +8,8 @@ from importlib import import_module
 
 import pytest
 
-from robustlab.cli.console import main_guard, table
+from robustlab.cli.console import table
+from robustlab.cli.ending import main_guard
 from robustlab.cli.groups import GROUPS
 from robustlab.cli.main import help_text, run
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError

@@ -11,7 +11,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import main
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 
 OMEGA = np.array([0.5, 1.0, 4.0])
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])

@@ -7,7 +7,7 @@ import json
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run as run_words
 
 RECIPE = """\

@@ -11,7 +11,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import model, synth
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 
 
 def run(app, *arguments: str) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 
 RECIPE = """\

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 from robustlab.recipe.steps.contract import KINDS, Outcome
 

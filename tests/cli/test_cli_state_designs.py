@@ -9,7 +9,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import main, model, synth
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 
 
 def run(app, *arguments: str) -> int:

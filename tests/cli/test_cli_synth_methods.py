@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.synth import app
 from robustlab.frequency import frequency_response
 from robustlab.statespace import lower_lft

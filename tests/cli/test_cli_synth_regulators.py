@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run as whole
 from robustlab.cli.synth import app
 from robustlab.statespace import lower_lft

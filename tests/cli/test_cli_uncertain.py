@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.uncertain import app
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import load, save

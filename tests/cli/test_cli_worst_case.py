@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.uncertain import app as uncertain
 from robustlab.cli.worst_case import app
 from robustlab.storage import load

@@ -10,8 +10,7 @@ import pytest
 
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import InputError
-from robustlab.recipe.load import load_recipe, parse_recipe
-from robustlab.recipe.paths import recipe_path
+from robustlab.recipe.load import load_recipe, parse_recipe, recipe_path
 from robustlab.recipe.run import run_recipe
 
 ROOT = Path(__file__).parents[2]

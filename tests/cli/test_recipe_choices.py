@@ -86,7 +86,7 @@ def test_a_linear_plant_has_no_pose(tmp_path, monkeypatch, capsys):
     ],
 )
 def test_wrong_choices_are_named(old, new, text, tmp_path, monkeypatch, capsys):
-    from robustlab.cli.console import main_guard
+    from robustlab.cli.ending import main_guard
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "r.toml").write_text(RECIPE.replace(old, new))

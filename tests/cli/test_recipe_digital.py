@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 
 RECIPE = """\

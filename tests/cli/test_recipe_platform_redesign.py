@@ -12,8 +12,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.stewart import nut_angles
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.paths import recipe_path
+from robustlab.recipe.load import load_recipe, recipe_path
 from robustlab.recipe.steps.records import _worst
 
 RECIPE = """

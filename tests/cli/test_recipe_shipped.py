@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.paths import recipe_path
+from robustlab.recipe.load import load_recipe, recipe_path
 from robustlab.recipe.run import run_recipe
 
 ROOT = Path(__file__).parents[2]

@@ -13,8 +13,8 @@ import record_files as rf
 import scipy.io
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 from robustlab.dynamics.effects.catalogue import catalogue
 
 PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text(encoding="utf-8")

@@ -44,7 +44,7 @@ def strike(first, last):
 
 
 if plan and concerned & set(sys.orig_argv):
-    from robustlab.campaign import evaluation, runs, work
+    from robustlab.campaign import evaluation, runs
 
     class Sabotaged(evaluation.Evaluator):
         def _values(self, deltas):
@@ -59,7 +59,7 @@ if plan and concerned & set(sys.orig_argv):
             self.now = index, index + 1
             return super()._guarded(index)
 
-    work.Evaluator = runs.Evaluator = Sabotaged
+    evaluation.Evaluator = runs.Evaluator = Sabotaged
 """
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 
 T = np.arange(60) * 0.05
 U = np.sign(np.sin(2 * np.pi * T / 1.5 + 0.05))

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, Crew, cluster_workers, run_campaign, saved_samples
-from robustlab.campaign.cluster_workers import ClusterWorkers
-from robustlab.campaign.evaluation import TILE, Evaluator
+from robustlab.campaign import CampaignSettings, Crew, run_campaign, saved_samples
+from robustlab.campaign import workers as cluster_workers
+from robustlab.campaign.evaluation import TILE, Evaluator, Failure, Payload, Piece
 from robustlab.campaign.settings import Identity, model_to_bytes
 from robustlab.campaign.store import Store
-from robustlab.campaign.work import Failure, Payload, Piece
+from robustlab.campaign.workers import ClusterWorkers
 from robustlab.errors import EnvironmentFault, RobustlabError
 
 pytest.importorskip("distributed")

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 
 import robustlab as rl
-from robustlab.structural import controllability_matrix, observability_matrix, strong_components
+from robustlab.structural import strong_components
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -19,8 +19,6 @@ def test_rank_of_ctrb_and_obsv(seed):
     a = rng.integers(-1, 2, (n, n)).astype(float)
     b, c = rng.integers(-1, 2, (n, n_u)).astype(float), rng.integers(-1, 2, (n_y, n)).astype(float)
     model = rl.StateSpaceModel(a, b, c, np.zeros((n_y, n_u)))
-    np.testing.assert_array_equal(controllability_matrix(model), control.ctrb(a, b))
-    np.testing.assert_array_equal(observability_matrix(model), control.obsv(a, c))
     # whole numbers of at most a few hundred: the rank is exact
     assert rl.controllability(model).rank == np.linalg.matrix_rank(control.ctrb(a, b))
     assert rl.observability(model).rank == np.linalg.matrix_rank(control.obsv(a, c))

@@ -13,10 +13,22 @@ from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, cluster_workers, read_campaign, replay_sample, runs
+from robustlab.campaign import CampaignSettings, read_campaign, replay_sample, runs
+from robustlab.campaign import workers as cluster_workers
 from robustlab.campaign.dispatch import compute_missing
-from robustlab.campaign.evaluation import TILE, Evaluator, Rows, decode_delta, delta_width, encode_delta
-from robustlab.campaign.local_workers import LocalWorkers
+from robustlab.campaign.evaluation import (
+    TILE,
+    Evaluator,
+    Failure,
+    Outcome,
+    Payload,
+    Piece,
+    Rows,
+    decode_delta,
+    delta_width,
+    encode_delta,
+    perform,
+)
 from robustlab.campaign.result import (
     SHARES,
     _upper_rank,
@@ -27,7 +39,7 @@ from robustlab.campaign.result import (
 )
 from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
 from robustlab.campaign.store import Store
-from robustlab.campaign.work import Failure, Outcome, Payload, Piece, perform
+from robustlab.campaign.workers import LocalWorkers
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.worst_case_analysis import METRICS
 from robustlab.worst_case_analysis.draws import delta_of_sample

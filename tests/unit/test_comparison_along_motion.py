@@ -308,8 +308,8 @@ def test_validate_and_cover_ask_for_a_linear_set():
 
 @pytest.fixture
 def run(capsys):
-    from robustlab.cli.console import main_guard
     from robustlab.cli.data import app
+    from robustlab.cli.ending import main_guard
 
     def call(*arguments):
         code = main_guard(lambda: app([str(a) for a in arguments], standalone_mode=False))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.statespace import OperatingPoint
-from robustlab.storage.controller_code import c_source
+from robustlab.storage.controller_export import c_source
 from robustlab.synthesis.sampled.discretisation import discretise
 from robustlab.synthesis.windup.back_calculation import back_calculation
 

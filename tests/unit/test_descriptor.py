@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, eigvals, expm
 
 import robustlab as rl
 from robustlab.cli import model as model_app
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.dynamics.descriptor_elimination import eliminated
 from robustlab.errors import InputError, NoTrustworthyNumber
 

@@ -10,14 +10,15 @@ import pytest
 
 from robustlab.report.design_figures import (
     FunctionPanel,
+    Story,
     TimePanel,
     functions_figure,
     history_figure,
     loop_figure,
     runs_figure,
+    story_figure,
 )
 from robustlab.report.figures import save_figure
-from robustlab.report.story_figures import Story, story_figure
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn

@@ -34,11 +34,9 @@ from robustlab.identification.naming.discovery_result import (
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
-from robustlab.recipe.requirements import judge
-from robustlab.recipe.schema import Requirement
-from robustlab.recipe.steps.discovery import numbers
-from robustlab.report.discovery_figures import discovery_figures, stretch_figure
-from robustlab.report.discovery_page import caption, facts, write_page
+from robustlab.recipe.schema import Requirement, judge
+from robustlab.recipe.steps.records import numbers
+from robustlab.report.discovery import caption, discovery_figures, facts, stretch_figure, write_page
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")

@@ -10,7 +10,7 @@ import pytest
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.envelope import cover
-from robustlab.report.validation_figures import envelope_figure
+from robustlab.report.set_figures import envelope_figure
 from robustlab.result import Status, plain
 from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import UncertainModel

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.load import MAX_BYTES, load_recipe, parse_recipe
-from robustlab.recipe.paths import find_files
+from robustlab.recipe.load import MAX_BYTES, find_files, load_recipe, parse_recipe
 from robustlab.recipe.schema import json_schema
 
 HEAD = 'schema = "robustlab.recipe/1"\nname = "x"\n'

@@ -7,8 +7,7 @@ import math
 import pytest
 
 from robustlab.errors import InputError
-from robustlab.recipe.requirements import judge, look_up
-from robustlab.recipe.schema import Requirement
+from robustlab.recipe.schema import Requirement, judge, look_up
 
 NUMBERS = {
     "gap": {

@@ -125,7 +125,7 @@ effort = 0.0002
 def test_a_recipe_is_the_same_under_load():
     found = same_under_load(f"""
 import contextlib, io, json, os, tempfile
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
     os.chdir(folder)

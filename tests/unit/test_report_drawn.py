@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from robustlab.report.drawn import COLUMN, HREF, OFF, SVG, compact, corners_of, thinned
 from robustlab.report.figures import house_style, new_figure
+from robustlab.report.svg import COLUMN, HREF, OFF, SVG, compact, corners_of, thinned
 
 
 def raw(figure) -> str:

@@ -9,8 +9,7 @@ import robustlab as rl
 from robustlab.mu_analysis import Margin
 from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
 from robustlab.report.figures import axis_label, house_style, logarithmic, new_figure, save_figure
-from robustlab.report.mu_figures import mu_figure, shares_figure
-from robustlab.report.worst_case_figures import response_figure, worst_case_figure
+from robustlab.report.robustness_figures import mu_figure, response_figure, shares_figure, worst_case_figure
 
 T = np.linspace(0.0, 1.0, 101)
 

@@ -14,7 +14,7 @@ from scipy.signal import cont2discrete
 
 import robustlab as rl
 from robustlab.cli import model as model_app
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import OperatingPoint
 

@@ -9,7 +9,7 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.provenance import NOT_VERIFIED, Provenance
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import check_pair, load_pair, read, save
-from robustlab.storage.model_pairs import difference
+from robustlab.storage.models import difference
 
 A, B, C, D = np.diag([-1.0, -2.0]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robustlab.cli.console import main_guard
+from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run
 
 ROOT = Path(__file__).parents[2]

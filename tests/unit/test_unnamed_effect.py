@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from robustlab.errors import InputError
 from robustlab.identification.unnamed.block_regression import held_out
 from robustlab.identification.unnamed.unnamed_effect import fit_unnamed, residual_force, structure_left
-from robustlab.report.discovery_figures import residual_force_figure
+from robustlab.report.discovery import residual_force_figure
 from robustlab.report.figures import save_figure
 
 H = 1e-3

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation import time_domain
 from robustlab.identification.validation.constant_parameters import Parameters

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.budget import Budget
-from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.validation.frequency_domain import line_lagrangian, smallest_by_lines
 from robustlab.identification.validation.spectral_problem import spectrum_of_record, spectrum_of_response
 from robustlab.identification.validation.tuning import Search
-from robustlab.report.validation_figures import validation_figures
+from robustlab.report.set_figures import validation_figures
 from robustlab.result import plain
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])

@@ -16,7 +16,8 @@ from robustlab.dynamics.plant_contract import PortPlace
 from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant, labels
 from robustlab.dynamics.symbolic.tape import tape_of
 from robustlab.errors import DependencyMissing, InputError, did_you_mean
-from robustlab.statespace import MAX_NAME, Signal
+from robustlab.signals import MAX_NAME
+from robustlab.statespace import Signal
 
 __all__ = ["PlantEquations"]
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
 from pydantic import ConfigDict, Field
 
+import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.recipe.steps.vocabulary import Strict, Text
 
@@ -18,11 +19,6 @@ if TYPE_CHECKING:
 
     from robustlab.identification.naming.discovery_result import Discovery
     from robustlab.provenance import Provenance
-    from robustlab.record import Record
-    from robustlab.result import Status
-    from robustlab.uncertainty.lft import UncertainModel
-
-__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "least_trusted", "picked", "quantity", "step"]
 
 # What a recipe says with ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
@@ -65,7 +61,7 @@ def picked(result: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(result, name) for name in names}
 
 
-def least_trusted(statuses: Sequence[Status]) -> Status:
+def least_trusted(statuses: Sequence[rl.Status]) -> rl.Status:
     """The status that says least; it is that of a step with several results."""
     return max(statuses, key=list(type(statuses[0])).index)
 
@@ -107,7 +103,7 @@ class Outcome:
     summary: str
     numbers: Mapping[str, Any] = field(default_factory=dict)
     facts: tuple[Fact, ...] = ()
-    status: Status | None = None
+    status: rl.Status | None = None
     notes: tuple[str, ...] = ()
     text: str = ""
     story: tuple[Fact, ...] = ()
@@ -124,7 +120,7 @@ class Workspace:
     values
         Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
     sources
-        Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.paths.find_files`.
+        Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_files`.
     seed
         Seed of the recipe.
     unfinished
@@ -152,21 +148,17 @@ class Workspace:
     simulated: set[str] = field(default_factory=set)
     step: str = ""
 
-    def uncertain(self, name: str) -> UncertainModel:
+    def uncertain(self, name: str) -> rl.UncertainModel:
         """The uncertain model that an earlier step gave; a loaded file may hold something else."""
-        from robustlab.uncertainty.lft import UncertainModel
-
         value = self.values[name]
-        if not isinstance(value, UncertainModel):
+        if not isinstance(value, rl.UncertainModel):
             raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "an UncertainModel")
         return value
 
-    def record(self, name: str) -> Record:
+    def record(self, name: str) -> rl.Record:
         """The record that an earlier step gave; a loaded file may hold something else."""
-        from robustlab.record import Record
-
         value = self.values[name]
-        if not isinstance(value, Record):
+        if not isinstance(value, rl.Record):
             raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "a Record")
         return value
 
@@ -197,9 +189,18 @@ class Workspace:
 
         A step with several results names each: ``evidence/STEP-PART.h5``.
         """
-        from robustlab.storage import save
-
         path = self.folder / "evidence" / f"{self.step}{'-' * bool(part)}{part}.h5"
         path.parent.mkdir(exist_ok=True)
-        save(path, result, self.provenance())
+        rl.save(path, result, self.provenance())
         self.files.append(f"evidence/{path.name}")
+
+
+def facts_of(found: Any) -> tuple[Fact, ...]:
+    """What a result says of itself, for the report."""
+    return tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
+
+
+def told(found: Any, value: Any, summary: str, numbers: Mapping[str, Any], work: Workspace) -> Outcome:
+    """A result that tells its own facts, kept as evidence; ``value`` is what later steps get of it."""
+    work.keep(found)
+    return Outcome(value, summary, numbers, facts_of(found), found.status)

@@ -87,17 +87,12 @@ class TrackingProblemStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """A weighted tracking problem, and what its weights allow."""
         from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
-        from robustlab.synthesis.specifications.weight_design import (
-            complementary_weight,
-            control_weight,
-            error_weight,
-            performance_weight,
-        )
+        from robustlab.synthesis.specifications.weight_design import error_weight
 
         given = work.values[self.of]
         G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
-        first = error_weight if isinstance(self.W1, ErrorWeight) else performance_weight
-        makers = {"W1": first, "W2": control_weight, "W3": complementary_weight}
+        first = error_weight if isinstance(self.W1, ErrorWeight) else rl.performance_weight
+        makers = {"W1": first, "W2": rl.control_weight, "W3": rl.complementary_weight}
         weights = {name: _weight(getattr(self, name), make) for name, make in makers.items()}
         inputs, outputs = _signals(G)
         controlled, measured = _matching(self.controlled, outputs), _matching(self.measured, outputs)
@@ -158,7 +153,6 @@ class CascadeStep(Step):
         from robustlab.dynamics.control.controlled_plant import actuator_cascade
         from robustlab.dynamics.control.controllers import two_layer
         from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-        from robustlab.synthesis.problem.design import Controller
 
         plant = work.values[self.of]
         if isinstance(plant, StewartPlatform):
@@ -170,7 +164,7 @@ class CascadeStep(Step):
         numbers = {"order": K.n_states, "p_up": self.p_up, "p_low": self.p_low}
         poles = f"{self.p_up:g} and {self.p_low:g} 1/s, triple"
         facts = (Fact("Order", str(K.n_states)), Fact("Poles of the layers", poles))
-        return Outcome(Controller(K, method="cascade"), f"{what[:1].upper()}{what[1:]}.", numbers, facts)
+        return Outcome(rl.Controller(K, method="cascade"), f"{what[:1].upper()}{what[1:]}.", numbers, facts)
 
 
 @step
@@ -441,7 +435,6 @@ def _followed(
     """
     import numpy as np
 
-    from robustlab.dynamics import linearise, trim
     from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
     from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow, follow_with_torques, torque_loop
     from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
@@ -454,7 +447,7 @@ def _followed(
     if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
         expected = "one, with motors, or without them and perhaps with effects"
         raise InputError(f"step {step.of!r}", "gave no Stewart platform that can be followed here", expected)
-    point = trim(plant) if step.at is None else trim(plant, pose=step.at)
+    point = rl.trim(plant) if step.at is None else rl.trim(plant, pose=step.at)
     path = SineTrajectory(machine.geometry.home if step.at is None else step.at, rise_time=step.rise_time)
     path = replace(path, lift=step.scale * np.asarray(path.lift), amplitude=step.scale * np.asarray(path.amplitude))
     t = np.linspace(0.0, step.t_end, step.points)
@@ -463,7 +456,7 @@ def _followed(
     if not machine.motors:
         named = f", with {', '.join(e.in_words for e in plant.effects)}" if machine is not plant else ""
         runs = {name: follow_with_torques(plant, K, path, t, at=point) for name, K in models.items()}
-        poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
+        poles = {name: rl.linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
         return runs, poles, asked, Fact("The machine", f"takes torques{named}")
     lower = two_layer(machine, p_low=step.p_low).lower
     layered = {name: LayeredController(K, lower, point) for name, K in models.items()}

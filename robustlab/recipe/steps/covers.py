@@ -1,4 +1,4 @@
-"""Steps that make an uncertain model: the cover of a set of models, and what a discovery found and left over."""
+"""Steps from records and models to sets that hold them, and the way to a better controller in one picture."""
 
 from __future__ import annotations
 
@@ -9,25 +9,222 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.models import uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
     Positive,
+    RefersTo,
+    Text,
     TimeLimit,
     ToController,
     Tolerance,
     ToOneModel,
     ToPlantOrFile,
     ToRecord,
+    ToUncertain,
 )
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks, NoiseInput
     from robustlab.mu_analysis.margins.cover import Cover
-    from robustlab.statespace import StateSpaceModel
+
+ToPerformance = Annotated[str, RefersTo(("performance",))]
+
+ToRuns = Annotated[str, RefersTo(("runs",))]
+
+BeforeAfter = Field(min_length=2, max_length=2)
+
+
+@step
+class DataCoverStep(Step):
+    """The set of models around a plant that explains its records: tolerances, and the smallest unmodelled dynamics.
+
+    Effects of the plant become bounded inputs ("load *") that are known along a record.
+    """
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["data-cover"]
+    of: ToPlantOrFile
+    records: Annotated[list[ToRecord], Field(min_length=1, max_length=20)]
+    held_out: list[ToRecord] = Field([], description="Records on which the set is checked; they do not change it.")
+    noise: Annotated[dict[str, Positive], Field(min_length=1)] = Field(
+        description="Output that is compared -> largest noise, in its unit."
+    )
+    margin: Annotated[float, Field(ge=1)] = Field(
+        1.1, description="Radius over the smallest that explains the records."
+    )
+    least: Annotated[float, Field(ge=0, lt=1)] = Field(0.02, description="Smallest radius of any set.")
+    window: Positive | None = Field(
+        None, description="s; each window with a free start. The whole record where left out."
+    )
+    at_rest: bool = Field(False, description="The records start at rest.")
+    decimate: Annotated[int, Field(ge=1, le=100)] = Field(
+        1, description="Keep every so-many-th sample; inputs are averaged in between."
+    )
+    effort: Effort = Field(1.0, description="Multiple of the usual work, for each record.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def run(self, work: Workspace) -> Outcome:
+        """The smallest unmodelled dynamics with which the plant could have produced its records."""
+        from robustlab.report.set_figures import validation_figure
+
+        def thinned(name: str) -> Any:
+            # An input is the mean of what was sent until the next sample that is kept: a held one stands for that.
+            r, k = work.record(name), self.decimate
+            n = r.n // k
+            inputs = {key: u[: n * k].reshape(n, k).mean(axis=1) for key, u in r.inputs.items()}
+            outputs = {key: y[: n * k : k] for key, y in r.outputs.items()}
+            return rl.Record(r.t[: n * k : k], inputs, outputs, r.units, name, r.meaning)
+
+        found = rl.data_cover(
+            work.values[self.of], [thinned(n) for n in self.records], self.noise,
+            held_out=[thinned(n) for n in self.held_out], margin=self.margin, least=self.least, window=self.window,
+            at_rest=self.at_rest, effort=self.effort, time_limit=self.time_limit,
+        )  # fmt: skip
+        work.keep(found)
+        if found.model is None:
+            raise NoTrustworthyNumber(
+                "data-cover", f"no unmodelled dynamics of {self.of} explains {', '.join(self.records)}",
+                "a larger noise bound, or a plant that is nearer",
+            )  # fmt: skip
+        for name, validation in found.validations.items():
+            for output, _ in validation.outputs:
+                caption = f"{name} as recorded, of the nominal model, and as the smallest Δ explains it."
+                work.draw(validation_figure(validation, output), f"{name}-{output}", caption)
+        numbers = {k: v for k, v in found.to_json(series=False).items() if k not in ("validations", "loads")}
+        numbers["loads"] = {x.name: x.bound for x in found.loads}
+        held = "none held out" if math.isnan(found.held_out) else f"{found.held_out:.3g}"
+        if found.loads and not math.isnan(found.held_out):
+            held += f", with loads up to {found.held_out_loads:.3g} of their bounds"
+        facts = (
+            Fact("Unmodelled dynamics in the set", f"{found.radius:.3g} of the input"),
+            Fact("Needed by the records", f"{found.needed_lower:.3g} to {found.needed:.3g}"),
+            Fact("Needed by the records held out", held),
+            *(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in found.loads),
+            Fact("Blocks", ", ".join(b.name for b in found.model.blocks)),
+        )
+        note = (
+            "The radius is sought at nominal parameters, with a Δ that may vary with time; "
+            "their tolerances come on top."
+        )
+        summary = f"The set of models around {self.of} that explains {', '.join(self.records)}."
+        return Outcome(found.model, summary, numbers, facts, found.status, (note,), found.summary())
+
+
+@step
+class StoryStep(Step):
+    """One picture from the gap to the better controller, before and after an effect was named; first in the report.
+
+    Every list holds two entries: before and after.
+    """
+
+    do: Literal["story"]
+    record: ToRecord | None = Field(None, description="Record that both plants are simulated against, from rest.")
+    output: Text = Field("", description="Output of the record to draw; the first where left out.")
+    plants: Annotated[list[ToPlantOrFile], BeforeAfter] | None = None
+    covers: Annotated[list[ToUncertain], BeforeAfter] | None = Field(None, description="data-cover steps.")
+    performance: Annotated[list[ToPerformance], BeforeAfter] = Field(description="robust-performance steps.")
+    controllers: Annotated[list[ToController], BeforeAfter]
+    runs: ToRuns = Field(description="simulate-control or follow-trajectory step with both controllers.")
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        if (self.record is None) != (self.plants is None):
+            raise PydanticCustomError("together", "record and plants belong together")
+        return self
+
+    def run(self, work: Workspace) -> Outcome:
+        """Gap, uncertainty, robust performance and the simulated machine's error, before and after."""
+        from robustlab.report.design_figures import Story, fall_in_words, fall_percent, story_figure, times_in_words
+
+        mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(self.performance, self.controllers, strict=True)]
+        errors = [_of_controller(work, self.runs, k, "worst_error") for k in self.controllers]
+        numbers: dict[str, Any] = {
+            "mu": {"before": mu[0], "after": mu[1], "fall_percent": fall_percent(*mu)},
+            "error": {"before": errors[0], "after": errors[1], "ratio": _ratio(*errors)},
+        }
+        facts = [
+            Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}"),
+        ]
+        gap = None
+        if self.record is not None and self.plants is not None:
+            gap = _simulated(self, work)
+            rms = gap["rms"]
+            numbers["gap"] = {"before": rms[0], "after": rms[1], "ratio": _ratio(*rms)}
+            facts.insert(
+                0,
+                Fact(
+                    f"Gap of {gap['label']}, {gap['origin']} record, RMS",
+                    f"{rms[0]:.4g} → {rms[1]:.4g}: {times_in_words(*rms)}",
+                ),
+            )
+        radii = None
+        if self.covers is not None:
+            for name in self.covers:
+                if "radius" not in work.numbers[name]:
+                    raise InputError(f"covers: {name}", "no radius", "a data-cover step")
+            radii = [float(work.numbers[name]["radius"]) for name in self.covers]
+            needed = [work.numbers[name]["held_out"] for name in self.covers]
+            numbers["radius"] = {"before": radii[0], "after": radii[1], "ratio": _ratio(*radii)}
+            if all(isinstance(v, float) and math.isfinite(v) for v in needed):
+                numbers["held_out"] = {"before": needed[0], "after": needed[1], "ratio": _ratio(*needed)}
+                text = f"{needed[0]:.3g} → {needed[1]:.3g}"
+                facts.append(Fact("Unmodelled dynamics that held-out data need", text))
+            facts.append(Fact("Unmodelled dynamics in the set", f"{radii[0]:.3g} → {radii[1]:.3g} of the input"))
+        runs = work.values[self.runs]
+        text = f"{errors[0]:.4g} → {errors[1]:.4g} {runs.unit}: {times_in_words(*errors)}"
+        facts.append(Fact("Largest tracking error of the referee, simulated", text))
+        margins = [work.values[p][k] for p, k in zip(self.performance, self.controllers, strict=True)]
+        curves = [runs.errors[k] for k in self.controllers]
+        caption = (
+            "From the gap to the better controller: before and after the effects were named. The errors are simulated"
+        )
+        caption += "." if gap is None else f", the record is {gap['origin']}."
+        held_out = numbers.get("held_out")
+        shown = Story(gap, radii, held_out, margins, mu, runs.t, curves, errors, runs.unit, runs.after)
+        work.draw(story_figure(shown), "story", caption)
+        return Outcome(None, "The whole way in one picture.", numbers, tuple(facts))
+
+
+def _of_controller(work: Workspace, step: str, controller: str, key: str) -> float:
+    rows = work.numbers[step]["controllers"]
+    if controller not in rows:
+        raise InputError(f"story: {step}", f"does not have {controller!r}", f"one of {', '.join(rows)}")
+    return float(rows[controller][key])
+
+
+def _ratio(before: float, after: float) -> float:
+    return before / after if after > 0 else math.inf
+
+
+def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
+    """The record's output with both simulations of it, from rest, and the RMS errors."""
+    import numpy as np
+
+    from robustlab.dynamics import LinearPlant
+    from robustlab.dynamics.extended.effect_loads import resting_start
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+
+    assert step.record is not None
+    assert step.plants is not None
+    record = work.record(step.record)
+    output = step.output or next(iter(record.outputs))
+    curves = []
+    for name in step.plants:
+        plant = work.values[name]
+        if not isinstance(plant, LinearPlant | ExtendedPlant):
+            raise InputError(f"plants: {name}", f"a {type(plant).__name__}", "a linear plant, with or without effects")
+        clock, x0 = resting_start(plant, record)
+        inputs = {s.name: record[s.name] for s in plant.inputs}
+        curves.append(rl.simulate(plant, clock, inputs, x0)[output])
+    recorded, origin = record[output], work.origin(step.record)
+    rms = [float(np.sqrt(np.mean((c - recorded) ** 2))) for c in curves]
+    label = f"{output} [{record.unit(output)}]"
+    return {"t": record.t, "record": recorded, "origin": origin, "curves": curves, "rms": rms, "label": label}
+
 
 AmplitudePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 
@@ -95,7 +292,7 @@ class CoverModelsStep(Step):
         ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
         """
         from robustlab.recipe.steps.design import tracking_loop
-        from robustlab.report.cover_figures import cover_figures
+        from robustlab.report.set_figures import cover_figures
 
         models = _models(self, work)
         controller = None if self.controller is None else work.values[self.controller]
@@ -149,7 +346,7 @@ class UncertainFromStep(Step):
         ``range.BLOCK.low`` and ``.high``, ``bound.INPUT``.
         """
         from robustlab.dynamics import Plant
-        from robustlab.report.cover_figures import blocks_figure
+        from robustlab.report.set_figures import blocks_figure
 
         given = work.discoveries.get(self.of, work.values[self.of])
         if self.of not in work.discoveries and not isinstance(given, Plant):
@@ -222,7 +419,7 @@ class WithLoadsStep(Step):
         return Outcome(shown, summary, numbers, facts)
 
 
-def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
+def _models(step: CoverModelsStep, work: Workspace) -> list[rl.StateSpaceModel]:
     made = [_selected(rl.linearise, work.values[name], step.outputs) for name in step.models]
     if step.of is not None:
         plant = work.values[step.of]
@@ -230,7 +427,7 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
     return made
 
 
-def _at_pose(plant: Any, pose: list[float]) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
+def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[NoiseInput, ...]]:
     """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
     from robustlab.dynamics.extended.effect_loads import loaded_model
     from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
@@ -239,7 +436,7 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[StateSpaceModel, tuple[Nois
     return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
-def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> StateSpaceModel:
+def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
     """A model as it is, a plant linearised; with the outputs that are kept."""
     from robustlab.dynamics import Plant
     from robustlab.statespace import as_model

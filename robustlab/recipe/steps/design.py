@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, quantity, step, told
 from robustlab.recipe.steps.models import uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -48,14 +48,8 @@ class MixsynStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
-        from robustlab.synthesis.specifications.weight_design import (
-            complementary_weight,
-            control_weight,
-            performance_weight,
-        )
-
         model = work.values[self.of]
-        makers = ((self.W1, performance_weight), (self.W2, control_weight), (self.W3, complementary_weight))
+        makers = ((self.W1, rl.performance_weight), (self.W2, rl.control_weight), (self.W3, rl.complementary_weight))
         weights = [None if given is None else make(**given.model_dump()) for given, make in makers]
         found = rl.mixsyn(model, *weights)
         _draw_sensitivities(found, model, work)
@@ -364,12 +358,11 @@ class ReduceControllerStep(DesignStep):
     def run(self, work: Workspace) -> Outcome:
         """A controller of lower order whose loop was verified anew."""
         from robustlab.statespace import as_model
-        from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce
 
         P, n_meas, n_con = self.generalised(work, nominal=self.measure != "mu")
         K = as_model(work.values[self.controller], self.controller)
         options: dict[str, Any] = self.model_dump(include={"loss", "order", "measure", "effort", "time_limit"})
-        found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
+        found = rl.reduce_controller(P, K, n_meas=n_meas, n_con=n_con, **options)
         return designed(found, f"{self.controller} with fewer states.", work)
 
 
@@ -404,9 +397,7 @@ class LqiStep(Step):
             "K": found.K, "K_i": found.K_i, "poles": found.poles, "steady_error": found.steady_error,
             "spectral_abscissa": found.closed_loop.spectral_abscissa(),
         }  # fmt: skip
-        return _in_states(
-            found, found.controller, f"{', '.join(self.integral)} of {self.of} held by states.", numbers, work
-        )
+        return told(found, found.controller, f"{', '.join(self.integral)} of {self.of} held by states.", numbers, work)
 
 
 @step
@@ -431,13 +422,7 @@ class KalmanStep(Step):
         found = rl.kalman(model, W, diagonal_weight(self.measurement, model.output_names, "measurement"))
         deviations = dict(zip(model.state_names, np.sqrt(np.maximum(np.diag(found.P), 0.0)), strict=True))
         numbers = {"L": found.L, "poles": found.poles, "deviations": deviations}
-        return _in_states(found, found.estimator, f"States of {self.of} from its outputs.", numbers, work)
-
-
-def _in_states(found: Any, value: Any, summary: str, numbers: dict[str, Any], work: Workspace) -> Outcome:
-    work.keep(found)
-    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
-    return Outcome(value, summary, numbers, facts, found.status)
+        return told(found, found.estimator, f"States of {self.of} from its outputs.", numbers, work)
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
@@ -447,10 +432,9 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     """
     import numpy as np
 
-    from robustlab.statespace import Signal, StateSpaceModel, as_model
-    from robustlab.uncertainty.lft import UncertainModel
+    from robustlab.statespace import as_model
 
-    base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
+    base = system if isinstance(system, rl.UncertainModel) else rl.UncertainModel(as_model(system), [])
     K = as_model(controller, "controller")
     sizes = (len(base.outputs), len(base.inputs))
     if (K.n_inputs, K.n_outputs) != sizes:
@@ -461,7 +445,7 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     m, (q, p) = base.M, base.delta_shape
     n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
     c_y, d_yw, d_yu = m.C[p:], m.D[p:, :q], m.D[p:, q:]
-    plant = StateSpaceModel(
+    plant = rl.StateSpaceModel(
         m.A,
         np.hstack([m.B[:, :q], np.zeros((n, n_y)), m.B[:, q:]]),
         np.vstack([m.C, np.zeros((n_u, n)), -c_y]),
@@ -473,12 +457,12 @@ def tracking_loop(system: Any, controller: Any) -> Any:
             ]
         ),
         m.dt,
-        [*m.inputs[:q], *(Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs],
-        [*m.outputs, *base.inputs, *(Signal(f"{s.name}_error", s.unit) for s in base.outputs)],
+        [*m.inputs[:q], *(rl.Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs],
+        [*m.outputs, *base.inputs, *(rl.Signal(f"{s.name}_error", s.unit) for s in base.outputs)],
         m.states,
         where="tracking loop",
     )
-    return UncertainModel(plant, base.blocks).close(K)
+    return rl.UncertainModel(plant, base.blocks).close(K)
 
 
 def designed(found: Any, summary: str, work: Workspace) -> Outcome:
@@ -488,10 +472,9 @@ def designed(found: Any, summary: str, work: Workspace) -> Outcome:
     work.keep(found)
     numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
     numbers["stable"] = found.closed_loop_abscissa < 0
-    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
     reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
     text = "\n".join(["What limits any controller of this plant:", *limits_in_words(found)])
-    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status, (), text)
+    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts_of(found), found.status, (), text)
 
 
 def _draw_loop(found: Any, work: Workspace) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -20,11 +20,6 @@ from robustlab.recipe.steps.vocabulary import (
     ToController,
     ToDesignable,
 )
-
-if TYPE_CHECKING:
-    from robustlab.statespace import StateSpaceModel
-    from robustlab.uncertainty.lft import UncertainModel
-
 
 FORMATS = (".c", ".json", ".mat", ".h5")
 
@@ -112,7 +107,12 @@ class ExportStep(Step):
 
 
 def _with_robustness(
-    outcome: Outcome, step: DiscretiseStep, plant: UncertainModel, K: StateSpaceModel, digital: Any, work: Workspace
+    outcome: Outcome,
+    step: DiscretiseStep,
+    plant: rl.UncertainModel,
+    K: rl.StateSpaceModel,
+    digital: Any,
+    work: Workspace,
 ) -> Outcome:
     """The same with mu and margin of the uncertain loop, continuous before and sampled after."""
     from robustlab.recipe.steps.control import inverse
@@ -146,10 +146,11 @@ def _with_robustness(
     )  # fmt: skip
 
 
-def _uncertain(given: Any) -> UncertainModel:
+def _uncertain(given: Any) -> rl.UncertainModel:
     """The generalised plant of a problem or a model with its Delta channels first; without any where it is certain."""
     from robustlab.statespace import as_model
-    from robustlab.uncertainty.lft import UncertainModel
 
     uncertain = given.to_uncertain() if hasattr(given, "to_uncertain") else given
-    return uncertain if isinstance(uncertain, UncertainModel) else UncertainModel(as_model(uncertain, "plant"), [])
+    return (
+        uncertain if isinstance(uncertain, rl.UncertainModel) else rl.UncertainModel(as_model(uncertain, "plant"), [])
+    )

@@ -1,4 +1,4 @@
-"""Steps that make models: from physics, from files, from one another."""
+"""Steps that make models: from physics, from files, from one another; with delays."""
 
 from __future__ import annotations
 
@@ -6,12 +6,24 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
+from robustlab.delays.neglected import PROOFS
 from robustlab.errors import InputError, did_you_mean
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
+from robustlab.recipe.steps.contract import (
+    Fact,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    least_trusted,
+    quantity,
+    step,
+    told,
+)
 from robustlab.recipe.steps.vocabulary import (
     Band,
     FileName,
@@ -94,13 +106,13 @@ class LineariseStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """The state-space model of a plant."""
-        from robustlab.dynamics import LinearPlant, trim
+        from robustlab.dynamics import LinearPlant
         from robustlab.structural import drop_unconnected
 
         given = work.values[self.of]
         if self.at is not None and isinstance(given, LinearPlant):
             raise InputError("at", f"a rest of {self.of}, which is linear", "none: the model is the same everywhere")
-        model = rl.linearise(given, at=trim(given, **self.at) if isinstance(self.at, dict) else self.at)
+        model = rl.linearise(given, at=rl.trim(given, **self.at) if isinstance(self.at, dict) else self.at)
         if self.outputs is not None:
             model = drop_unconnected(model.select(outputs=self.outputs))
         where = ""
@@ -128,7 +140,6 @@ class LoadStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """An object from an HDF5 file, checked by the reader."""
-        from robustlab.statespace import StateSpaceModel
         from robustlab.storage import read
 
         path = work.sources[work.step] if self.saved is None else work.values[self.saved]
@@ -136,7 +147,7 @@ class LoadStep(Step):
         found: Any = loaded.object
         kind = type(found).__name__
         model = found.to_model() if hasattr(found, "to_model") else found
-        is_model = isinstance(model, StateSpaceModel)
+        is_model = isinstance(model, rl.StateSpaceModel)
         proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
         return Outcome(
             found,
@@ -219,7 +230,7 @@ class ZerosStep(Step):
             "not_minimum_phase": int(outside.sum()),
         }  # fmt: skip
         facts = (
-            *(Fact(label[:1].upper() + label[1:], text) for label, text in found.facts() if text),
+            *facts_of(found),
             Fact("On the boundary or beyond", str(int(outside.sum()))),
         )
         return Outcome(None, f"Zeros of {self.of}.", numbers, facts, found.status)
@@ -338,14 +349,12 @@ class ReduceModelStep(Step):
             work.values[self.of], self.order, tolerance=self.tolerance, method=self.method,
             band=as_pair(self.band), floor=self.floor, **weights,
         )  # fmt: skip
-        work.keep(found)
         numbers = {
             "order": found.order, "error": found.error.upper, "states": found.full.n_states,
             "bound": None if math.isnan(found.bound) else found.bound, "n_apart": found.n_apart,
             "hankel": found.hankel, "stable": found.model.is_stable(),
         }  # fmt: skip
-        facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
-        return Outcome(found.model, f"{self.of} with {found.order} states.", numbers, facts, found.status)
+        return told(found, found.model, f"{self.of} with {found.order} states.", numbers, work)
 
 
 @step
@@ -373,8 +382,7 @@ class ResampleStep(Step):
         else:
             found = rl.d2d(model, self.dt, self.method) if self.dt else rl.d2c(model, self.method)
             made = found.model
-        told = () if found is None else found.facts()
-        facts = (*_model_facts(made), *(Fact(label[:1].upper() + label[1:], text) for label, text in told if text))
+        facts = _model_facts(made) + (() if found is None else facts_of(found))
         summary = f"{self.of} with a sample time of {self.dt:g} s." if self.dt else f"{self.of} in continuous time."
         numbers = {**_model_numbers(made), "dt": made.dt} | ({} if found is None else {"error": found.error})
         return Outcome(made, summary, numbers, facts, None if found is None else found.status)
@@ -478,3 +486,62 @@ def _range(block: Any) -> str:
     if p is None:
         return f"{block.rows} channels"
     return f"{quantity(p.low)} … {quantity(p.high, p.unit)}"
+
+
+Delay = (
+    Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
+)
+Delays = dict[str, Delay]
+Longest = dict[str, Positive]
+
+
+@step
+class DelaysStep(Step):
+    """Delays at the signals of a model, exact, in a range, or left out of it: a set that holds it with all of them.
+
+    What is proved of the set is proved of the model with its exact delays, at all frequencies.
+    """
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["delays"]
+    of: ToModel
+    inputs: Delays = Field({}, description="Input -> its delay in s, or [shortest, longest].")
+    outputs: Delays = Field({}, description="Output -> its delay in s, or [shortest, longest].")
+    neglected_delays: Longest = Field(
+        {}, description="Input -> the longest delay in s that its model leaves out; a weight covers all up to it."
+    )
+    neglected_lags: Longest = Field(
+        {}, description="Input -> the longest time constant in s of a lag that its model leaves out; likewise."
+    )
+    order: Annotated[int, Field(ge=0, le=40)] = Field(3, description="Of the Padé approximations.")
+    weight_order: Annotated[int, Field(ge=1, le=81)] = Field(3, description="Of the weight of their error.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A set with blocks for what rational delays and a model without some miss, proved to hold the exact ones."""
+        given = work.values[self.of]
+        found = rl.uncertain_delays(
+            rl.linearise(given) if hasattr(given, "parameters") else given,
+            self.inputs,
+            self.outputs,
+            self.order,
+            self.weight_order,
+        )
+        facts = [Fact(b.name, f"{b.rows} channels", b.origin) for b in found.blocks if b.origin]
+        for kind, longest in (("delay", self.neglected_delays), ("lag", self.neglected_lags)):
+            for name, length in longest.items():
+                weight = rl.neglected_delay(length) if kind == "delay" else rl.neglected_lag(length)
+                found = _neglecting(found, name, weight, f"{name}: neglected {kind}")
+                facts.append(Fact(f"{name}: neglected {kind}", f"up to {length:g} s", PROOFS[kind]))
+        note = "The errors are bounded for all frequencies: what is proved holds for the exact delays and lags."
+        numbers = uncertain_numbers(found)
+        return Outcome(found, f"{self.of} with delays, covered.", numbers, tuple(facts), rl.Status.CERTIFIED, (note,))
+
+
+def _neglecting(found: rl.UncertainModel, name: str, weight: rl.StateSpaceModel, block: str) -> rl.UncertainModel:
+    """The set behind ``1 + W Delta`` at one of its inputs."""
+    known = [s.name for s in found.inputs]
+    if name not in known:
+        raise InputError(f"delays: input {name!r}", "no such signal", f"one of {', '.join(known)}")
+    column = np.eye(len(known))[:, [known.index(name)]]
+    through = rl.StateSpaceModel([], [], [], np.eye(len(known)), 0.0, found.inputs, found.inputs)
+    return found @ rl.unstructured(through, weight @ column.T, "input-multiplicative", W1=column, name=block)

@@ -8,7 +8,7 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step
+from robustlab.recipe.steps.contract import Outcome, Step, Workspace, step, told
 from robustlab.recipe.steps.vocabulary import GUARD, Effort, TimeLimit, ToUncertain
 
 Counts = dict[str, Annotated[int, Field(ge=2, le=100)]]
@@ -49,7 +49,7 @@ class LpvGainStep(ScheduledStep):
     def run(self, work: Workspace) -> Outcome:
         """A bound of the induced gain."""
         found = rl.lpv_gain(self.scheduled(work), **self.options)
-        return _told(None, found, {"lower": found.lower, "upper": found.upper}, f"Induced gain of {self.of}.", work)
+        return told(found, None, f"Induced gain of {self.of}.", {"lower": found.lower, "upper": found.upper}, work)
 
 
 @step
@@ -65,10 +65,4 @@ class LpvHinfStep(ScheduledStep):
         """A scheduled controller."""
         found = rl.lpv_hinf(self.scheduled(work), self.measurements, self.controls, **self.options)
         numbers = {"gamma": found.gamma, "lmi_gamma": found.lmi_gamma, "frozen": found.frozen}
-        return _told(found.controller, found, numbers, f"Scheduled controller for {self.of}.", work)
-
-
-def _told(value: Any, found: Any, numbers: dict[str, float], summary: str, work: Workspace) -> Outcome:
-    work.keep(found)
-    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
-    return Outcome(value, summary, numbers, facts, found.status)
+        return told(found, found.controller, f"Scheduled controller for {self.of}.", numbers, work)

@@ -1,12 +1,13 @@
-"""Steps that confront a model with what was measured: data sheet, envelope, smallest Delta that explains a record."""
+"""Steps on what was measured (data sheet, envelope, smallest Delta that explains) and on what the thesis prints."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+import robustlab as rl
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -24,7 +25,7 @@ from robustlab.recipe.steps.vocabulary import (
 
 if TYPE_CHECKING:
     from robustlab.identification.validation import Validation
-
+    from robustlab.thesis.runs import Case
 
 _CAPTION = (
     "{}: the record, the nominal model, and the member that explains it with the smallest Delta; below, what each of "
@@ -93,7 +94,7 @@ class CoverStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """Whether a record lies in the envelope of an uncertain model's members, and by how much it does not."""
         from robustlab.identification.comparison.envelope import cover as cover_record
-        from robustlab.report.validation_figures import envelope_figure
+        from robustlab.report.set_figures import envelope_figure
 
         seed = work.seed if self.seed is None else self.seed
         found = cover_record(
@@ -158,10 +159,9 @@ class ValidateStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Bounds of the smallest scaling of Delta that explains a record; ``gamma`` is the one that was shown to."""
-        from robustlab.identification.validation import validate as validate_with
-        from robustlab.report.validation_figures import validation_figures
+        from robustlab.report.set_figures import validation_figures
 
-        found = validate_with(
+        found = rl.validate(
             work.uncertain(self.of),
             work.record(self.record),
             self.noise or None,
@@ -205,3 +205,171 @@ def _facts(found: Validation) -> tuple[Fact, ...]:
         if told:
             facts.append(Fact(f"{name} ({block.kind})", "; ".join(told)))
     return tuple(facts)
+
+
+_MEANING = {
+    "R": "reproduced within the fair tolerance",
+    "F": "fitted: a value that is not printed was chosen so that it agrees; no reproduction",
+    "P": "reproduced in part, or under the reading stated",
+    "N": "not reproducible from the text, for the reason stated",
+}
+
+
+@step
+class PublishedNumbersStep(Step):
+    """Every number that L. Březina's thesis prints about its Stewart platform beside ours, with its figures redrawn."""
+
+    do: Literal["published-numbers"]
+    n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
+
+    def run(self, work: Workspace) -> Outcome:
+        """All rows of the thesis, computed from parameters; figures of chapters 8, 9 and 10."""
+        from robustlab.thesis.numbers import published_numbers as compute
+
+        found = compute()
+        work.keep(found)
+        _draw_conditions(work)
+        _draw_sines(found, work)
+        _draw_tracking(found, work)
+        bands = {case.name: _draw_case(case, self.n, work) for case in found.cases}
+        rows = {key: row.to_json() for key, row in found.rows.items()}
+        counts = {status: len(found.with_status(status)) for status in _MEANING}
+        off = found.disagreeing
+        facts = tuple(Fact(f"Rows {status}: {meaning}", str(counts[status])) for status, meaning in _MEANING.items())
+        facts += (Fact("Rows R and F that do not agree", ", ".join(off) or "none"),)
+        facts += tuple(_fact(row) for row in found.rows.values())
+        reproduced = sum(row.agrees is True for row in found.with_status("R"))
+        summary = (
+            f"{len(rows)} rows: {reproduced} of {counts['R']} said to be reproduced are; {counts['F']} more are fits, "
+            "which are not counted."
+        )
+        numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}
+        return Outcome(None, summary, numbers, facts, found.status)
+
+
+@step
+class ThesisCaseStep(Step):
+    """The platform of L. Březina's thesis, uncertain as in a case of its section 10.3.1.
+
+    Inputs: the six torques, and `gravity`: 1 where the holding torque stays that of the nominal machine while gravity
+    acts on the perturbed one, 0 where each member is trimmed anew.
+    """
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["thesis-case"]
+    case: Literal["1", "2a", "2b", "2c"]
+    structure: Literal["elements", "columns", "rows", "matrices", "single"] = "single"
+    n: Count = Field(0, description="Random members in the picture with nominal and worst Δ; no picture where 0.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """The uncertain platform of one case, with gravity as an input of its own (figure 10.5), and its picture."""
+        from robustlab.dynamics.stewart.stewart_platform import stewart_platform
+        from robustlab.thesis.runs import cases
+
+        (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
+        model = rl.elementwise(*case.with_gravity(), self.structure)
+        numbers: dict[str, Any] = {
+            "blocks": len(model.blocks),
+            "channels": model.delta_shape[0],
+            "published": case.published,
+            "gain_percent": case.gain_percent,
+            "released": case.released,
+            "worst": case.worst,
+        }
+        if self.n:
+            numbers["changes"] = _draw_case(case, self.n, work)
+        facts = (
+            Fact(
+                "Uncertain", f"{len(model.blocks)} real parameters ({self.structure}), {model.delta_shape[0]} channels"
+            ),
+            Fact("The thesis prints", f"±{quantity(case.published, '%')}", "figures 10.6-10.21"),
+            Fact("Change of the torques' gain B alone", quantity(case.gain_percent, "%")),
+            Fact("Holding torque, nominal minus perturbed", quantity(case.released, "N m")),
+            Fact("Worst end of the set with one parameter", case.worst_in_words),
+        )
+        return Outcome(model, f"Case {case.name}: {case.words}.", numbers, facts)
+
+
+def _fact(row: Any) -> Fact:
+    """A row as a line of the report: published, ours, difference; the reason as its source."""
+    limit = {"equal": "", "at most": "at most ", "at least": "at least "}[row.bound]
+    published = "not printed" if row.published is None else f"published {limit}{quantity(row.published, row.unit)}"
+    ours = "ours: none" if row.ours is None else f"ours {quantity(row.ours, row.unit, 6)}"
+    gap = "" if row.difference is None else f"; difference {quantity(row.difference, row.unit, 3)}"
+    return Fact(f"{row.key} ({row.status}): {row.quantity}, {row.where}", f"{published}; {ours}{gap}", row.why)
+
+
+def _draw_conditions(work: Workspace) -> None:
+    import numpy as np
+
+    from robustlab.dynamics.stewart import condition_map, stewart_platform
+    from robustlab.thesis.figures import condition_figure
+
+    geometry, side, tilt = stewart_platform().geometry, np.linspace(-0.025, 0.025, 101), np.linspace(-0.15, 0.15, 101)
+    maps = [condition_map(geometry, ("tx", "ty"), side, side), condition_map(geometry, ("ax", "ay"), tilt, tilt)]
+    work.draw(
+        condition_figure(maps),
+        "condition",
+        "How near poses about home are to a singular one; white is out of the workspace (6.2.1).",
+    )
+
+
+def _draw_sines(found: Any, work: Workspace) -> None:
+    from robustlab.thesis.figures import excitation_figure, sine_figure
+
+    for name, run in found.sines.items():
+        until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
+        caption = (
+            f"{name} on all motors: the torque, and the platform's height, simulated (figures 8.1, 8.2; how long they "
+            "last is not printed)."
+        )
+        work.draw(excitation_figure(run, until), f"height-{name}", caption)
+        caption = (
+            f"{name} on all motors: the nonlinear simulation, the linear model at home, and their difference (figures "
+            "8.3-8.6)."
+        )
+        work.draw(sine_figure(run, until), f"sine-{name}", caption)
+
+
+def _draw_tracking(found: Any, work: Workspace) -> None:
+    from robustlab.dynamics.stewart import inverse_kinematics, stewart_platform
+    from robustlab.thesis.figures import tracking_effort_figure, tracking_error_figure, tracking_path_figure
+
+    geometry = stewart_platform().geometry
+
+    words = {"thesis": "all signs +", "link-4": "signs +++-+-", "rotors": "all signs +, with the rotors' inertia"}
+    for name, run in found.tracking.items():
+        lengths = inverse_kinematics(geometry, run.reference)
+        caption = (
+            f"Section 9.1.3, {words[name]}: desired and reached position, orientation and actuator lengths (figures "
+            "9.3-9.5). What is called measured there is simulated here."
+        )
+        work.draw(tracking_path_figure(run, lengths), f"path-{name}", caption)
+        work.draw(tracking_error_figure(run), f"error-{name}", f"Section 9.1.3, {words[name]}: errors of the pose.")
+        caption = f"Section 9.1.3, {words[name]}: torques, voltages, lengths of the actuators."
+        work.draw(tracking_effort_figure(run), f"effort-{name}", caption)
+
+
+def _draw_case(case: Case, n: int, work: Workspace) -> dict[str, float]:
+    """Nominal, worst and random members of a case in one picture; largest change of each output at the worst Delta."""
+    import numpy as np
+
+    from robustlab.thesis.figures import case_figure
+    from robustlab.thesis.runs import UP_TO
+
+    between = rl.elementwise(*case.with_gravity(), "single").select(None, ["phi_1", "phidot_1"])
+    t, u = case.excitation()
+    responses = rl.sample(between, n, work.seed, vertices=2).respond(t, u, hold="foh")
+    record = rl.simulate(between.evaluate({b.name: float(case.worst) for b in between.blocks}), t, u, hold="foh")
+    worst = np.column_stack([record[name] for name, _ in responses.outputs])
+    reading = "the holding torque stays nominal" if case.held else "each trimmed anew"
+    caption = (
+        f"Case {case.name} ({case.words}): nominal, worst Δ and {n} random members, {reading}, simulated under 0.1 N m "
+        f"at 2 Hz for {1e3 * UP_TO:.1f} ms; {case.worst_in_words} (figures 10.6-10.21)."
+    )
+    title = f"Case {case.name}, {case.words}: {case.worst_in_words.partition(' (')[0]}"
+    figure = case_figure(t, responses.y[:n], responses.nominal, worst, responses.outputs, case.published, title)
+    work.draw(figure, f"case-{case.name}", caption)
+    sizes = np.abs(responses.nominal).max(axis=0)
+    changes = 100 * np.abs(worst - responses.nominal).max(axis=0) / sizes
+    return {name: float(change) for (name, _), change in zip(responses.outputs, changes, strict=True)}

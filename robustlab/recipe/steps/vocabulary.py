@@ -11,43 +11,6 @@ from pydantic_core import PydanticCustomError, ValidationError
 from robustlab.errors import InputError
 from robustlab.units import share
 
-__all__ = [
-    "GUARD",
-    "Band",
-    "ComplementaryWeight",
-    "ControlWeight",
-    "Count",
-    "Effort",
-    "ErrorWeight",
-    "FileName",
-    "NumberOrPair",
-    "Order",
-    "PerformanceWeight",
-    "Points",
-    "Positive",
-    "PriorTolerance",
-    "ReferenceLine",
-    "RefersTo",
-    "RelativeTolerance",
-    "StepName",
-    "Strict",
-    "Text",
-    "TimeLimit",
-    "ToAnything",
-    "ToController",
-    "ToDesignable",
-    "ToModel",
-    "ToOneModel",
-    "ToPlant",
-    "ToPlantOrFile",
-    "ToRecord",
-    "ToSaved",
-    "ToUncertain",
-    "ToUncertainOrProblem",
-    "Tolerance",
-    "as_pair",
-]
-
 
 class Strict(BaseModel):
     """No unknown keys, no silent conversion (TOML has types), no NaN or infinity."""

@@ -1,11 +1,16 @@
 """The blocks of a structured perturbation Delta, each normalised: ``|delta| <= 1`` or ``sigma_max(Delta_i) <= 1``."""
 
-from robustlab.uncertainty.blocks.base import SAMPLED, Block, Pattern
-from robustlab.uncertainty.blocks.complex import ComplexScalar
-from robustlab.uncertainty.blocks.full import FullBlock
-from robustlab.uncertainty.blocks.parameter_range import ParameterRange, Sign
-from robustlab.uncertainty.blocks.real import RealScalar
-from robustlab.uncertainty.blocks.structure import as_blocks, block_slices, delta_matrix, delta_values, structure_size
+from robustlab.uncertainty.blocks.base import SAMPLED, Block, ParameterRange, Pattern, Sign
+from robustlab.uncertainty.blocks.kinds import (
+    ComplexScalar,
+    FullBlock,
+    RealScalar,
+    as_blocks,
+    block_slices,
+    delta_matrix,
+    delta_values,
+    structure_size,
+)
 
 __all__ = [
     "KINDS",

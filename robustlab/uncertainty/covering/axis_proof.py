@@ -27,8 +27,6 @@ from robustlab.statespace import StateSpaceModel, append
 from robustlab.uncertainty.covering.overbound import anonymous
 from robustlab.uncertainty.unstructured import Form
 
-__all__ = ["crossing_points"]
-
 # Beyond the outermost candidates, where the ends of the axis are judged; candidates nearer than the last are one.
 FAR, SAME = 1e3, 1e-9
 

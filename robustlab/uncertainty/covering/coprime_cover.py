@@ -29,8 +29,6 @@ from robustlab.uncertainty.covering.unstructured_cover import UnstructuredCover,
 from robustlab.uncertainty.distances.coprime import coprime_factors
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["NAME", "coprime_cover", "factors_of"]
-
 NAME = "coprime"
 
 

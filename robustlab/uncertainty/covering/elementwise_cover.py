@@ -25,8 +25,6 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["elementwise_cover"]
-
 
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
     """The set above, with blocks ``A``, ``B``, ``C``, ``D`` as far as the two models differ there.

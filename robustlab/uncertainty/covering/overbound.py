@@ -45,8 +45,6 @@ from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["Overbound", "anonymous", "overbound"]
-
 Bound = Callable[[Array], Array]
 
 # Rounding in a frequency response.

@@ -33,8 +33,6 @@ from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_mag
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["PARAMETRIC_FORMS", "ParametricCover", "ParametricForm", "least_ellipsoid", "parametric_cover"]
-
 ParametricForm = Literal["elements", "pca", "ellipsoid"]
 PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 

@@ -54,15 +54,6 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
 from robustlab.uncertainty.unstructured import Form, unstructured
 
-__all__ = [
-    "UnstructuredCover",
-    "error_sizes",
-    "unstructured_cover",
-    "matrices_miss",
-    "model_set",
-    "system_matrices",
-]
-
 
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
     """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too.

@@ -27,20 +27,6 @@ from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import controllability, observability
 
-__all__ = [
-    "CoprimeFactors",
-    "CoprimeMargin",
-    "CoprimeRiccati",
-    "MappedModels",
-    "continuous_models",
-    "coprime_factors",
-    "coprime_margin",
-    "coprime_riccati",
-    "four_block",
-    "inverse_root",
-]
-
-
 # How far the factors may be from inner, evaluated at frequencies around the model's poles.
 INNER = 1e-7
 

@@ -38,9 +38,6 @@ from robustlab.uncertainty.distances.coprime import (
 )
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["GapMetric", "NuGap", "gap", "nu_gap"]
-
-
 # A step of the bisection, and a distance, that cannot be told from zero.
 ROUNDING = 1e-13
 NOTHING = 1e-12

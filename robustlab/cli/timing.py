@@ -1,4 +1,4 @@
-"""``robustlab model delay``, ``uncertain delays`` and ``uncertain neglected``: delays in models, covers of them."""
+"""``robustlab model discretise | d2c | d2d | delay``, ``uncertain delays | neglected``: sample times, and delays."""
 
 from __future__ import annotations
 
@@ -6,15 +6,85 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, table
-from robustlab.cli.options import OutputOptions, assignments, ends, grouped
+import robustlab as rl
+from robustlab.cli.console import emit, note, table
+from robustlab.cli.offers import FORMULAS, one_of
+from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, assignments, ends, grouped, load_model
 from robustlab.cli.plant import made_of, plant_or_model
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.delay_stability import DelayStability
 
-__all__ = ["cover_delays", "delay_model", "neglected_weight", "stability_lines"]
+StoredModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
+HoldOption = Annotated[
+    str, typer.Option("--method", help="zoh, foh or tustin.", autocompletion=one_of("zoh", "foh", "tustin"))
+]
+
+
+@grouped
+def discretise(
+    *,
+    file: StoredModelArgument,
+    dt: DtOption,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="tustin, tustin-prewarp, zoh, foh, impulse or matched.",
+            autocompletion=one_of(*FORMULAS),
+        ),
+    ] = "tustin",
+    prewarp: PrewarpOption = None,
+    output: OutputOptions,
+) -> None:
+    """A discrete model of a continuous one, by formula.
+
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
+    What a loop loses by it is what "synth discretise" computes.
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.sampled.discretisation import merged_modes
+
+    loaded = rl.load(file)
+    late = isinstance(loaded, rl.DelayedModel)
+    model: Any = loaded if late else as_model(loaded, file)
+    method_given: Any = method
+    found = rl.discretise(model, dt, method_given, prewarp=prewarp)
+    merged = merged_modes(model.H if late else model, dt)
+    for pair in merged:
+        note(f"warning: {file}: {pair}")
+    rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]
+    emit("model discretise", {"method": method, "model": found, "pathological": merged}, table(rows), output.as_json)
+
+
+@grouped
+def d2c(*, file: StoredModelArgument, method: HoldOption = "zoh", output: OutputOptions) -> None:
+    """A continuous model of a discrete one, with the error with which discretising gives it back.
+
+    Exit code 4: there is none (a pole on the negative real axis), or digits were lost.
+
+    Example: robustlab model d2c sampled.h5 --out plant.h5
+    """
+    method_given: Any = method
+    found = rl.d2c(load_model(file), method_given)
+    output.finish_made("model d2c", found, found.model, [file])
+
+
+@grouped
+def d2d(*, file: StoredModelArgument, dt: DtOption, method: HoldOption = "zoh", output: OutputOptions) -> None:
+    """A discrete model with another sample time; a whole multiple needs no continuous model on the way.
+
+    Exit code 4: there is none, or digits were lost.
+
+    Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
+    """
+    method_given: Any = method
+    found = rl.d2d(load_model(file), dt, method_given)
+    output.finish_made("model d2d", found, found.model, [file])
+
 
 ModelArgument = Annotated[
     str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL", show_default=False)
@@ -39,14 +109,12 @@ def delay_model(
 
     Example: robustlab model delay motor.h5 --input u=0.01 --out late.h5
     """
-    from robustlab.delays import DelayedModel, with_delays
-
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
     sides = (assignments(option, texts, units) for option, texts in (("--input", inputs), ("--output", outputs)))
-    found: Any = with_delays(model, *sides)
+    found: Any = rl.with_delays(model, *sides)
     if pade is not None:
-        if not isinstance(found, DelayedModel):
+        if not isinstance(found, rl.DelayedModel):
             raise UsageError("--pade", f"{file} is discrete: its delays are states", "no --pade")
         found = found.pade(pade)
     rows = [("model", repr(found)), *_written("model delay", found, output, file, given)]
@@ -74,8 +142,6 @@ def cover_delays(
 
     Example: robustlab uncertain delays motor.h5 --input u=0.005:0.015 --out set.h5
     """
-    from robustlab.delays import uncertain_delays
-
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
     sides: list[dict[str, Any]] = []
@@ -83,7 +149,7 @@ def cover_delays(
         whole = [text for text in texts or [] if ":" not in text.rpartition("=")[2]]
         ranged = [text for text in texts or [] if text not in whole]
         sides.append({**assignments(option, whole, units), **ends(option, ranged, units)})
-    found = uncertain_delays(model, *sides, order=order, weight_order=weight_order)
+    found = rl.uncertain_delays(model, *sides, order=order, weight_order=weight_order)
     rows = [
         ("set", repr(found)),
         *((block.name, block.origin) for block in found.blocks),
@@ -104,35 +170,31 @@ def neglected_weight(
 
     Example: robustlab uncertain neglected --delay 0.02 --out weight.h5
     """
-    from robustlab.delays import neglected_delay, neglected_lag
     from robustlab.delays.neglected import PROOFS
-    from robustlab.result import Status
 
     if (delay is None) == (lag is None):
         raise UsageError("uncertain neglected", "--delay and --lag" if lag is not None else "neither", "one of them")
-    found = neglected_delay(delay, order) if delay is not None else neglected_lag(float(lag or 0.0))
+    found = rl.neglected_delay(delay, order) if delay is not None else rl.neglected_lag(float(lag or 0.0))
     proof = PROOFS["delay" if delay is not None else "lag"]
-    rows = [("weight", repr(found)), ("status", str(Status.CERTIFIED)), ("proof", proof)]
+    rows = [("weight", repr(found)), ("status", str(rl.Status.CERTIFIED)), ("proof", proof)]
     rows += output.keep_made("uncertain neglected", found, [])
-    result = {"weight": found, "status": Status.CERTIFIED, "proof": proof}
+    result = {"weight": found, "status": rl.Status.CERTIFIED, "proof": proof}
     emit("uncertain neglected", result, table(rows), output.as_json)
 
 
 def stability_lines(model: Any) -> tuple[list[str], DelayStability]:
     """What ``robustlab model check`` says of a model with exact delays."""
-    from robustlab.mu_analysis.margins.delay_stability import delay_stability
-
-    found = delay_stability(model)
+    found = rl.delay_stability(model)
     lines = [f"  {label}: {text}" for label, text in found.facts() if text]
     return [repr(model), *lines, f"  status: {found.status}"], found
 
 
 def _read(file: str) -> tuple[Any, Any]:
     """What was named, and the model of it."""
-    from robustlab.dynamics import Plant, linearise
+    from robustlab.dynamics import Plant
 
     given = plant_or_model(file, [])
-    return given, linearise(given) if isinstance(given, Plant) else given
+    return given, rl.linearise(given) if isinstance(given, Plant) else given
 
 
 def _written(command: str, found: Any, output: OutputOptions, file: str, given: Any) -> list[tuple[str, str]]:
