@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
     from robustlab.uncertainty.distances.gap_metric import GapMetric
 
-__all__ = ["gap", "margins"]
+__all__ = ["ControllerOptions", "gap", "margins"]
 
 TransposeOption = Annotated[
     bool, typer.Option("--transpose", help="The files were written column by column: swap A, B, C, D.")
@@ -29,7 +29,37 @@ TransposeOption = Annotated[
 
 
 @dataclass(frozen=True)
-class LoopOptions:
+class ControllerOptions:
+    """A controller around what a file holds."""
+
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", "-k", help="File with the controller; left out: none.", show_default=False),
+    ] = None
+    feedback: Annotated[
+        str | None,
+        typer.Option(
+            help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
+            show_default=False,
+            autocompletion=one_of("negative", "positive"),
+        ),
+    ] = None
+
+    def read(self, transpose: bool = False) -> tuple[Any, Literal[-1, 1]]:
+        """The controller, None where left out, and the sign of its feedback."""
+        from robustlab.storage import load
+        from robustlab.synthesis.problem.design import Controller
+
+        k: Any = None if self.controller is None else load(self.controller, transpose=transpose)
+        if self.feedback is None:
+            return k, 1 if isinstance(k, Controller) else -1
+        if self.feedback not in ("negative", "positive"):
+            raise UsageError(f"--feedback {self.feedback}", "no such word", "negative or positive")
+        return k, -1 if self.feedback == "negative" else 1
+
+
+@dataclass(frozen=True)
+class LoopOptions(ControllerOptions):
     """The loop, and where it is judged."""
 
     controller: Annotated[
@@ -50,14 +80,6 @@ class LoopOptions:
         typer.Option(help="Disk margins at these frequencies in rad/s only: 1,10.", show_default=False),
     ] = None
     skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
-    feedback: Annotated[
-        str | None,
-        typer.Option(
-            help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
-            show_default=False,
-            autocompletion=one_of("negative", "positive"),
-        ),
-    ] = None
 
 
 @grouped
@@ -90,8 +112,7 @@ def margins(
     if loop.at not in PLACES:
         raise UsageError(f"--at {loop.at}", "no such place", "input, output or both")
     thing: Any = load(plant, transpose=transpose)
-    k: Any = None if loop.controller is None else load(loop.controller, transpose=transpose)
-    sign = _sign(loop.feedback, k)
+    k, sign = loop.read(transpose)
     late = isinstance(thing, DelayedModel) or isinstance(k, DelayedModel)
     if late:
         thing, k = (None if o is None else as_delayed(getattr(o, "K", o), plant) for o in (thing, k))
@@ -130,16 +151,6 @@ def margins(
     head = f"{kind} margins at the {where}, {word} feedback{skew}"
     emit("model margins", {**result.to_json(), "feedback": word}, f"{head}\n{text}", output.as_json)
     require_trust(result.status)
-
-
-def _sign(feedback: str | None, controller: Any) -> Any:
-    from robustlab.synthesis.problem.design import Controller
-
-    if feedback is None:
-        return 1 if isinstance(controller, Controller) else -1
-    if feedback not in ("negative", "positive"):
-        raise UsageError(f"--feedback {feedback}", "no such word", "negative or positive")
-    return -1 if feedback == "negative" else 1
 
 
 def _text(margins: DiskMargins) -> str:

@@ -25,7 +25,7 @@ from robustlab.cli.options import (
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
-from robustlab.cli.plots import plot_model
+from robustlab.cli.plots import frequency_response, plot_model
 from robustlab.cli.sampling import d2c, d2d, discretise
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
@@ -361,6 +361,7 @@ app.command()(margins)
 app.command()(gap)
 app.command("delay")(delay_model)
 app.command("plot")(plot_model)
+app.command("response")(frequency_response)
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,27 @@
-"""``robustlab model plot`` and ``robustlab data plot``: figures straight from a file, the ones that reports draw."""
+"""``robustlab model plot | response`` and ``robustlab data plot``: a model or measurement straight from its file."""
 
 from __future__ import annotations
 
+import cmath
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, note
+from robustlab.cli.console import emit, note, save_drawing, table
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, SeedOption, grouped, names
+from robustlab.cli.options import JsonOption, OutputOptions, SeedOption, grouped, names, numbers
 from robustlab.cli.plant import plant_or_model
-from robustlab.cli.record_options import RecordOptions
+from robustlab.cli.record_options import RecordOptions, TableOptions
 from robustlab.errors import InputError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["KINDS", "plot_model", "plot_record"]
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+
+__all__ = ["KINDS", "frequency_response", "plot_model", "plot_record"]
 
 # Kind -> function of robustlab.report.model_figures.
 KINDS = {"bode": "bode_figure", "step": "step_figure", "sigma": "sigma_figure", "pzmap": "pole_figure"}
@@ -66,6 +70,72 @@ def plot_model(
     drawn: Figure = getattr(model_figures, KINDS[kind])(_channels(_model(file), inputs, outputs), n=n, seed=seed)
     files = _write(drawn, figure, file, kind)
     emit("model plot", {"model": file, "kind": kind, "files": files}, "\n".join(files), as_json)
+
+
+@grouped
+def frequency_response(
+    *,
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Model file, name of a plant, file.py:name, or a table in a text file.",
+            metavar="MODEL",
+            autocompletion=plant_or_file,
+        ),
+    ],
+    frequency: Annotated[
+        str | None, typer.Option(help="Of a model: rad/s, 1,10. A table has its own.", show_default=False)
+    ] = None,
+    options: TableOptions,
+    figure: Annotated[str | None, typer.Option(help="Figure to write, SVG and PNG.", show_default=False)] = None,
+    output: OutputOptions,
+) -> None:
+    """Frequency response of a model, or a measured one from a table; --out writes frequency data, for mu and margins.
+
+    A table has the frequency first, "f [Hz]" or "omega [rad/s]"; then "y from u real" and "y from u imag", or
+    "... magnitude" (or "... magnitude [dB]") and "... phase [deg]"; and "... radius", where the error is known to be
+    below it. With one channel alone "real", "imag", "radius" do.
+
+    Example: robustlab model response motor.h5 --frequency 1,10,100
+    Example: robustlab model response measured.csv --out data.h5
+    """
+    found = _response(file, None if frequency is None else numbers("--frequency", frequency), options)
+    if figure is not None:
+        from robustlab.report.result_figures import measured_response_figure
+
+        save_drawing(measured_response_figure(found), figure)
+    rows = [
+        (f"{w:.6g}", f"{y.name} from {u.name}", f"{abs(g):.6g}", f"{math.degrees(cmath.phase(g)):.4f}")
+        for w, matrix in zip(found.omega.tolist(), found.nominal.tolist(), strict=True)
+        for y, row in zip(found.outputs, matrix, strict=True)
+        for u, g in zip(found.inputs, row, strict=True)
+    ]
+    made = output.keep_made("model response", found, [file] if Path(file).is_file() else [])
+    head = table([*((label, text) for label, text in found.facts() if text), *made])
+    text = f"{head}\n\n{table(rows, ('rad/s', 'channel', 'magnitude', 'phase [deg]'))}"
+    emit("model response", found.to_json(), text, output.as_json)
+
+
+def _response(file: str, frequency: list[float] | None, options: TableOptions) -> UncertainFrequencyData:
+    """The data of a table, of a model at frequencies, or of a file that holds them."""
+    from robustlab.files.signature import content_of
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
+
+    is_table = Path(file).is_file() and content_of(file) == "text"
+    given = (
+        UncertainFrequencyData.read(
+            file, units=options.units, delimiter=options.delimiter, decimal=options.decimal
+        )
+        if is_table
+        else _model(file)
+    )  # fmt: skip
+    if isinstance(given, UncertainFrequencyData):
+        if frequency is not None:
+            raise UsageError("--frequency", f"{file} has its own", "it with a model only")
+        return given
+    if frequency is None:
+        raise UsageError("model response", "no frequencies", "--frequency 1,10 in rad/s")
+    return frequency_data(given, frequency)
 
 
 @grouped

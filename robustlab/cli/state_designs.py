@@ -1,4 +1,4 @@
-"""``robustlab synth lqi | kalman``: designs in the states of a model, weights and noises by name."""
+"""``robustlab synth lqr | lqi | kalman``: designs in the states of a model, weights and noises by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robustlab.cli.console import emit, require_trust, table
 from robustlab.cli.options import OutputOptions, assignments, grouped
 from robustlab.errors import UsageError
 
-__all__ = ["kalman", "lqi"]
+__all__ = ["kalman", "lqi", "lqr"]
 
 ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 
@@ -40,6 +40,32 @@ MeasurementOption = Annotated[
     list[str] | None,
     typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.", show_default=False),
 ]
+
+
+@grouped
+def lqr(
+    *, file: ModelArgument, state: StateOption = None, control: ControlOption = None, output: OutputOptions
+) -> None:
+    """State feedback u = -K x of least quadratic cost; all states are measured. --out writes K, to close with x.
+
+    Exit code 4: no gain could be vouched for.
+
+    Example: robustlab synth lqr motor.h5 --state omega=100 --control u=0.1 --out k.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.h2.named_weights import integral_weights
+    from robustlab.synthesis.h2.state_feedback import gain_controller
+    from robustlab.synthesis.h2.state_feedback import lqr as design
+
+    weights = assignments("--state", state)
+    if not weights:
+        raise UsageError("synth lqr", "no state", "--state NAME=VALUE: which state is to be small, and its weight")
+    model = as_model(load(file), file)
+    found = design(model, *integral_weights(model, {}, weights, assignments("--control", control)))
+    rows = [*found.facts(), *output.keep_made("synth lqr", gain_controller(model, found), [file])]
+    emit("synth lqr", found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)
 
 
 @grouped
