@@ -19,8 +19,6 @@ from robustlab.errors import InputError, UsageError, did_you_mean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-
 __all__ = ["KINDS", "frequency_response", "plot_model", "plot_record"]
 
 # Kind -> function of robustlab.report.model_figures.
@@ -99,7 +97,19 @@ def frequency_response(
     Example: robustlab model response motor.h5 --frequency 1,10,100
     Example: robustlab model response measured.csv --out data.h5
     """
-    found = _response(file, None if frequency is None else numbers("--frequency", frequency), options)
+    from robustlab.files.signature import content_of
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
+
+    if Path(file).is_file() and content_of(file) == "text":
+        how = {"units": options.units, "delimiter": options.delimiter, "decimal": options.decimal}
+        given: Any = UncertainFrequencyData.read(file, **how)
+    else:
+        given = _model(file)
+    measured = isinstance(given, UncertainFrequencyData)
+    if measured != (frequency is None):
+        expected = f"none: {file} has its own" if measured else "--frequency 1,10 in rad/s, for a model"
+        raise UsageError("model response", f"frequency {frequency}" if measured else "no frequencies", expected)
+    found = given if frequency is None else frequency_data(given, numbers("--frequency", frequency))
     if figure is not None:
         from robustlab.report.result_figures import measured_response_figure
 
@@ -114,28 +124,6 @@ def frequency_response(
     head = table([*((label, text) for label, text in found.facts() if text), *made])
     text = f"{head}\n\n{table(rows, ('rad/s', 'channel', 'magnitude', 'phase [deg]'))}"
     emit("model response", found.to_json(), text, output.as_json)
-
-
-def _response(file: str, frequency: list[float] | None, options: TableOptions) -> UncertainFrequencyData:
-    """The data of a table, of a model at frequencies, or of a file that holds them."""
-    from robustlab.files.signature import content_of
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
-
-    is_table = Path(file).is_file() and content_of(file) == "text"
-    given = (
-        UncertainFrequencyData.read(
-            file, units=options.units, delimiter=options.delimiter, decimal=options.decimal
-        )
-        if is_table
-        else _model(file)
-    )  # fmt: skip
-    if isinstance(given, UncertainFrequencyData):
-        if frequency is not None:
-            raise UsageError("--frequency", f"{file} has its own", "it with a model only")
-        return given
-    if frequency is None:
-        raise UsageError("model response", "no frequencies", "--frequency 1,10 in rad/s")
-    return frequency_data(given, frequency)
 
 
 @grouped

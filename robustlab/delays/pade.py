@@ -212,6 +212,9 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
         A weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
     """
     bound, s = phase_bound(order), spread
+    if s and not order:  # no approximation: the error is that of the longest delay
+        shape = error_weight(0, weight_order)
+        return shape._replace(corner=shape.corner / (1.0 + s))
     k, least = weight_order, 2 if s else 1
     if isinstance(k, bool) or not isinstance(k, int) or not least <= k <= bound.power:
         raise InputError("uncertain: weight_order", f"{k!r}", f"a whole number from {least} to {bound.power}")

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from robustlab.arrays import Array
-from robustlab.delays.pade import checked_order, error_weight
+from robustlab.delays.channels import covering
+from robustlab.delays.pade import checked_order
 from robustlab.delays.pade import pade as rational_delay
 from robustlab.errors import InputError
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
@@ -118,14 +118,7 @@ def delay_block(delay: float, spread: float, pade: int, name: str, origin: str =
     """
     if not 0 < delay < np.inf or not 0 <= spread < np.inf:
         raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
-    n, share = checked_order(pade, "delay_block", 1), spread / delay
+    n = checked_order(pade, "delay_block", 1)
     # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
-    w = error_weight(n, n + 1 if share else min(n + 2, 2 * n + 1), share).scaled(delay)
-    rational = rational_delay(delay, n)
-    model = StateSpaceModel(
-        block_diag(rational.A, w.A),
-        np.vstack([np.hstack([0 * rational.B, rational.B]), np.hstack([0 * w.B, w.B])]),
-        block_diag(rational.C, w.C)[::-1],
-        [[0.0, w.D[0, 0]], [1.0, rational.D[0, 0]]],
-    )
-    return UncertainModel(model, [FullBlock(name, 1, 1, origin=origin)])
+    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin)])
