@@ -130,8 +130,6 @@ def weight_sets() -> dict[str, tuple[list, str]]:
 
 
 def weight_lines() -> list[str]:
-    from robustlab.dynamics.extended.delays import delay_block
-
     head = f"{'set and form':46}{'order':>6}{'excess %':>10}{'least %':>9}{'of best %':>10}{'lowest':>10}"
     lines = [head + f"{'proved':>8}{'CPU s':>8}"]
 
@@ -155,10 +153,6 @@ def weight_lines() -> list[str]:
             start = time.process_time()
             free = unstructured_cover(tuple(models), form, order=8)
             add("    the same, order at most 8", free.fit, free.proved, time.process_time() - start)
-    for delay, spread, order in ((1.0, 0.0, 1), (1.0, 0.0, 2), (1.0, 0.2, 2), (1.0, 1.0, 2)):
-        start = time.process_time()
-        _, fit = delay_block(delay, spread, order, "delay")
-        add(f"delay {delay:g} +- {spread:g} s less Pade {order}", fit, False, time.process_time() - start)
     return lines
 
 

@@ -158,20 +158,21 @@ def stiff_spring() -> None:
 def missile() -> None:
     """Pitch axis of a missile: alpha' = -Z alpha + q, q' = -M alpha + delta, Z in 0.5..4, M in 0..106, both measured.
 
-    W1 = 2.01 / (s + 0.201) on the error of the acceleration, W2 = (9.678 s^3 + 0.029 s^2) / (s^3 + 1.206e4 s^2 +
-    1.136e7 s + 1.066e10) on the fin. The rate is measured without noise: the problem is singular. The
-    numbers were written from memory of a published example; none of its results is claimed.
+    W1 = 2.0101 / (s + 0.20101) on the error of the acceleration, W2 = (9.6785 s^3 + 0.029035 s^2) / (s^3 + 1.2064e4 s^2
+    + 1.136e7 s + 1.0661e10) on the fin: the numbers of the example of Gahinet, Nemirovski, Laub, Chilali, LMI Control
+    Toolbox (1995), chapter 7, as the toolbox's demo misldem.m states them. The rate is measured without noise: the
+    problem is singular.
     """
 
     def vertex(Z: float, M: float) -> rl.StateSpaceModel:
-        a1, a2, a3 = 1.206e4, 1.136e7, 1.066e10
+        a1, a2, a3 = 1.2064e4, 1.1360e7, 1.0661e10
         A = np.zeros((6, 6))
-        A[:2, :2], A[2, 0], A[2, 2] = [[-Z, 1], [-M, 0]], 2.01, -0.201
+        A[:2, :2], A[2, 0], A[2, 2] = [[-Z, 1], [-M, 0]], 2.0101, -0.20101
         A[3:] = [[0, 0, 0, -a1, -a2, -a3], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0]]
         B, C, D = np.zeros((6, 2)), np.zeros((4, 6)), np.zeros((4, 2))
-        B[1, 1], B[2, 0], B[3, 1] = 1.0, 2.01, 1.0
-        C[0, 2], C[1, 3:], C[2, 0], C[3, 1] = 1.0, [0.029 - 9.678 * a1, -9.678 * a2, -9.678 * a3], 1.0, 1.0
-        D[1, 1], D[2, 0] = 9.678, 1.0
+        B[1, 1], B[2, 0], B[3, 1] = 1.0, 2.0101, 1.0
+        C[0, 2], C[1, 3:], C[2, 0], C[3, 1] = 1.0, [0.029035 - 9.6785 * a1, -9.6785 * a2, -9.6785 * a3], 1.0, 1.0
+        D[1, 1], D[2, 0] = 9.6785, 1.0
         return rl.StateSpaceModel(A, B, C, D)
 
     ranges = {"Z": [0.5, 4.0], "M": [0.0, 106.0]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -28,7 +28,34 @@ TransposeOption = Annotated[
 
 
 @dataclass(frozen=True)
-class LoopOptions:
+class ControllerOptions:
+    """A controller around what a file holds."""
+
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", "-k", help="File with the controller; left out: none.", show_default=False),
+    ] = None
+    feedback: Annotated[
+        str | None,
+        typer.Option(
+            help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
+            show_default=False,
+            autocompletion=one_of("negative", "positive"),
+        ),
+    ] = None
+
+    def read(self, transpose: bool = False) -> tuple[Any, Literal[-1, 1]]:
+        """The controller, None where left out, and the sign of its feedback."""
+        k: Any = None if self.controller is None else rl.load(self.controller, transpose=transpose)
+        if self.feedback is None:
+            return k, 1 if isinstance(k, rl.Controller) else -1
+        if self.feedback not in ("negative", "positive"):
+            raise UsageError(f"--feedback {self.feedback}", "no such word", "negative or positive")
+        return k, -1 if self.feedback == "negative" else 1
+
+
+@dataclass(frozen=True)
+class LoopOptions(ControllerOptions):
     """The loop, and where it is judged."""
 
     controller: Annotated[
@@ -49,14 +76,6 @@ class LoopOptions:
         typer.Option(help="Disk margins at these frequencies in rad/s only: 1,10.", show_default=False),
     ] = None
     skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
-    feedback: Annotated[
-        str | None,
-        typer.Option(
-            help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
-            show_default=False,
-            autocompletion=one_of("negative", "positive"),
-        ),
-    ] = None
 
 
 @grouped
@@ -81,8 +100,7 @@ def margins(
     if loop.at not in PLACES:
         raise UsageError(f"--at {loop.at}", "no such place", "input, output or both")
     thing: Any = rl.load(plant, transpose=transpose)
-    k: Any = None if loop.controller is None else rl.load(loop.controller, transpose=transpose)
-    sign = _sign(loop.feedback, k)
+    k, sign = loop.read(transpose)
     late = isinstance(thing, rl.DelayedModel) or isinstance(k, rl.DelayedModel)
     if late:
         thing, k = (None if o is None else as_delayed(getattr(o, "K", o), plant) for o in (thing, k))
@@ -119,14 +137,6 @@ def margins(
     kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
     head = f"{kind} margins at the {where}, {word} feedback{skew}"
     output.finish("model margins", result, f"{head}\n{text}", feedback=word)
-
-
-def _sign(feedback: str | None, controller: Any) -> Any:
-    if feedback is None:
-        return 1 if isinstance(controller, rl.Controller) else -1
-    if feedback not in ("negative", "positive"):
-        raise UsageError(f"--feedback {feedback}", "no such word", "negative or positive")
-    return -1 if feedback == "negative" else 1
 
 
 def _text(margins: DiskMargins) -> str:

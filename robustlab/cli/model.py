@@ -26,7 +26,7 @@ from robustlab.cli.options import (
     six_numbers,
 )
 from robustlab.cli.plant import made_of, read_plant
-from robustlab.cli.plots import plot_model
+from robustlab.cli.plots import frequency_response, plot_model
 from robustlab.cli.timing import d2c, d2d, delay_model, discretise, stability_lines
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
@@ -349,6 +349,7 @@ app.command()(margins)
 app.command()(gap)
 app.command("delay")(delay_model)
 app.command("plot")(plot_model)
+app.command("response")(frequency_response)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import note, save_drawing, table
+from robustlab.cli.margins import ControllerOptions
 from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped, numbers
 from robustlab.cli.progress import ProgressOptions
@@ -114,7 +115,8 @@ class ShownOptions:
 @grouped
 def mu(
     *,
-    file: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.")],
+    file: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model, or with frequency data.")],
+    loop: ControllerOptions,
     question: QuestionOptions,
     proof: ProofOptions,
     shown: ShownOptions,
@@ -134,7 +136,7 @@ def mu(
         found = f"accuracy {proof.accuracy}, tolerance {proof.tolerance}"
         raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
     options: dict[str, Any] = {**vars(proof), "seed": seed}
-    uncertain = _uncertain(file, question.inputs, question.outputs)
+    uncertain = _uncertain(file, loop, question.inputs, question.outputs)
     if question.frequency is not None or isinstance(uncertain, rl.UncertainFrequencyData):
         question.check_at(voices, shown)
         _at_frequencies(uncertain, question, shown, seed, output)
@@ -181,8 +183,11 @@ def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptio
     output.finish("mu", found, text)
 
 
-def _uncertain(file: str, inputs: str | None, outputs: str | None) -> Any:
-    uncertain = rl.load(file)
+def _uncertain(file: str, loop: ControllerOptions, inputs: str | None, outputs: str | None) -> Any:
+    uncertain: Any = rl.load(file)
+    k, sign = loop.read()
+    if k is not None and isinstance(uncertain, (rl.UncertainFrequencyData, rl.UncertainModel)):
+        uncertain = uncertain.feedback(getattr(k, "K", k), sign)
     if isinstance(uncertain, rl.UncertainFrequencyData):
         sides = (uncertain.outputs, outputs), (uncertain.inputs, inputs)
         return uncertain[tuple(given.split(",") if given else [s.name for s in side] for side, given in sides)]

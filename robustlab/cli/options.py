@@ -266,7 +266,34 @@ def plant_settings(texts: list[str] | None) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class RecordOptions:
+class TableOptions:
+    """How a text file is to be read, and in which units its numbers are."""
+
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--unit", help="Unit that a signal or column is in, phi=deg: converted to SI.", show_default=False
+        ),
+    ] = None
+    delimiter: Annotated[
+        str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
+    ] = None
+    decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Name -> unit."""
+        units = {}
+        for text in self.unit or []:
+            name, equals, unit = text.partition("=")
+            if not (name and equals):
+                raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
+            units[name] = unit
+        return units
+
+
+@dataclass(frozen=True)
+class RecordOptions(TableOptions):
     """How the file of a record is to be read."""
 
     group: Annotated[
@@ -284,19 +311,11 @@ class RecordOptions:
         str | None,
         typer.Option("--clock", help="Signal with the times; of a bag: stamp or log.", show_default=False),
     ] = None
-    unit: Annotated[
-        list[str] | None,
-        typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
-    ] = None
-    delimiter: Annotated[
-        str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
-    ] = None
-    decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
 
     def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> rl.Record:
         """The record in a file, with these inputs; of this group, where one is given. What was done to it is told."""
-        units = _units(self.unit or [])
+        units = self.units
         wanted, told = (None if text is None else names(text) for text in (inputs, self.outputs))
         record = rl.Record.read(
             file, group or self.group, wanted, told, self.dt, units=units, clock=self.clock,
@@ -335,13 +354,3 @@ class UncertainRecordOptions(RecordOptions):
     ] = None
     clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None
     allow_gaps: bool = False
-
-
-def _units(settings: list[str]) -> dict[str, str]:
-    units = {}
-    for text in settings:
-        name, equals, unit = text.partition("=")
-        if not (name and equals):
-            raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
-        units[name] = unit
-    return units

@@ -1,16 +1,27 @@
-"""``robustlab model plot`` and ``robustlab data plot``: figures straight from a file, the ones that reports draw."""
+"""``robustlab model plot | response`` and ``robustlab data plot``: a model or measurement straight from its file."""
 
 from __future__ import annotations
 
+import cmath
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note
+from robustlab.cli.console import emit, note, save_drawing, table
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, RecordOptions, SeedOption, grouped, names
+from robustlab.cli.options import (
+    JsonOption,
+    OutputOptions,
+    RecordOptions,
+    SeedOption,
+    TableOptions,
+    grouped,
+    names,
+    numbers,
+)
 from robustlab.cli.plant import plant_or_model
 from robustlab.errors import InputError, UsageError, did_you_mean
 
@@ -64,6 +75,62 @@ def plot_model(
     drawn: Figure = getattr(model_figures, KINDS[kind])(_channels(_model(file), inputs, outputs), n=n, seed=seed)
     files = _write(drawn, figure, file, kind)
     emit("model plot", {"model": file, "kind": kind, "files": files}, "\n".join(files), as_json)
+
+
+@grouped
+def frequency_response(
+    *,
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Model file, name of a plant, file.py:name, or a table in a text file.",
+            metavar="MODEL",
+            autocompletion=plant_or_file,
+        ),
+    ],
+    frequency: Annotated[
+        str | None, typer.Option(help="Of a model: rad/s, 1,10. A table has its own.", show_default=False)
+    ] = None,
+    options: TableOptions,
+    figure: Annotated[str | None, typer.Option(help="Figure to write, SVG and PNG.", show_default=False)] = None,
+    output: OutputOptions,
+) -> None:
+    """Frequency response of a model, or a measured one from a table; --out writes frequency data, for mu and margins.
+
+    A table has the frequency first, "f [Hz]" or "omega [rad/s]"; then "y from u real" and "y from u imag", or
+    "... magnitude" (or "... magnitude [dB]") and "... phase [deg]"; and "... radius", where the error is known to be
+    below it. With one channel alone "real", "imag", "radius" do.
+
+    Example: robustlab model response motor.h5 --frequency 1,10,100
+    Example: robustlab model response measured.csv --out data.h5
+    """
+    from robustlab.files.signature import content_of
+
+    if Path(file).is_file() and content_of(file) == "text":
+        given: Any = rl.UncertainFrequencyData.read(
+            file, units=options.units, delimiter=options.delimiter, decimal=options.decimal
+        )
+    else:
+        given = _model(file)
+    measured = isinstance(given, rl.UncertainFrequencyData)
+    if measured != (frequency is None):
+        expected = f"none: {file} has its own" if measured else "--frequency 1,10 in rad/s, for a model"
+        raise UsageError("model response", f"frequency {frequency}" if measured else "no frequencies", expected)
+    found = given if frequency is None else rl.frequency_data(given, numbers("--frequency", frequency))
+    if figure is not None:
+        from robustlab.report.result_figures import measured_response_figure
+
+        save_drawing(measured_response_figure(found), figure)
+    rows = [
+        (f"{w:.6g}", f"{y.name} from {u.name}", f"{abs(g):.6g}", f"{math.degrees(cmath.phase(g)):.4f}")
+        for w, matrix in zip(found.omega.tolist(), found.nominal.tolist(), strict=True)
+        for y, row in zip(found.outputs, matrix, strict=True)
+        for u, g in zip(found.inputs, row, strict=True)
+    ]
+    made = output.keep_made("model response", found, [file] if Path(file).is_file() else [])
+    head = table([*((label, text) for label, text in found.facts() if text), *made])
+    text = f"{head}\n\n{table(rows, ('rad/s', 'channel', 'magnitude', 'phase [deg]'))}"
+    emit("model response", found.to_json(), text, output.as_json)
 
 
 @grouped

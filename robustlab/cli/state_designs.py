@@ -1,4 +1,4 @@
-"""``robustlab synth lqi | kalman``: designs in the states of a model, weights and noises by name."""
+"""``robustlab synth lqr | lqi | kalman``: designs in the states of a model, weights and noises by name."""
 
 from __future__ import annotations
 
@@ -38,6 +38,27 @@ MeasurementOption = Annotated[
     list[str] | None,
     typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.", show_default=False),
 ]
+
+
+@grouped
+def lqr(
+    *, file: ModelArgument, state: StateOption = None, control: ControlOption = None, output: OutputOptions
+) -> None:
+    """State feedback u = -K x of least quadratic cost; all states are measured. --out writes K, to close with x.
+
+    Exit code 4: no gain could be vouched for.
+
+    Example: robustlab synth lqr motor.h5 --state omega=100 --control u=0.1 --out k.h5
+    """
+    from robustlab.synthesis.h2.named_weights import integral_weights
+    from robustlab.synthesis.h2.state_feedback import gain_controller
+
+    weights = assignments("--state", state)
+    if not weights:
+        raise UsageError("synth lqr", "no state", "--state NAME=VALUE: which state is to be small, and its weight")
+    model = load_model(file)
+    found = rl.lqr(model, *integral_weights(model, {}, weights, assignments("--control", control)))
+    output.finish_made("synth lqr", found, gain_controller(model, found), [file])
 
 
 @grouped

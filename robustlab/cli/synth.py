@@ -34,7 +34,7 @@ from robustlab.cli.options import (
     rows_of_blocks,
 )
 from robustlab.cli.progress import ProgressOptions
-from robustlab.cli.state_designs import kalman, lqi
+from robustlab.cli.state_designs import kalman, lqi, lqr
 from robustlab.errors import (
     EXIT_REQUIREMENT_NOT_MET,
     UsageError,
@@ -453,6 +453,7 @@ def discretise(
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 
 
+app.command()(lqr)
 app.command()(lqi)
 app.command()(kalman)
 

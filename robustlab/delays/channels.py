@@ -7,8 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.delays.neglected import neglected_delay
-from robustlab.delays.pade import phase_bound
+from robustlab.delays.pade import error_weight, pade, phase_bound
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
@@ -86,37 +85,28 @@ def named(model: StateSpaceModel, index: int) -> StateSpaceModel:
     return StateSpaceModel(model.A, model.B, model.C, model.D, 0.0, [f"z{index}"], [f"w{index}"], states)
 
 
-def covering(
-    rational: StateSpaceModel, weight: StateSpaceModel, tau: float, spread: float, i: int, name: str
-) -> UncertainModel:
-    """``R + W Delta``, and ``W2 Delta2`` for the spread, as a set with one input and one output.
+def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 0, name: str = "") -> UncertainModel:
+    """``R + W Delta``: all delays within ``spread`` of ``tau``, as a set with one input and one output.
 
     A block's name is what its Delta depends on, so that equal names are one uncertainty: the length of the delay and
-    both orders; of a spread also its channel, and the name that the user gives.
+    both orders; of a spread its channel, and the name that the user gives.
     """
-    orders = f"order {rational.n_states}, slope {weight.n_states}"
-    parts: list[StateSpaceModel] = [weight]
-    n = rational.n_states
-    bound = phase_bound(n)
-    error = f"at most min(2, {bound.coefficient:.3g} (w {tau:g} s)^{bound.power}) for all w: proved"
-    words = f"what Padé's approximation of order {n} of a delay of {tau:g} s misses, {error}"
-    blocks: list[Block] = [ComplexScalar(f"delay of {tau!r} s ({orders})", origin=words)]
+    rational = pade(tau, order)
+    weight = error_weight(order, weight_order, spread / tau).scaled(tau)
     if spread:
-        parts.append(neglected_delay(spread))
         words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
-        blocks.append(FullBlock(f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words))
-    k = len(parts)
-    plain: list[StateSpaceModel] = []
-    for j, p in enumerate([*parts, rational]):
-        states = [f"weight{i + 1}.{j + 1}.{m + 1}" for m in range(p.n_states)] if j < k else p.states
-        plain.append(StateSpaceModel(p.A, p.B, p.C, p.D, 0.0, [f"i{j}"], [f"o{j}"], states))
-    side = append(*plain)
-    # inputs (w_1 .. w_k, z), outputs (weighted z, R z + w_1 + ... + w_k)
-    into = np.hstack([np.zeros((k + 1, k)), np.ones((k + 1, 1))])
+        block: Block = FullBlock(f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words)
+    else:
+        bound = phase_bound(order)
+        words = f"what Padé's approximation of order {order} of a delay of {tau:g} s misses, at most min(2,"
+        words += f" {bound.coefficient:.3g} (w {tau:g} s)^{bound.power}) for all w: proved"
+        block = ComplexScalar(f"delay of {tau!r} s (order {order}, slope {weight.n_states})", origin=words)
+    states = [
+        f"{kind}{i + 1}.{k + 1}" for kind, m in (("weight", weight), ("delay", rational)) for k in range(m.n_states)
+    ]
+    side = append(*(m.renamed([f"i{k}"], [f"o{k}"]) for k, m in enumerate((weight, rational))))
+    into = np.array([[0.0, 1.0], [0.0, 1.0]])  # (w, z) into both
     D = side.D @ into
-    D[k, :k] = 1.0
-    channels = [f"w{i}.{j}" for j in range(k)], [f"z{i}.{j}" for j in range(k)]
-    model = StateSpaceModel(
-        side.A, side.B @ into, side.C, D, 0.0, [*channels[0], "in"], [*channels[1], "out"], side.states
-    )
-    return UncertainModel(model, blocks)
+    D[1, 0] = 1.0
+    model = StateSpaceModel(side.A, side.B @ into, side.C, D, 0.0, [f"w{i}", "in"], [f"z{i}", "out"], states)
+    return UncertainModel(model, [block])

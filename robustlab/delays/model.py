@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.channels import chained, closed, covering, in_order, named
-from robustlab.delays.pade import checked_order, error_weight, pade
+from robustlab.delays.pade import checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
@@ -209,9 +209,9 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         That is proved for all frequencies, not on a grid: see `robustlab.delays.pade`. :math:`\Delta` is stable: the
         error is, and the weight has its zeros at s = 0 only, where the error has as many. So whatever is proved of the
         set (`robust_stability`, `worst_case_gain`, `worst_case_disk_margin`) is proved of the model with its delays.
-        Delays of one length share one repeated block. A delay that is not known exactly gets a second block in each
-        channel, :math:`|e^{-j\omega(\tau + \delta)} - e^{-j\omega\tau}| \le |W_2(j\omega)|` for all :math:`|\delta|`
-        up to its spread, with the weight of `robustlab.neglected_delay`.
+        Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
+        channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
+        to its spread.
 
         Parameters
         ----------
@@ -221,7 +221,8 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         spread
             How far each delay may be off, in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
-            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used.
+            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used. With a
+            spread the weight has the slope one at low frequencies, and needs 2 of them at least where n > 0.
         name
             Put before the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
             each on its own need two.
@@ -229,7 +230,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         Returns
         -------
         UncertainModel
-            Blocks ``delay of 0.4 s (order 3, slope 3)``, and ``spread 1 of 0.4 s +- 0.1 s`` where there is one.
+            Blocks ``delay of 0.4 s (order 3, slope 3)``, or ``spread 1 of 0.4 s +- 0.1 s`` where there is one.
 
         Raises
         ------
@@ -244,9 +245,8 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             raise InputError("uncertain: spread", f"{spread!r}", "numbers from 0 s to the delay itself")
         if isinstance(weight_order, int):
             weight_order = min(weight_order, 2 * order + 1)
-        shape = error_weight(order, weight_order)
         parts = [
-            covering(named(pade(float(t), order), i), shape.scaled(float(t)), float(t), float(s), i, name)
+            covering(float(t), float(s), order, weight_order, i, name)
             for i, (t, s) in enumerate(zip(self.delays, width, strict=True))
         ]
         return self._closed_by(parts, "uncertain")
@@ -461,7 +461,7 @@ def uncertain_delays(
     --------
     >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     >>> [b.name for b in uncertain_delays(lag, inputs={0: (0.1, 0.3)}).blocks]
-    ['delay of 0.2 s (order 3, slope 3)', 'u1: spread 1 of 0.2 s +- 0.1 s']
+    ['u1: spread 1 of 0.2 s +- 0.1 s']
     """
     model = (
         G.uncertain(order, weight_order=weight_order)

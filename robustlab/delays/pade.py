@@ -23,7 +23,7 @@ Verfahren zur Stabilitätsfrage bei Matrizen-Eigenwertproblemen", ZAMP 7 (1956) 
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from math import factorial, sqrt
 from typing import NamedTuple
 
@@ -42,6 +42,8 @@ HIGHEST_ORDER = 40
 HIGH_GAIN = 2.2
 # Cells of the proof, the phase at which they begin, and what they leave for rounding.
 CELLS, FIRST_PHASE, ROUNDING = 4000, 1e-4, 1e-9
+# Below the first cell the approximation may miss this share of what the delay is off.
+FIRST_SHARE = 0.02
 
 
 def _polynomial(order: int) -> list[int]:
@@ -167,71 +169,99 @@ def pade(delay: float, order: int) -> StateSpaceModel:
     return StateSpaceModel(a / delay, b, -sign * b.T, [[sign]])
 
 
-def checked_order(order: object, where: str, least: int = 0) -> None:
-    """Refuse what is no order of a Padé approximation."""
+def checked_order(order: int, where: str, least: int = 0) -> int:
+    """The order; refuses what is no order of a Padé approximation."""
     if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST_ORDER:
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from {least} to {HIGHEST_ORDER}")
+    return order
 
 
 # --- the weight that covers -------------------------------------------------------------------------------------------
 
 
 class ErrorWeight(NamedTuple):
-    r"""A Butterworth high-pass above the error for a delay of 1 s: :math:`|W|^2 = g^2 x^{2k} / (x^{2k} + a^{2k})`."""
+    r"""A high-pass above the error for a delay of 1 s: :math:`|W|^2 = \frac{g^2 x^{2k} + r^2 a^{2k} x^2}{x^{2k} +
+    a^{2k}}`, of slope r for what the delay may be off, and k above.
+    """
 
     gain: float
     corner: float
     order: int
+    slope: float = 0.0
 
     def scaled(self, delay: float) -> StateSpaceModel:
         """The weight for a delay in s, as a model with ``order`` states."""
-        return high_pass(self.gain, self.corner / delay, self.order)
+        zero = (self.slope / self.gain * self.corner**self.order) ** (1.0 / (self.order - 1)) if self.slope else 0.0
+        return high_pass(self.gain, self.corner / delay, self.order, zero / delay)
 
 
-@cache
-def error_weight(order: int, weight_order: int) -> ErrorWeight:
-    r"""The weight with the highest corner for which the proof below goes through.
+@lru_cache(maxsize=256)
+def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWeight:
+    r"""The weight with the highest corner for which the proof below goes through; for all delays of 1 +- ``spread``.
 
-    Below the first cell the bound :math:`c_n x^{2n+1}` is used: as k is at most 2n + 1, :math:`x^{2k} (g^2 / (c_n
-    x^{2n+1})^2 - 1)` falls with x, and so the end of that interval decides. Each cell after it uses that the error and
-    the weight both rise: the error at its end has to lie below the weight at its beginning. Where the phase has reached
-    :math:`\pi` the error is bounded by 2, and the weight goes on rising.
+    With :math:`\theta_n \ge 0` the phase of :math:`e^{-jx(1+\delta)}` is off by at most :math:`\theta_n + s x`, s the
+    spread, which rises as the error does, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` is used. Without
+    a spread :math:`x^{2k} (g^2 / (c_n x^{2n+1})^2 - 1)` falls with x there, as k is at most 2n + 1, and so the end of
+    that interval decides; with one, the slope r is what the error has there at most. Each cell after it uses that the
+    error rises: :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0` with x at its beginning and E at its end.
+    Where the phase has reached :math:`\pi` the error is bounded by 2, and the left side goes on rising.
 
     Raises
     ------
     InputError
-        A weight's order that is not between 1 and 2n + 1.
+        A weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
     """
-    bound = phase_bound(order)
-    if isinstance(weight_order, bool) or not isinstance(weight_order, int) or not 1 <= weight_order <= bound.power:
-        raise InputError("uncertain: weight_order", f"{weight_order!r}", f"a whole number from 1 to {bound.power}")
-    k = weight_order
-    first = (FIRST_PHASE / bound.coefficient) ** (1.0 / bound.power)
-    last = 2.0 * (np.pi / bound.coefficient) ** (1.0 / bound.power) + 2.0 * np.pi
-    x = np.linspace(first, last, CELLS + 1)  # cells shorter than a half turn: the phase can be followed
+    bound, s = phase_bound(order), spread
+    if s and not order:  # no approximation: the error is that of the longest delay
+        shape = error_weight(0, weight_order)
+        return shape._replace(corner=shape.corner / (1.0 + s))
+    k, least = weight_order, 2 if s else 1
+    if isinstance(k, bool) or not isinstance(k, int) or not least <= k <= bound.power:
+        raise InputError("uncertain: weight_order", f"{k!r}", f"a whole number from {least} to {bound.power}")
+    c, power = bound.coefficient, bound.power
+    first, slope = (FIRST_PHASE / c) ** (1.0 / power), 0.0
+    if s:
+        first = min(first, (FIRST_SHARE * s / c) ** (1.0 / (power - 1)))
+        slope = (s + c * first ** (power - 1)) * (1.0 + ROUNDING)
+    last = 2.0 * (np.pi / c) ** (1.0 / power) + 2.0 * np.pi
+    spaced = np.geomspace if s else np.linspace  # a slope is tightest far below the rest
+    x = spaced(first, last, CELLS + 1)  # cells shorter than a half turn: the phase can be followed
     theta = np.unwrap(phase_error(x, order))
     theta += 2.0 * np.pi * np.round((FIRST_PHASE - theta[0]) / (2.0 * np.pi))
-    rising = 2.0 * np.sin(0.5 * np.clip(theta + ROUNDING, 0.0, np.pi))
-    error = np.minimum(np.maximum.accumulate(rising), bound.coefficient * x**bound.power * (1.0 + ROUNDING))
+    rising = 2.0 * np.sin(0.5 * np.clip(theta + s * x + ROUNDING, 0.0, np.pi))
+    error = np.minimum(np.maximum.accumulate(rising), (c * x**power + s * x) * (1.0 + ROUNDING))
     error = np.minimum(error, 2.0)
-    if theta[-1] < np.pi:
+    if theta[-1] + s * x[-1] < np.pi:
         error[-1] = 2.0  # nothing is known beyond
-    begin, end = np.concatenate([[first], x[:-1]]), np.concatenate([[FIRST_PHASE * (1.0 + ROUNDING)], error[1:]])
-    corner = float((begin * ((HIGH_GAIN / end) ** 2 - 1.0) ** (0.5 / k)).min())
-    return ErrorWeight(HIGH_GAIN, corner * (1.0 - ROUNDING), k)
+    begin = np.concatenate([[first], x[:-1]])
+    end = np.concatenate([[(c * first**power + s * first) * (1.0 + ROUNDING)], error[1:]])
+    above = end**2 - (slope * begin) ** 2  # where negative, the slope alone suffices
+    short = above > 0
+    corners = begin[short] * ((HIGH_GAIN**2 - end[short] ** 2) / above[short]) ** (0.5 / k)
+    corner = float(corners.min(initial=HIGH_GAIN / slope if slope else np.inf))  # where the slope meets g: no peak
+    return ErrorWeight(HIGH_GAIN, corner * (1.0 - ROUNDING), k, slope)
 
 
-def high_pass(gain: float, corner: float, order: int) -> StateSpaceModel:
-    r"""Butterworth high-pass :math:`g s^k / \prod_i (s - p_i)`, its poles on the circle of radius ``corner`` in rad/s.
+def high_pass(gain: float, corner: float, order: int, zero: float = 0.0) -> StateSpaceModel:
+    r"""High-pass :math:`g s \prod_i (s - q_i) / \prod_i (s - p_i)`, poles and zeros on the circles of the given radii.
 
-    A chain of sections of first and second order: each blocks a constant exactly, so that their product is small at
-    low frequencies with all its digits.
+    They lie there, in rad/s, as Butterworth's poles do, so that the products have the squares :math:`\omega^{2k} +
+    a^{2k}` and :math:`\omega^{2k-2} + z^{2k-2}`. A chain of sections of first and second order, of which the first, and
+    with zeros at 0 all, block a constant exactly: their product is small at low frequencies with all its digits.
     """
     whole = StateSpaceModel([], [], [], [[gain]])
+    pairs = _circle(zero, order - 1) if zero else [(0.0, 0.0)] * (order // 2)
     if order % 2:
         whole = series(whole, StateSpaceModel([[-corner]], [[corner]], [[-1.0]], [[1.0]]))
-    for i in range(order // 2):
-        damping = 2.0 * np.sin(np.pi * (2 * i + 1) / (2 * order))
-        a = [[-damping * corner, -corner], [corner, 0.0]]
-        whole = series(whole, StateSpaceModel(a, [[corner], [0.0]], [[-damping, -1.0]], [[1.0]]))
+    elif zero:
+        pairs = [(zero, 0.0), *pairs]  # s (s + z)
+    for (damping, _), (n1, n0) in zip(_circle(corner, order), pairs, strict=True):
+        a = [[-damping, -corner], [corner, 0.0]]
+        c = [[(n1 - damping) / corner, n0 / corner**2 - 1.0]]
+        whole = series(whole, StateSpaceModel(a, [[corner], [0.0]], c, [[1.0]]))
     return StateSpaceModel(whole.A, whole.B, whole.C, whole.D)
+
+
+def _circle(radius: float, order: int) -> list[tuple[float, float]]:
+    """The factors ``s^2 + d s + e`` of Butterworth's polynomial; an odd order has ``s + radius`` beside them."""
+    return [(2.0 * np.sin(np.pi * (2 * i + 1) / (2 * order)) * radius, radius * radius) for i in range(order // 2)]

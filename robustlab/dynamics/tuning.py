@@ -101,10 +101,6 @@ class DynamicsTuning:
     stretches: tuple[float, ...] = (0.5, 1.0, 2.0)
     # The nominal member of a set must be the plant's own linear model to this share of its largest response.
     nominal_exact: float = 1e-8
-    # The weight of a delay need not go below this: far beneath any other error. Larger: wider sets, simpler weights.
-    least_delay_error: float = 1e-3
-    # The error of a delay grows with the power 2 n + 1 of the frequency: the weight's order over that of the Padé part.
-    delay_weight_extra: int = 2
     # The simulated states must be those of the linear part under the loads to this share of their size.
     loads_exact: float = 1e-6
     # Points of a sample at which the response to a load is looked at.

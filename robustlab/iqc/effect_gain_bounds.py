@@ -8,8 +8,8 @@ effect                      class
 ==========================  ==========================================================================================
 saturation of an input      odd, slope in [0, 1], sector from limit / amplitude to 1
 dead zone of an input       odd, slope in [0, 1], sector from 0 to 1 - d / amplitude
-Coulomb friction            monotone with the sector [0, inf): refused, no strict inequality holds; with a stick speed
-                            v_s odd, slope and sector [0, Fc / v_s]
+Coulomb friction            refused: what sticks away from zero stays there, no gain to a position is finite; with a
+                            stick speed v_s odd, slope and sector [0, Fc / v_s]
 any other with a sector     a gain between the ends of its sector that may change at every instant
 ==========================  ==========================================================================================
 

@@ -143,8 +143,9 @@ class Nonlinearity:
     def friction(cls, level: float, stick_speed: float | None = None) -> Nonlinearity:
         r"""Dry friction :math:`F \max(-1, \min(1, v / v_s))`: odd, monotone, slope and sector [0, F / v_s].
 
-        Coulomb's own law, :math:`F \operatorname{sgn} v`, is monotone with the sector :math:`[0, \infty)`. Its graph is
-        vertical at rest, where the inequality cannot be strict; it is refused.
+        Coulomb's own law, :math:`F \operatorname{sgn} v`, is monotone with the sector :math:`[0, \infty)`. A joint that
+        sticks away from zero stays there with a constant force: neither force nor position is in L2, and no gain to
+        the position is finite. It is refused.
 
         Parameters
         ----------

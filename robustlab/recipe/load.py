@@ -22,7 +22,7 @@ from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.shipped import shipped_folder, shipped_recipes
 from robustlab.recipe.steps.contract import KINDS, Step
 from robustlab.recipe.steps.models import LoadStep, PlantStep
-from robustlab.recipe.steps.records import RecordStep
+from robustlab.recipe.steps.records import FrequencyResponseStep, RecordStep
 from robustlab.recipe.steps.vocabulary import RefersTo
 
 MAX_BYTES = 1 << 20
@@ -295,9 +295,10 @@ def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
         if given is None:
             continue
         typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
-        about = step.about if isinstance(step, RecordStep) else ""
+        is_measured = isinstance(step, (RecordStep, FrequencyResponseStep))
+        about = step.about if is_measured else ""
         path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
-        if not isinstance(step, RecordStep) and not typed:
+        if not is_measured and not typed:
             _check_inside(loaded.path, f"step.{name}.{key}", given, path)
         found[name] = path
     return found
@@ -312,7 +313,7 @@ def _named_file(step: Step) -> tuple[str, str | None]:
             return "plant", step.plant
         parts = plant_reference(step.plant)
         return "plant", parts and parts[0]
-    return "path", step.path if isinstance(step, (LoadStep, RecordStep)) else None
+    return "path", step.path if isinstance(step, (LoadStep, RecordStep, FrequencyResponseStep)) else None
 
 
 def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path:

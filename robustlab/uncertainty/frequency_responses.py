@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,33 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         put(self, "blocks", checked)
         put(self, "inputs", signals(inputs, response.shape[2] - q, "u", where))
         put(self, "outputs", signals(outputs, response.shape[1] - p, "y", where))
+
+    @classmethod
+    def read(cls, path: str | Path, name: str = "measured", **options: Any) -> UncertainFrequencyData:
+        """Measured responses from a table in a text file, with radii where the table has them.
+
+        Parameters
+        ----------
+        path
+            The file: frequencies first, then columns such as ``y from u real``; see
+            `robustlab.files.response_table.read_response`.
+        name
+            Beginning of the names of the blocks, as for `frequency_data`.
+        **options
+            ``units`` (column -> unit), ``delimiter``, ``decimal``, as there.
+
+        Raises
+        ------
+        InputError
+            What is wrong with the table, or with the numbers in it.
+        """
+        from robustlab.files.response_table import read_response
+
+        table = read_response(path, **options)
+        try:
+            return frequency_data(**table, name=name)
+        except InputError as error:
+            raise InputError(str(path), f"{error.where}: {error.found}", error.expected, error.hint) from None
 
     @property
     def delta_shape(self) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Frequency-response data and given frequencies, from the shell: files, `mu`, margins, a recipe."""
+"""Frequency-response data and given frequencies, from the shell: tables, files, `mu`, margins, a recipe."""
 
 from __future__ import annotations
 
@@ -91,3 +91,134 @@ at_least = 10.0
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "nothing is claimed between them" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+RADIUS = 0.1 * abs(G)
+
+
+def write_table(path, header, *columns):
+    rows = [",".join(f"{value:.17g}" for value in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+
+
+def test_a_measured_table_becomes_data_and_its_loop_is_bounded(run, tmp_path):
+    head = "f [Hz],y from u magnitude [dB],y from u phase [deg],y from u radius"
+    write_table(tmp_path / "t.csv", head, OMEGA / (2 * np.pi), 20 * np.log10(abs(G)), np.degrees(np.angle(G)), RADIUS)
+    told = run("model", "response", "t.csv", "--out", "t.h5", "--figure", "t")
+    assert "measured y from u" in told
+    assert "-45.0000" in told  # of 1 / (s + 1) at 1 rad/s
+    assert (tmp_path / "t.svg").exists()
+    made, known = rl.load("t.h5"), rl.load("data.h5")
+    np.testing.assert_allclose(made.omega, OMEGA, rtol=1e-14)
+    np.testing.assert_allclose(made.M, known.M, atol=1e-14)
+    rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]]))
+    found = json.loads(run("mu", "t.h5", "-k", "k.h5", "--json"))
+    np.testing.assert_allclose(found["lower"], abs(1 + 3 * G) / (3 * RADIUS), rtol=1e-6)
+    positive = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "positive", "--json"))
+    np.testing.assert_allclose(positive["lower"], abs(1 - 3 * G) / (3 * RADIUS), rtol=1e-6)
+    shown = json.loads(run("model", "response", "t.h5", "--json"))
+    assert shown["blocks"][0]["name"] == "measured y from u"
+
+
+def test_tables_of_several_channels_and_of_one_without_a_name(run, tmp_path):
+    H = np.stack([[G, 2 * G], [1j * G, G**2]])  # outputs a, b; inputs u, v
+    names = [f"{y} from {u} {part}" for y in "ab" for u in "uv" for part in ("real", "imag")]
+    parts = [part(H[i, j]) for i in range(2) for j in range(2) for part in (np.real, np.imag)]
+    write_table(tmp_path / "m.csv", ",".join(["w", *names, "radius"]), OMEGA, *parts, RADIUS)
+    run("model", "response", "m.csv", "--unit", "w=rad/s", "--out", "m.h5")
+    made = rl.load("m.h5")
+    np.testing.assert_allclose(made.nominal, H.transpose(2, 0, 1), rtol=1e-15)
+    assert [(b.name, b.rows, b.cols) for b in made.blocks] == [("measured", 2, 2)]
+    np.testing.assert_allclose(np.linalg.norm(made.M[:, :2, 2:], 2, axis=(1, 2)), RADIUS, rtol=1e-15)
+    write_table(tmp_path / "one.csv", "w [rad/s],real,imag", OMEGA, G.real, G.imag)
+    one = rl.UncertainFrequencyData.read("one.csv")
+    assert not one.blocks
+    np.testing.assert_allclose(one.nominal[:, 0, 0], G, rtol=1e-15)
+
+
+def test_the_response_of_a_model(run):
+    rl.save("lag.h5", LAG)
+    found = run("model", "response", "lag.h5", "--frequency", "1")
+    assert "0.707107   -45.0000" in found
+    assert "--frequency 1,10 in rad/s" in run("model", "response", "lag.h5", code=2)
+    assert "has its own" in run("model", "response", "data.h5", "--frequency", "1", code=2)
+    kept = json.loads(run("model", "response", "set.h5", "--frequency", "0.5,1,4", "--json"))
+    assert len(kept["blocks"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "text"),
+    [
+        ("f,real,imag", "column 'f' without a unit, expected the frequency, in rad/s or Hz"),
+        ("f [V],real,imag", "column 'f' in 'V'"),
+        ("f [Hz],real,imga", "did you mean imag?"),
+        ("f [Hz],y from u real,y from u radius", "y from u with real, expected real and imag, or magnitude and phase"),
+        ("f [Hz],magnitude,phase", "column 'phase' without a unit, expected rad or deg"),
+        ("f [Hz],real [mm],imag", "column 'real' in 'mm'"),
+        ("f [Hz],y real,y imag", "expected a name that begins with OUTPUT from INPUT"),
+        ("f [Hz],radius", "no columns of OUTPUT from INPUT"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_said(run, tmp_path, header, text):
+    count = header.count(",")
+    write_table(tmp_path / "t.csv", header, OMEGA, *[np.ones(3)] * count)
+    assert text in run("model", "response", "t.csv", code=3).replace("\n", " ")
+
+
+def test_numbers_and_names_that_do_not_fit_are_said(run, tmp_path):
+    write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA[::-1], G.real, G.imag, -RADIUS)
+    assert "t.csv: UncertainFrequencyData: omega: frequencies that do not increase" in run(
+        "model", "response", "t.csv", code=3
+    )
+    write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA, G.real, G.imag, -RADIUS)
+    assert "radius: negative" in run("model", "response", "t.csv", code=3)
+    assert "did you mean real?" in run("model", "response", "t.csv", "--unit", "reel=V", code=3)
+    head = "f [Hz],a from u real,a from u imag,b from v real,b from v imag"
+    write_table(tmp_path / "t.csv", head, OMEGA, *[np.ones(3)] * 4)
+    assert "no columns of a from v" in run("model", "response", "t.csv", code=3)
+    head = "f [Hz],a from u real,a from u imag,a from u radius,a from v real,a from v imag"
+    write_table(tmp_path / "t.csv", head, OMEGA, *[np.ones(3)] * 5)
+    assert "a radius of a from u, and none of a from v" in run("model", "response", "t.csv", code=3)
+    (tmp_path / "t.csv").write_text("1,2,3\n2,3,4\n")
+    assert "no header" in run("model", "response", "t.csv", code=3)
+
+
+def test_a_recipe_reads_the_table(run, tmp_path):
+    write_table(tmp_path / "t.csv", "f,real,imag,radius", OMEGA / (2 * np.pi), G.real, G.imag, RADIUS)
+    rl.save("lag.h5", LAG)
+    rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]]))
+    (tmp_path / "r.toml").write_text("""schema = "robustlab.recipe/1"
+name = "table"
+[step.measured]
+do = "frequency-response"
+path = "t.csv"
+units = { f = "Hz" }
+[step.lag]
+do = "load"
+path = "lag.h5"
+[step.modelled]
+do = "frequency-response"
+of = "lag"
+frequency = [0.5, 1.0]
+[step.k]
+do = "load"
+path = "k.h5"
+[step.margin]
+do = "robustness-at"
+of = "measured"
+controller = "k"
+[[require]]
+text = "A lag falls"
+that = "modelled.peak_frequency"
+at_most = 0.5
+""")
+    assert main.run(["run", "r.toml", "--out", "o"]) == 0
+    steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
+    assert steps["margin"]["numbers"]["lower"] == pytest.approx(min(abs(1 + 3 * G) / (3 * RADIUS)), rel=1e-6)
+    assert steps["modelled"]["numbers"]["peak"] == pytest.approx(abs(1 / (1 + 0.5j)), rel=1e-12)
+    (tmp_path / "r.toml").write_text(
+        """schema = "robustlab.recipe/1"\nname = "t"\n[step.m]\ndo = "frequency-response"\n"""
+    )
+    assert "either path, or of with frequency" in run("recipe", "check", "r.toml", code=3)

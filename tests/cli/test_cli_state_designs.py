@@ -1,4 +1,4 @@
-"""``robustlab synth lqi | kalman``, ``model zeros`` and their recipe steps: closed forms through the real command."""
+"""``synth lqr | lqi | kalman``, ``model zeros`` and their recipe steps: closed forms through the real command."""
 
 from __future__ import annotations
 
@@ -43,6 +43,19 @@ def test_lqi_of_a_lag_in_closed_form(lag, capsys):
     np.testing.assert_allclose([*found["K"][0], *found["K_i"][0]], (B.T @ X)[0] / 0.5, rtol=1e-9)
 
 
+def test_lqr_of_a_lag_in_closed_form(lag, capsys):
+    # K = -1 + sqrt(1 + q / r)
+    assert run(synth.app, "lqr", lag, "--state", "x=3", "--out", "k.h5", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["command"] == "synth lqr"
+    np.testing.assert_allclose(found["K"], [[1.0]], rtol=1e-12)
+    kept = rl.load("k.h5").K
+    assert (kept.input_names, kept.output_names) == (("x",), ("u",))
+    np.testing.assert_allclose(kept.D, [[-1.0]], rtol=1e-12)  # u = K x, as every controller
+    assert run(synth.app, "lqr", lag, "--state", "x=2", "--control", "u=0.25", "--json") == 0
+    np.testing.assert_allclose(json.loads(capsys.readouterr().out)["K"], [[2.0]], rtol=1e-12)
+
+
 def test_kalman_of_a_lag_in_closed_form(lag, capsys):
     # -2 P + w - P^2 / v = 0; the noise on u enters through B = 1, so it is noise on x as well.
     for noise in (["x=3"], ["u=3"], ["u=1", "x=2"]):
@@ -57,6 +70,9 @@ def test_kalman_of_a_lag_in_closed_form(lag, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
+        (["lqr"], 2, "no state, expected --state"),
+        (["lqr", "--state", "q=1"], 3, "weight on state 'q': no such signal"),
+        (["lqr", "--state", "x=1", "--control", "u=0"], 3, "control u costs nothing"),
         (["lqi"], 2, "no output, expected --integral"),
         (["lqi", "--integral", "y"], 2, "NAME=VALUE"),
         (["lqi", "--integral", "z=1"], 3, "no such signal"),
@@ -97,6 +113,10 @@ path = "lag.h5"
 do = "lqi"
 of = "lag"
 integral = { y = 1.0 }
+[step.fed]
+do = "lqr"
+of = "lag"
+states = { x = 3.0 }
 [step.filter]
 do = "kalman"
 of = "lag"
@@ -139,6 +159,7 @@ def test_the_same_as_steps_of_a_recipe(lag, tmp_path):
     np.testing.assert_allclose(steps["held"]["numbers"]["K"], [[np.sqrt(3) - 1]], rtol=1e-9)
     assert steps["held"]["status"] == steps["filter"]["status"] == "converged"
     np.testing.assert_allclose(steps["filter"]["numbers"]["L"], [[1.0]], rtol=1e-9)
+    np.testing.assert_allclose(steps["fed"]["numbers"]["K"], [[1.0]], rtol=1e-12)
     assert steps["none"]["numbers"]["count"] == 0
     assert rl.load(tmp_path / "o" / "k.h5").K.n_outputs == 1
     assert rl.load(tmp_path / "o" / "evidence" / "filter.h5").status is rl.Status.CONVERGED

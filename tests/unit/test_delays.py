@@ -270,18 +270,15 @@ def test_pade_in_a_model_is_pade_in_its_place():
 def test_the_set_holds_the_model_with_its_delay(order, spread, true):
     model = 3.0 * LAG @ rl.delay(0.4)
     cover = model.uncertain(order, spread)
-    names = [b.name for b in cover.blocks]
-    assert names[0] == f"delay of 0.4 s (order {order}, slope 3)"
-    assert len(names) == 1 + (spread > 0)
+    (block,) = cover.blocks
+    assert block.name == (
+        "spread 1 of 0.4 s +- " + f"{spread} s" if spread else f"delay of 0.4 s (order {order}, slope 3)"
+    )
+    weight = error_weight(order, 3, spread / 0.4).scaled(0.4)
     for w in (0.05, 1.0, 7.0, 40.0):
-        turn = np.exp(-0.4j * w)
-        delta = {
-            names[0]: (turn - response(pade(0.4, order), [w])[0]) / response(error_weight(order, 3).scaled(0.4), [w])[0]
-        }
-        if spread:
-            delta[names[1]] = (np.exp(-1j * w * true) - turn) / response(rl.neglected_delay(spread), [w])[0]
-        assert all(abs(d) <= 1.0 for d in delta.values())
-        found = cover.response([w], {k: complex(d) for k, d in delta.items()})[0, 0, 0]
+        delta = (np.exp(-1j * w * true) - response(pade(0.4, order), [w])[0]) / response(weight, [w])[0]
+        assert abs(delta) <= 1.0
+        found = cover.response([w], {block.name: complex(delta)})[0, 0, 0]
         assert found == pytest.approx(3 * np.exp(-1j * w * true) / (1j * w + 1), abs=1e-9)
 
 
@@ -299,16 +296,14 @@ def test_sets_of_other_orders_do_not_share_a_block():
 def test_an_uncertain_model_with_a_delay_in_a_range():
     plant = rl.parametric([["-1/T"]], [["1/T"]], [[1]], [[0]], {"T": (1.0, 0.2)})
     late = rl.uncertain_delays(plant, inputs={"u1": (0.1, 0.3)}, outputs={0: 0.2})
-    names = [b.name for b in late.blocks]
-    assert set(names) == {"T", "delay of 0.2 s (order 3, slope 3)", "u1: spread 1 of 0.2 s +- 0.1 s"}
+    known, ranged = "delay of 0.2 s (order 3, slope 3)", "u1: spread 1 of 0.2 s +- 0.1 s"
+    assert {b.name for b in late.blocks} == {"T", known, ranged}
     w, rational = 3.0, response(pade(0.2, 3), [3.0])[0]
     turn, true = np.exp(-0.2j * w), np.exp(-0.14j * w)
     delta = {
         "T": 0.5,
-        names[names.index("delay of 0.2 s (order 3, slope 3)")]: complex(
-            (turn - rational) / response(error_weight(3, 3).scaled(0.2), [w])[0]
-        ),
-        "u1: spread 1 of 0.2 s +- 0.1 s": complex((true - turn) / response(rl.neglected_delay(0.1), [w])[0]),
+        known: complex((turn - rational) / response(error_weight(3, 3).scaled(0.2), [w])[0]),
+        ranged: complex((true - rational) / response(error_weight(3, 3, 0.1 / 0.2).scaled(0.2), [w])[0]),
     }
     assert all(abs(d) <= 1 for d in delta.values())
     expected = turn * true / (1 + 1j * w * plant.physical({"T": 0.5})["T"][0])

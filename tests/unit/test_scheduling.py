@@ -181,6 +181,35 @@ def test_rate_bounded_trajectories_stay_below_the_bound():
     assert 0.9 < attained <= bound
 
 
+def scheduled_pi_loop(p: float) -> rl.StateSpaceModel:
+    """From d to e = d - y: a lag K / (tau s + 1), Padé's delay of 0.5 s, 1.1 at the input, a scheduled PI law."""
+    tau, K, T = np.sqrt(133.6 - 16.8 * p), np.sqrt(4.8 * p - 8.6), 0.5
+    k_p, k_i, worst = (2 * 0.7 * 0.25 * tau - 1) / K, 0.25**2 * tau / K, 1.1
+    # states: the integral, two of the delay 1 - (12 / T) s / (s^2 + (6 / T) s + 12 / T^2), the lag's
+    A = np.zeros((4, 4))
+    A[0, 3], A[1, 1:3], A[2, 1] = -k_i * K, [-6 / T, -12 / T**2], 1.0
+    into, direct = np.array([1.0, 0, 0, -k_p * K]) * worst, k_p * worst  # of the delay, from states and from d
+    A[1] += into
+    A[3] = (into + np.array([0, -12 / T, 0, 0])) / tau
+    A[3, 3] -= 1 / tau
+    return rl.StateSpaceModel(A, [[k_i], [direct], [0], [direct / tau]], [[0, 0, 0, -K]], [[1.0]])
+
+
+def test_a_published_gain_of_a_scheduled_loop():
+    """LPVTools manual (Balas, Hjartarson, Packard, Seiler 2015), "Worst-Case Gain Analysis of LPV System", after Tan,
+    Hang, Chai 1997: with the uncertainty at its worst, 0.1, at any rate 20.1476; at 0.1 per second between 1.2968 and
+    1.8925, for the six points."""
+    points = np.arange(2.0, 8.0)
+    loop = rl.LPVModel({"p": points}, [scheduled_pi_loop(p) for p in points])
+    found = rl.lpv_gain(loop)
+    assert found.status is Status.CERTIFIED
+    assert found.upper == pytest.approx(20.1476, rel=1e-3)
+    fine = np.linspace(2.0, 7.0, 21)
+    slow = rl.lpv_gain(rl.LPVModel({"p": fine}, [scheduled_pi_loop(p) for p in fine], rates={"p": 0.1}))
+    assert slow.status is Status.CERTIFIED
+    assert 1.2968 < slow.upper < 1.8925
+
+
 def test_quadratic_stability_ends_where_the_circle_criterion_says():
     """x'' + x' + (2 + k(t)) x = w, 0 <= k <= kmax: one Lyapunov matrix exists up to kmax = 1 + 2 sqrt(2) exactly."""
     for k, proved in ((3.82, True), (3.83, False)):

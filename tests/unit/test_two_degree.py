@@ -75,6 +75,10 @@ def test_without_weight_it_is_plain_loop_shaping():
     found = [rl.ncf(G, W1, reference_model=SECOND, rho=rho, factor=1.001).gamma for rho in (1e-3, 0.5, 1.0, 2.0)]
     assert found[0] == pytest.approx(rl.ncf(G, W1).gamma_min, rel=3e-3)
     assert found == sorted(found)
+    # Skogestad, Postlethwaite 2005, example 9.3 (published: gamma_min = 2.34), with a reference model beside it
+    g = control.ss(control.tf([200], np.polymul([10, 1], [0.0025, 0.1, 1])))
+    design = rl.ncf(g, control.ss(control.tf([1, 2], [1, 1e-6])), reference_model=SECOND, rho=1e-3, factor=1.001)
+    assert design.gamma == pytest.approx(2.34, abs=0.01)
 
 
 @pytest.mark.parametrize("rho", [1.0, 2.0])

@@ -8,24 +8,22 @@ Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-i
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.delays.channels import covering
+from robustlab.delays.pade import checked_order
 from robustlab.delays.pade import pade as rational_delay
-from robustlab.dynamics.tuning import TUNING, DynamicsTuning
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.covering.overbound import Overbound, overbound
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["HIGHEST_PADE", "delay_block", "delayed", "lag_block", "lagged"]
 
-# The order up to which the error's weight can be fitted.
+# The order of a model's rational delays: more states than that say nothing new.
 HIGHEST_PADE = 8
 
 
@@ -98,55 +96,19 @@ def lag_block(time: float, spread: float, name: str) -> UncertainModel:
     return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"))])
 
 
-def delay_block(
-    delay: float, spread: float, pade: int, name: str, tuning: DynamicsTuning = TUNING
-) -> tuple[UncertainModel, Overbound]:
+def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
     r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`.
 
-    .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| = 2 \sin\bigl(\tfrac12 \min(\pi,
-       \max_d |\omega d + \arg P(j\omega)|)\bigr)
+    .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| \quad \text{for all } \omega
 
-    ``delay``, ``spread``: in s; the delay positive. ``pade``: order of P. ``name``: of the block. ``tuning``: how far
-    the weight goes down, and its order.
+    That is proved for all frequencies: see `robustlab.delays.pade.error_weight`. :math:`\Delta` is stable: the error
+    is, and the weight's zeros lie in the left half plane, or at s = 0, where the error has as many.
 
-    Returns
-    -------
-    tuple
-        The set, and the weight with its bound, ``hypot(bound, 1e-3)``.
+    ``delay``, ``spread``: in s; the delay positive. ``pade``: order of P. ``name``, ``origin``: of the block.
     """
     if not 0 < delay < np.inf or not 0 <= spread < np.inf:
         raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
-    rational = rational_delay(delay, pade)
-    a, b, c, d = rational.A, rational.B, rational.C, rational.D
-    zeros = -rational.poles()
-
-    def error(omega: Array) -> Array:
-        # The phase of an all-pass is that of its poles and zeros, counted without wrapping.
-        s = 1j * np.asarray(omega)[:, None]
-        lag = -2.0 * np.angle((zeros - s) / zeros).sum(axis=1)
-        low, high = omega * max(delay - spread, 0.0), omega * (delay + spread)
-        off = np.maximum(np.abs(low - lag), np.abs(high - lag))
-        return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), tuning.least_delay_error)
-
-    omega = np.geomspace(1e-3, 1e3, 160) / delay
-    fit = overbound(omega, error(omega), pade + tuning.delay_weight_extra, 0.1, exact=error)
-    fit = _above_beyond(fit, np.geomspace(1e3, 1e8, 200) / delay, error)
-    w, n = fit.weight, pade
-    model = StateSpaceModel(
-        np.block([[a, np.zeros((n, w.n_states))], [np.zeros((w.n_states, n)), w.A]]),
-        np.block([[np.zeros((n, 1)), b], [np.zeros((w.n_states, 1)), w.B]]),
-        np.block([[np.zeros((1, n)), w.C], [c, np.zeros((1, w.n_states))]]),
-        np.array([[0.0, w.D[0, 0]], [1.0, d[0, 0]]]),
-    )
-    return UncertainModel(model, [FullBlock(name, 1, 1)]), fit
-
-
-def _above_beyond(fit: Overbound, omega: Array, error: Callable[[Array], Array]) -> Overbound:
-    """The weight, lifted where it falls below the error at frequencies above those of its fit."""
-    w = fit.weight
-    lift = float((error(omega) / np.abs(frequency_response(w, omega)[:, 0, 0])).max())
-    if lift <= 1.0:
-        return fit
-    excess, lowest = ((1.0 + x) * lift - 1.0 for x in (fit.excess, fit.lowest))
-    raised = StateSpaceModel(w.A, w.B, lift * w.C, lift * w.D)
-    return dataclasses.replace(fit, weight=raised, excess=excess, lowest=lowest, magnitude=lift * fit.magnitude)
+    n = checked_order(pade, "delay_block", 1)
+    # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
+    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin)])

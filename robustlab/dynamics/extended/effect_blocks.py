@@ -8,7 +8,8 @@ force law                   a real parameter (a gain between the ends of its sec
                             force), or both: see `robustlab.dynamics.extended.force_blocks`
 sector at an input, output  a real parameter at that signal
 delay                       Padé approximation P and one dynamic block, :math:`P + w \Delta`, with
-                            :math:`|w(j\omega)| \ge |e^{-j\omega d} - P(j\omega)|` for all d within its std
+                            :math:`|w(j\omega)| \ge |e^{-j\omega d} - P(j\omega)|` proved for all d within its std
+                            and all frequencies
 lag of an input             a state, and a real parameter with its range where a fit has determined it
 bounded error               an input of its own, scaled so that its signal is at most one: quantisation as noise of half
                             a step, a constant load, a bias
@@ -369,12 +370,9 @@ def _gadgets(
         found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
     if e.delay:
         spread = width * e.std.get(e.effect.delay, 0.0)
-        model, _ = delay_block(e.delay, spread, pade, e.key)
-        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade}"
-        block = dataclasses.replace(
-            cast("Any", model.blocks[0]), origin=f"{words} and a weight over what that misses; {e.values_in_words}"
-        )
-        found.append(UncertainModel(model.M, [block]))
+        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade} and a weight proved to cover"
+        words = f"{words} what that misses; {e.values_in_words}"
+        found.append(delay_block(e.delay, spread, pade, e.key, words))
     if e.time_constant:
         spread = width * e.std.get(e.effect.time_constant, 0.0)
         model = lag_block(e.time_constant, spread, e.key)

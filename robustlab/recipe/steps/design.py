@@ -370,6 +370,31 @@ Weights = dict[str, Annotated[float, Field(ge=0)]]
 
 
 @step
+class LqrStep(Step):
+    """State feedback of least quadratic cost, ``u = -K x``. All states are measured.
+
+    The controller takes the states, by their names.
+    """
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["lqr"]
+    of: ToModel
+    states: Annotated[Weights, Field(min_length=1)] = Field(description="Weights on states by name; 0 where left out.")
+    controls: dict[str, Positive] = Field({}, description="Weights on controls by name; 1 where left out.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """The gain, and the poles that it leaves."""
+        from robustlab.statespace import as_model
+        from robustlab.synthesis.h2.named_weights import integral_weights
+        from robustlab.synthesis.h2.state_feedback import gain_controller
+
+        model = as_model(work.values[self.of], self.of)
+        found = rl.lqr(model, *integral_weights(model, {}, self.states, self.controls))
+        numbers = {"K": found.K, "poles": found.poles, "X": found.X}
+        return told(found, gain_controller(model, found), f"States of {self.of} fed back.", numbers, work)
+
+
+@step
 class LqiStep(Step):
     """State feedback with integral action: outputs follow constant references without error. All states are measured.
 

@@ -1,11 +1,12 @@
-"""Steps on records: reading them, joining two, comparing a model with one, naming what it lacks."""
+"""Steps on measurements: reading records and frequency responses, joining, comparing, naming what a model lacks."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
@@ -67,6 +68,55 @@ class RecordStep(Step):
         if self.simulated:
             work.simulated.add(work.step)
         return _as_record(found, f"Record {path.name} read ({work.origin(work.step)}).", notes)
+
+
+@step
+class FrequencyResponseStep(Step):
+    """Frequency-response data: measured, from a table in a text file, or a model at frequencies.
+
+    The table has the frequency first, "f [Hz]" or "omega [rad/s]"; then for each channel "y from u real" and "y from u
+    imag", or "... magnitude" and "... phase [deg]", and "... radius" where the error is known to be below it.
+    """
+
+    gives: ClassVar[str] = "any"
+    do: Literal["frequency-response"]
+    path: Text | None = Field(None, description="The table; its file may lie anywhere.")
+    units: dict[str, str] = Field({}, description='Units that its header leaves out: { f = "Hz" }.')
+    about: Text = Field("", description="What was measured; shown where the file is absent.")
+    of: ToModel | None = Field(None, description="In place of path: a model, or an uncertain one.")
+    frequency: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] | None = Field(
+        None, description="rad/s, increasing; with of."
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.path is None) == (self.of is None) or (self.of is None) != (self.frequency is None):
+            raise PydanticCustomError("one_source", "expected either path, or of with frequency")
+        return self
+
+    def run(self, work: Workspace) -> Outcome:
+        """The data, with the largest gain of the nominal response."""
+        import numpy as np
+
+        from robustlab.report.result_figures import measured_response_figure
+
+        if self.of is not None and self.frequency is not None:
+            given = work.values[self.of]
+            found = rl.frequency_data(given.to_model() if hasattr(given, "to_model") else given, self.frequency)
+        else:
+            found = rl.UncertainFrequencyData.read(work.sources[work.step], units=self.units)
+        gain = np.linalg.svd(found.nominal, compute_uv=False)[:, 0]
+        at = int(np.argmax(gain))
+        numbers = {
+            "omega": found.omega,
+            "gain": gain,
+            "peak": float(gain[at]),
+            "peak_frequency": float(found.omega[at]),
+        }
+        work.draw(measured_response_figure(found), "response", "Nominal response, of the first input.")
+        facts = tuple(Fact(label, text) for label, text in found.facts() if text)
+        notes = (" ".join(self.about.split()),) if self.about else ()
+        return Outcome(found, f"Frequency response at {len(gain)} frequencies.", numbers, facts, notes=notes)
 
 
 @step

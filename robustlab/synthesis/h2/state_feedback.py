@@ -18,11 +18,13 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
+from robustlab.synthesis.problem.design import Controller
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 
 __all__ = [
     "StateFeedback",
     "checked_weight",
+    "gain_controller",
     "lqr",
     "place",
     "require_definite",
@@ -126,6 +128,12 @@ def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> State
     if not surely_stable(loop):
         raise NoTrustworthyNumber("lqr", "the closed loop is not surely stable: a pole lies on the stability boundary")
     return StateFeedback(K, loop.poles(), Status.CONVERGED, f"stable; Riccati residual {found.residual:.1e}", found.X)
+
+
+def gain_controller(g: StateSpaceModel, found: StateFeedback) -> Controller:
+    """``u = -K x`` as a controller that takes the states by name, as every `robustlab.Controller` does."""
+    gain = StateSpaceModel([], [], [], -found.K, g.dt, g.states, g.inputs)
+    return Controller(gain, None, found.status, "lqr")
 
 
 @told_as("place")
