@@ -65,7 +65,7 @@ def test_bash_completes_commands_sub_commands_and_options(tab):
     assert tab("") == list(GROUPS)
     assert tab("m") == ["model", "mu"]
     assert tab("synth", "") == list(parser("synth").commands)
-    assert tab("model", "re") == ["reduce"]
+    assert tab("model", "red") == ["reduce"]
     assert tab("run", "first-light", "--pro") == ["--progress"]
     assert set(tab("--")) == {"--version", "--help", "--install-completion", "--show-completion"}
     assert tab("mu", "x.h5", "--in") == ["--inputs", "--intervals"]
