@@ -55,8 +55,9 @@ class _Columns:
             found = f"{channel} with {', '.join(sorted(kinds)) or 'a radius alone'}"
             raise InputError(self.where, found, "real and imag, or magnitude and phase")
         size, phase = parts["magnitude"], self.converted(parts["phase"], "rad", "rad or deg")
-        gain = 10.0 ** (self.values[size] / 20.0) if self.unit[size] == "dB" else self.plain(size)
-        return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
+        with np.errstate(all="ignore"):  # what is not finite is refused by whoever takes it
+            gain = 10.0 ** (self.values[size] / 20.0) if self.unit[size] == "dB" else self.plain(size)
+            return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
 
 
 def read_response(

@@ -202,6 +202,16 @@ path = "lag.h5"
 do = "frequency-response"
 of = "lag"
 frequency = [0.5, 1.0]
+[step.set]
+do = "load"
+path = "set.h5"
+[step.sampled]
+do = "frequency-response"
+of = "set"
+frequency = [0.5, 1.0, 4.0]
+[step.kept]
+do = "robustness-at"
+of = "sampled"
 [step.k]
 do = "load"
 path = "k.h5"
@@ -217,6 +227,7 @@ at_most = 0.5
     assert main.run(["run", "r.toml", "--out", "o"]) == 0
     steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
     assert steps["margin"]["numbers"]["lower"] == pytest.approx(min(abs(1 + 3 * G) / (3 * RADIUS)), rel=1e-6)
+    assert steps["kept"]["numbers"]["lower"] == pytest.approx(min(abs(1 + 3 * G) / (0.3 * abs(G))), rel=1e-6)
     assert steps["modelled"]["numbers"]["peak"] == pytest.approx(abs(1 / (1 + 0.5j)), rel=1e-12)
     (tmp_path / "r.toml").write_text(
         """schema = "robustlab.recipe/1"\nname = "t"\n[step.m]\ndo = "frequency-response"\n"""

@@ -101,8 +101,7 @@ class FrequencyResponseStep(Step):
         from robustlab.report.result_figures import measured_response_figure
 
         if self.of is not None and self.frequency is not None:
-            given = work.values[self.of]
-            found = rl.frequency_data(given.to_model() if hasattr(given, "to_model") else given, self.frequency)
+            found = rl.frequency_data(work.values[self.of], self.frequency)
         else:
             found = rl.UncertainFrequencyData.read(work.sources[work.step], units=self.units)
         gain = np.linalg.svd(found.nominal, compute_uv=False)[:, 0]
