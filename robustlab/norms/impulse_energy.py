@@ -19,7 +19,7 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["H2Norm", "h2_by_gramians", "h2_norm"]
+__all__ = ["H2Norm", "h2_by_channels", "h2_by_gramians", "h2_norm"]
 
 EPS = float(np.finfo(float).eps)
 # Voices that differ by more than the first share of the norm disagree; below the second nothing was lost.
@@ -114,7 +114,7 @@ def h2_norm(model: Any) -> H2Norm:
         if not settled:
             break
         nothing_lost = _agree(integral, found.value, SAME)
-        value = integral if nothing_lost else solved.norm(solved.stationary_square())
+        value = found.value if nothing_lost else solved.norm(solved.stationary_square())
         if _agree(integral, value) and not solved.doubt:
             return H2Norm(value, Status.CONVERGED, "", integral)
     text = f"the Gramians give {found.value:.9g}, the integral over the frequency axis {integral:.9g}"
@@ -122,10 +122,21 @@ def h2_norm(model: Any) -> H2Norm:
     return H2Norm(found.value, Status.INACCURATE, found.reason or text, integral)
 
 
-@told_as("h2_norm")
 def h2_by_gramians(model: Any) -> H2Norm:
     """`h2_norm` without its third voice, for searches: INACCURATE where the two Gramians differ by more than 1e-6."""
-    return _by_gramians(moderated(as_model(model, "h2_norm"), "h2_norm"))[0]
+    return h2_by_channels(model)[0]
+
+
+@told_as("h2_norm")
+def h2_by_channels(model: Any) -> tuple[H2Norm, AnyArray, AnyArray]:
+    """`h2_by_gramians`, and what outputs (n_y,) and inputs (n_u,) have of its square, in no unit; zeros without one."""
+    ordinary = moderated(as_model(model, "h2_norm"), "h2_norm")
+    found, solved = _by_gramians(ordinary)
+    if solved is None:
+        return found, np.zeros(ordinary.model.n_outputs), np.zeros(ordinary.model.n_inputs)
+    s = solved.model
+    out = ((s.C @ solved.reach) * s.C).sum(1) + (s.D**2).sum(1)
+    return found, out, ((solved.see @ s.B) * s.B).sum(0) + (s.D**2).sum(0)
 
 
 @dataclass(frozen=True)
