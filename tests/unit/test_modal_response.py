@@ -168,3 +168,17 @@ def test_largest_gain_is_the_largest_singular_value(shape):
     stack[0] = 0
     stack[1] = np.outer(stack[1][:, 0], stack[1][0])  # of rank one
     assert largest_gain(stack) == pytest.approx(np.linalg.svd(stack, compute_uv=False)[:, 0], rel=1e-13)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_modes_prove_what_is_stable_and_nothing_else(discrete):
+    for seed in range(20):
+        A, B, C, D = model(seed, 6, 10.0 ** -(seed % 5), seed % 3)
+        A = np.linalg.solve(np.eye(6) - 0.05 * A, np.eye(6) + 0.05 * A) if discrete else A
+        assert ModalResponse.of(A, B, C, D).proves_stable(discrete)
+        poles = np.linalg.eigvals(A)
+        # The mode nearest to the boundary moves onto it, and over it.
+        for over in (0.0, 1e-9):
+            moved = A / np.abs(poles).max() * (1 + over) if discrete else A - (poles.real.max() - over) * np.eye(6)
+            modes = ModalResponse.of(moved, B, C, D)
+            assert modes is None or not modes.proves_stable(discrete)
