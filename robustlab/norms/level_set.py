@@ -204,7 +204,7 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
     eigenvalues = balanced_eigenvalues(hamiltonian)
     if eigenvalues is None:
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    crossing = np.unique(np.append(np.abs(eigenvalues.imag), 0.0))
+    crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
     if band is not None:
         crossing = _within(crossing, band)
         if np.isfinite(band[1]):

@@ -81,12 +81,15 @@ def lower_bounds(
     """
     best: list[Found] = [(0.0, None)] * len(stack)
     jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
-    for k, m in enumerate(stack):
-        parts = components(m, blocks)
-        if upper and len(parts) == 1 and not delta_layout(blocks).real.any():
-            best[k] = _verified(m, blocks, parts[0], _at_the_bound(parts[0], blocks, upper[k]), best[k])
-            if best[k][0] >= upper[k].beta * (1 - ATTAINED):
-                continue
+    split = [components(m, blocks) for m in stack]
+    whole = [k for k, parts in enumerate(split) if upper and len(parts) == 1]
+    for k, delta in zip(
+        whole, _at_the_bound([split[k][0] for k in whole], blocks, [upper[k] for k in whole]), strict=False
+    ):
+        best[k] = _verified(stack[k], blocks, split[k][0], [delta] if np.isfinite(delta).all() else [], best[k])
+    for k, parts in enumerate(split):
+        if upper and best[k][0] >= upper[k].beta * (1 - ATTAINED):
+            continue
         for component in parts:
             if component.matrix.any():
                 # The steps are sized for a matrix of order one.
@@ -109,23 +112,28 @@ def lower_bounds(
     return best
 
 
-def _at_the_bound(component: Component, blocks: Sequence[Block], upper: UpperBound) -> list[ComplexArray]:
-    """The Delta that the largest singular vectors of the scaled M point to, led to singularity.
+def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> Sequence[ComplexArray]:
+    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity; complex blocks.
 
     Where that singular value is a single one at the minimum over D, its vectors are as long in every block, and Delta
     attains the upper bound.
     """
-    w, z = (np.exp2(-e) for e in expand(blocks, component.exponents))
-    try:
-        left, right = np.linalg.cholesky(upper.Dz * np.outer(z, z)), np.linalg.cholesky(upper.Dw * np.outer(w, w))
-    except np.linalg.LinAlgError:
+    if not parts or any(block.interval is not None for block in blocks):
         return []
-    u, sigma, vh = np.linalg.svd(np.linalg.solve(right, (left.conj().T @ component.matrix).conj().T).conj().T)
-    layout = delta_layout(blocks)
-    row, x = vh[:1], u[:, :1].T
-    gains = layout.gains(row, x)
-    start = layout.deltas(np.conj(gains) / positive(np.abs(gains) * sigma[0]), row, x)
-    return list(sharpened(component.matrix[None], layout, start))
+    layout, M = delta_layout(blocks), np.stack([part.matrix for part in parts])
+    w, z = (np.exp2(-np.array(e)) for e in zip(*(expand(blocks, part.exponents) for part in parts), strict=True))
+    with np.errstate(all="ignore"):  # a Delta that overflows does not verify
+        try:
+            right = np.linalg.cholesky(np.stack([bound.Dw for bound in upper]) * w[:, :, None] * w[:, None])
+            left = np.linalg.cholesky(np.stack([bound.Dz for bound in upper]) * z[:, :, None] * z[:, None])
+            back = np.linalg.solve(right, np.conj(np.swapaxes(M, 1, 2)) @ left)
+            v, sigma, uh = np.linalg.svd(back)
+        except np.linalg.LinAlgError:
+            return []
+        row, x = np.conj(v[:, :, 0]), np.conj(uh[:, 0])
+        gains = layout.gains(row, x)
+        start = layout.deltas(np.conj(gains) / positive(np.abs(gains) * sigma[:, :1]), row, x)
+        return sharpened(M, layout, start)
 
 
 def _verified(
