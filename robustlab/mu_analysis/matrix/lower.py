@@ -112,7 +112,7 @@ def lower_bounds(
     return best
 
 
-def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> Sequence[ComplexArray]:
+def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> list[ComplexArray]:
     """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity; complex blocks.
 
     Where that singular value is a single one at the minimum over D, its vectors are as long in every block, and Delta
@@ -133,7 +133,7 @@ def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[U
         row, x = np.conj(v[:, :, 0]), np.conj(uh[:, 0])
         gains = layout.gains(row, x)
         start = layout.deltas(np.conj(gains) / positive(np.abs(gains) * sigma[:, :1]), row, x)
-        return sharpened(M, layout, start)
+        return list(sharpened(M, layout, start))
 
 
 def _verified(
