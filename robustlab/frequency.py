@@ -13,8 +13,8 @@ from robustlab.magnitude import Moderated, moderated, refuse_overflow
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-# (n_omega, n, n) complex systems are solved in chunks of about this many numbers.
-CHUNK = 4_000_000
+# (n_omega, n, n) complex systems are solved in chunks of about this many numbers: more cost fresh pages of memory.
+CHUNK = 20_000
 
 
 def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
@@ -83,24 +83,35 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
         with np.errstate(over="ignore", under="ignore"):
             w = np.ldexp(w, -given.rate)
         finite = np.isfinite(w)
-    response = np.broadcast_to(model.D.astype(complex), (len(w), *model.D.shape)).copy()
-    n = model.n_states
+    return _as_given(solved_response(model, w), given)
+
+
+def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
+    """`frequency_response` of a model of ordinary entries at valid frequencies, which may be infinite.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        A frequency hits a pole exactly.
+    """
+    response = np.empty((len(omega), *model.D.shape), dtype=complex)
+    response[:] = model.D
+    n, where = model.n_states, np.flatnonzero(np.isfinite(omega))
     if n == 0:
-        return _as_given(response, given)
-    point = np.exp(1j * w[finite] * model.dt) if model.is_discrete else 1j * w[finite]
-    where = np.flatnonzero(finite)
-    eye = np.eye(n)
+        return response
+    point = np.exp(1j * omega[where] * model.dt) if model.is_discrete else 1j * omega[where]
+    eye, B = np.eye(n), model.B.astype(complex)
     step = max(1, CHUNK // (n * n))
     for first in range(0, len(point), step):
         s = point[first : first + step]
         try:
-            x = np.linalg.solve(s[:, None, None] * eye - model.A, model.B[None].astype(complex))
+            x = np.linalg.solve(s[:, None, None] * eye - model.A, B[None])
         except np.linalg.LinAlgError:
             raise NoTrustworthyNumber(
                 "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
             ) from None
         response[where[first : first + step]] += model.C @ x
-    return _as_given(response, given)
+    return response
 
 
 def response_within(

@@ -31,6 +31,8 @@ from robustlab.statespace import real_array
 REFINED, NEWTON_STEPS = 1e-10, 4
 # Up to this many states LAPACK works without blocks, and asking how much room it would like takes longer than it saves.
 UNBLOCKED = 32
+# Room for LAPACK's work on a matrix with blocks, in columns of it.
+ROOM = 64
 MIRRORED = "no unique solution: eigenvalues mirror each other"
 
 
@@ -433,8 +435,6 @@ def gramians(
     >>> [float(x[0, 0]) for x in gramians([[-0.5]], [[2.0]], [[3.0]])]
     [4.0, 9.0]
     """
-    from scipy.linalg import schur
-
     a, b, c = (real_array(k, v, 2, "gramians") for k, v in (("A", A), ("B", B), ("C", C)))
     n = a.shape[0]
     _check_shapes("gramians", A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
@@ -442,8 +442,9 @@ def gramians(
         return lyapunov(a, b @ b.T, discrete, tolerance=tolerance), lyapunov(
             a.T, c.T @ c, discrete, tolerance=tolerance
         )
-    parts: Any = schur(a, output="real")
-    T, Z = parts
+    T, _, _, _, Z, _, failed = lapack().dgees(lambda *_: False, a, lwork=ROOM * n)
+    if failed:
+        raise NoTrustworthyNumber("gramians", "the QR algorithm did not converge")
     zb, cz = Z.T @ b, c @ Z
     P, scale_p, info_p = lapack().dtrsyl(T, T, -zb @ zb.T, tranb="T")
     Q, scale_q, info_q = lapack().dtrsyl(T, T, -cz.T @ cz, trana="T")
@@ -566,7 +567,11 @@ def balanced_eigenvalues(matrix: AnyArray) -> AnyArray | None:
         return None
     if not matrix.size:
         return np.zeros(0)
-    return np.linalg.eigvals(lapack().dgebal(matrix, scale=1, permute=0)[0])
+    # Those of the transpose are the same, and it lies in memory as LAPACK wants it.
+    real, imag, _, _, info = lapack().dgeev(matrix.T, compute_vl=0, compute_vr=0, lwork=ROOM * len(matrix))
+    if info:
+        raise np.linalg.LinAlgError("the QR algorithm did not converge")
+    return real + 1j * imag
 
 
 @functools.cache

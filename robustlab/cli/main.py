@@ -6,6 +6,7 @@ that, and so ``robustlab --help`` loads neither typer nor any numerical library.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,9 @@ from robustlab.cli.groups import GROUPS, parser
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+# New objects before the collector looks at them: the modules of a command are some hundred thousand.
+YOUNG = 200_000
 
 _HEAD = """\
 Usage: robustlab COMMAND [OPTIONS] [ARGS]...
@@ -99,7 +103,12 @@ def main() -> None:
             return complete()
         return run(sys.argv[1:])
 
-    sys.exit(main_guard(command))
+    # What loading makes stays to the end, and then goes all at once: the collector need not look through it.
+    gc.set_threshold(YOUNG)
+    try:
+        sys.exit(main_guard(command))
+    finally:
+        gc.freeze()
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.norms.axis_peak import checked_band, linf_norm
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.norms.hinfinity import QUIET, HinfNorm, gain_rounding, hinf_norm, norm_as_given
-from robustlab.norms.impulse_energy import H2Norm, h2_by_gramians, h2_norm
+from robustlab.norms.impulse_energy import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
 from robustlab.norms.positive_real import Passivity, passivity
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "bilinear_to_discrete",
     "checked_band",
     "gain_rounding",
+    "h2_by_channels",
     "h2_by_gramians",
     "h2_norm",
     "hinf_norm",

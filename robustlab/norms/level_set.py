@@ -16,8 +16,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import frequency_response
-from robustlab.matrix_equations import lapack
+from robustlab.frequency import solved_response
+from robustlab.matrix_equations import balanced_eigenvalues, lapack
 from robustlab.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 
@@ -38,17 +38,16 @@ class NormTuning:
     levels: int = 60
     # First grid, per decade between the poles: more find the highest peak at once, fewer leave it to the level test.
     points_per_decade: int = 20
-    # Peaks that a zoom looks at, its steps and the points of each: a bracket shrinks by a factor of 12 in a step.
+    # Peaks that a zoom looks at, its steps and the points of each on either side of where the top is guessed to be.
     zoom_peaks: int = 6
     zoom_steps: int = 6
-    zoom_points: int = 25
-    # A bracket is left where the fall from its top to the points beside it, times the first, is below the second.
+    zoom_points: int = 9
+    # A peak is left where the fall from its top to the points beside it, times the first, is below the second.
     zoom_rise: float = 4.0
     zoom_flat: float = 1e-9
     # Frequencies at which a model without any gain is looked at, besides those of its poles.
     nothing_points: int = 200
-    # Peaks that a zoom looks at before the first level test, and the share of rtol that a quick gain may be off by.
-    first_peaks: int = 3
+    # The share of rtol that a quick gain may be off by.
     quick: float = 0.1
 
 
@@ -57,31 +56,26 @@ TUNING = NormTuning()
 
 def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
-    size = np.abs(m.poles())
-    size = size[size > 1e-12 * size.max()]
-    rate = float(2.0 ** np.round(np.log2(np.median(size)))) if size.size else 1.0  # nothing but integrators
+    size = np.sort(np.abs(m.poles()))
+    size = size[size > 1e-12 * size[-1]]
+    rate = float(2.0 ** np.round(np.log2(size[len(size) // 2]))) if size.size else 1.0  # nothing but integrators
     a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
     level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
-    t = np.ones(m.n_states)
-    # Squares are all that balancing needs, and powers of two scale them without rounding; B and C weigh the same.
-    off, into, out = a**2, (b**2).sum(1), ((c * level) ** 2).sum(0)
-    np.fill_diagonal(off, 0.0)
-    for _ in range(20):
-        row, column = off.sum(1) + into + 1e-300, off.sum(0) + out + 1e-300
-        power = np.minimum(np.maximum(np.rint(0.5 * np.log2(row / column)), -40), 40)
-        if not (np.abs(power) > 1).any():  # what is left is a factor of two, and goes back and forth
-            break
-        # One state at a time would be Osborne's order; damped simultaneous steps need no Python loop over states.
-        power = np.where(np.abs(power) > 1, np.rint(0.5 * power), power)
-        factor = 2.0**power
-        t, square = t * factor, factor**2
-        off, into, out = off / square[:, None] * square, into / square, out * square
+    n = m.n_states
+    bordered = np.zeros((n + 1, n + 1), order="F")  # B and C, which weigh the same, as the row and column of one state
+    bordered[:n, :n], bordered[:n, n], bordered[n, :n] = a, _lengths(b, 1), level * _lengths(c, 0)
+    scale = lapack().dgebal(bordered, scale=1, overwrite_a=1)[3]
+    t = scale[:n] / scale[n]
     return m._with_matrices(a / t[:, None] * t, b / t[:, None], c * t, m.D, m.poles() / rate), rate
+
+
+def _lengths(matrix: AnyArray, axis: int) -> AnyArray:
+    return np.sqrt((matrix**2).sum(axis))
 
 
 def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     """``sigma_max`` at each frequency, shape (n_omega,)."""
-    response = frequency_response(m, omega)
+    response = solved_response(m, omega)
     if not np.isfinite(response).all():
         raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
     if min(m.n_inputs, m.n_outputs) == 1:
@@ -129,15 +123,19 @@ class _Gains:
         return gain
 
     def proved(self, omega: AnyArray, level: float) -> AnyArray:
-        """From above where that is no more than the level; solved for with A everywhere else."""
+        """Not above the level where the bound of their error shows it; solved for with A everywhere else."""
         if self.modes is None:
             return largest_gains(self.model, omega)
         gain, error, _ = self.modes.gains(1j * omega)
-        gain = gain + error
-        doubtful = ~(gain <= level)
+        doubtful = ~(gain + error <= level)
         if doubtful.any():
             gain[doubtful] = largest_gains(self.model, omega[doubtful])
         return gain
+
+    def highest(self, omega: AnyArray, sigma: AnyArray) -> tuple[float, float]:
+        """The largest of these, solved for with A, and its frequency."""
+        at = float(omega[np.argmax(sigma)])
+        return float(largest_gains(self.model, np.array([at]))[0]), at
 
     def rounding(self, omega: AnyArray, lower: float) -> float:
         """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
@@ -163,7 +161,8 @@ def level_bracket(
     floor = gains.rounding(omega, float(sigma.max()))
     if floor == 0:
         return 0.0, 0.0, 0.0, True
-    lower, at = _zoom(gains, omega, sigma, tuning, tuning.first_peaks, 0.1 * rtol)
+    omega, sigma = _zoomed(gains, omega, sigma, tuning)
+    lower, at = gains.highest(omega, sigma)
     trusted, upper = True, np.inf
     for _ in range(tuning.levels):
         upper = lower * (1 + rtol) + floor
@@ -174,7 +173,8 @@ def level_bracket(
         if new_sigma[peak] > upper:
             lower, at = float(new_sigma[peak]), float(new_omega[peak])
             continue
-        zoomed, zoomed_at = _zoom(gains, omega, sigma, tuning, tuning.zoom_peaks, tuning.zoom_flat)
+        omega, sigma = _zoomed(gains, omega, sigma, tuning)
+        zoomed, zoomed_at = gains.highest(omega, sigma)
         if zoomed <= upper:
             if zoomed > lower:
                 lower, at = zoomed, zoomed_at
@@ -201,10 +201,10 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
     else:
         a, into, out = m.A, b @ b.T, c.T @ c
     hamiltonian[:n, :n], hamiltonian[:n, n:], hamiltonian[n:, :n], hamiltonian[n:, n:] = a, into, -out, -a.T
-    if not np.isfinite(hamiltonian).all():
+    eigenvalues = balanced_eigenvalues(hamiltonian)
+    if eigenvalues is None:
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    balanced = lapack().dgebal(hamiltonian, scale=1)[0]
-    crossing = np.unique(np.append(np.abs(np.linalg.eigvals(balanced).imag), 0.0))
+    crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
     if band is not None:
         crossing = _within(crossing, band)
         if np.isfinite(band[1]):
@@ -220,38 +220,44 @@ def _within(omega: AnyArray, band: Band) -> AnyArray:
     return np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], band))
 
 
-def _zoom(
-    gains: _Gains, omega: AnyArray, sigma: AnyArray, tuning: NormTuning, most: int, flat: float
-) -> tuple[float, float]:
-    """Highest value near the highest local maxima of the points known so far, solved for with A, and its frequency."""
-    order = np.argsort(omega, kind="stable")
-    omega, sigma = omega[order], sigma[order]
-    new = np.ones(len(omega), dtype=bool)
-    new[1:] = omega[1:] > omega[:-1]
-    omega, sigma = omega[new], sigma[new]
-    best, at = float(sigma.max()), float(omega[np.argmax(sigma)])
-    high_enough, falls = (sigma >= 0.9 * best) & (omega < np.inf), sigma[1:] <= sigma[:-1]
-    high_enough[:-1] &= falls
-    high_enough[1:] &= ~falls | (sigma[1:] == sigma[:-1])
-    peaks = np.flatnonzero(high_enough)
-    peaks = peaks[np.argsort(-sigma[peaks])][:most]
-    low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
-    high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
-    share = np.linspace(0, 1, tuning.zoom_points)
-    for _ in range(tuning.zoom_steps if len(peaks) else 0):
-        points = low[:, None] + (high - low)[:, None] * share
-        values = gains.searched(points.ravel()).reshape(points.shape)
-        top = values.argmax(axis=1)
-        rows = np.arange(len(points))
-        k = int(values[rows, top].argmax())
-        if values[k, top[k]] > best:
-            best, at = float(values[k, top[k]]), float(points[k, top[k]])
-        before, after = np.maximum(top - 1, 0), np.minimum(top + 1, tuning.zoom_points - 1)
-        low, high = points[rows, before], points[rows, after]
+def _zoomed(gains: _Gains, omega: AnyArray, sigma: AnyArray, tuning: NormTuning) -> tuple[AnyArray, AnyArray]:
+    """The points known so far in order, and those that a search around their highest local maxima adds."""
+    for step in range(tuning.zoom_steps + 1):
+        order = np.argsort(omega, kind="stable")
+        omega, sigma = omega[order], sigma[order]
+        new = np.append(True, omega[1:] > omega[:-1])
+        omega, sigma = omega[new], sigma[new]
+        best, falls = sigma.max(), sigma[1:] <= sigma[:-1]
+        top = (sigma >= 0.9 * best) & (omega < np.inf)
+        top[:-1] &= falls
+        top[1:] &= ~falls | (sigma[1:] == sigma[:-1])
+        peaks = np.flatnonzero(top)
+        before, after = np.maximum(peaks - 1, 0), np.minimum(peaks + 1, len(omega) - 1)
         # Between the points next to the top of a smooth peak nothing rises by more than it fell towards them.
-        rise = values[rows, top] - np.minimum(values[rows, before], values[rows, after])
-        open_ = values[rows, top] + tuning.zoom_rise * rise > best * (1 + flat)
-        if not open_.any():
+        rise = sigma[peaks] - np.minimum(sigma[before], sigma[after])
+        open_ = np.flatnonzero(sigma[peaks] + tuning.zoom_rise * rise > best * (1 + tuning.zoom_flat))
+        if not len(open_) or step == tuning.zoom_steps:
             break
-        low, high = low[open_], high[open_]
-    return float(largest_gains(gains.model, np.array([at]))[0]), at
+        open_ = open_[np.argsort(-sigma[peaks[open_]])][: tuning.zoom_peaks]
+        points = _around(omega, sigma, before[open_], peaks[open_], after[open_], tuning.zoom_points)
+        omega, sigma = np.concatenate([omega, points]), np.concatenate([sigma, gains.searched(points)])
+    return omega, sigma
+
+
+def _around(
+    omega: AnyArray, sigma: AnyArray, before: AnyArray, peaks: AnyArray, after: AnyArray, count: int
+) -> AnyArray:
+    """Frequencies between the neighbours of each peak, closer and closer towards where its top is likely to be.
+
+    Next to a single pole ``1 / sigma^2`` is a parabola in the frequency; its lowest point is guessed from three values.
+    """
+    low, at, high = omega[before], omega[peaks], omega[after]
+    high = np.where(np.isfinite(high), high, 10 * at + 1)
+    with np.errstate(all="ignore"):
+        f, g, h = (1 / sigma[k] ** 2 for k in (before, peaks, after))
+        left, right = (g - f) / (at - low), (h - g) / (high - at)
+        top = 0.5 * (low + at) - 0.5 * left * (high - low) / (right - left)
+    top = np.where((top > low) & (top < high), top, at)
+    share = 3.0 ** -np.arange(1, count + 1)
+    below, above = (top[:, None] + (end - top)[:, None] * share for end in (low, high))
+    return np.concatenate([below.ravel(), top, above.ravel()])

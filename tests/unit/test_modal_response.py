@@ -79,6 +79,45 @@ def test_the_error_is_within_its_bound(damping, spread):
             assert np.linalg.norm(np.linalg.solve(s * np.eye(4) - A, B)) <= 1.01 * states or bound == np.inf
 
 
+@pytest.mark.parametrize("damping", [0.5, 1e-3, 1e-7])
+@pytest.mark.parametrize("discrete", [False, True])
+def test_the_mean_square_is_within_its_bound(damping, discrete):
+    for seed in range(4):
+        A, B, C, D = model(seed, 4, damping, 2 * (seed % 2))
+        if discrete:  # Tustin's rule
+            A, D = np.linalg.solve(np.eye(4) - 0.05 * A, np.eye(4) + 0.05 * A), np.ones((3, 2))
+        square, error = ModalResponse.of(A, B, C, D).mean_square(discrete)
+        exact = exact_mean_square(A, B, C, D, discrete)
+        assert abs(Fraction(square) - exact) <= error
+        assert error <= 1e-8 / damping * square
+
+
+def exact_mean_square(A, B, C, D, discrete):
+    """From the controllability Gramian, solved for in whole fractions."""
+    flint = pytest.importorskip("flint")
+
+    def whole(matrix):
+        pairs = [[Fraction(x).as_integer_ratio() for x in row] for row in matrix.tolist()]
+        return flint.fmpq_mat([[flint.fmpq(*pair) for pair in row] for row in pairs])
+
+    def kron(left, right):
+        n = left.nrows()
+        return flint.fmpq_mat(
+            [[left[i // n, j // n] * right[i % n, j % n] for j in range(n * n)] for i in range(n * n)]
+        )
+
+    n, a, b, c, d = len(A), *(whole(x) for x in (A, B, C, D))
+    eye = whole(np.eye(n))
+    left = kron(a, a) - kron(eye, eye) if discrete else kron(a, eye) + kron(eye, a)
+    square = b * b.transpose()
+    P = left.solve(flint.fmpq_mat(n * n, 1, [-square[i, j] for i in range(n) for j in range(n)]))
+    gain = c * flint.fmpq_mat(n, n, [P[k, 0] for k in range(n * n)]) * c.transpose()
+    found = sum(gain[i, i] for i in range(len(C)))
+    if discrete:
+        found += sum((d * d.transpose())[i, i] for i in range(len(C)))
+    return Fraction(int(found.p), int(found.q))
+
+
 @pytest.mark.parametrize("damping", [0.5, 1e-6])
 def test_the_determinant_is_within_its_bound(damping):
     A, B, C, D = model(3, 4, damping, 1)
@@ -129,3 +168,17 @@ def test_largest_gain_is_the_largest_singular_value(shape):
     stack[0] = 0
     stack[1] = np.outer(stack[1][:, 0], stack[1][0])  # of rank one
     assert largest_gain(stack) == pytest.approx(np.linalg.svd(stack, compute_uv=False)[:, 0], rel=1e-13)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_modes_prove_what_is_stable_and_nothing_else(discrete):
+    for seed in range(20):
+        A, B, C, D = model(seed, 6, 10.0 ** -(seed % 5), seed % 3)
+        A = np.linalg.solve(np.eye(6) - 0.05 * A, np.eye(6) + 0.05 * A) if discrete else A
+        assert ModalResponse.of(A, B, C, D).proves_stable(discrete)
+        poles = np.linalg.eigvals(A)
+        # The mode nearest to the boundary moves onto it, and over it.
+        for over in (0.0, 1e-9):
+            moved = A / np.abs(poles).max() * (1 + over) if discrete else A - (poles.real.max() - over) * np.eye(6)
+            modes = ModalResponse.of(moved, B, C, D)
+            assert modes is None or not modes.proves_stable(discrete)

@@ -193,7 +193,7 @@ def _bounds(
     scale = _scale(stack)
     stack = stack * scale[:, None, None]
     uppers = upper_bounds(stack, structure)
-    lowers = lower_bounds(stack, structure, seed)
+    lowers = lower_bounds(stack, structure, seed, upper=uppers)
     q, p = structure_size(structure)
     zero = np.zeros((q, p), dtype=complex)
     lower = np.array([value for value, _ in lowers])

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.decomposition import Component, components, entries, expand
-from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout, positive
 from robustlab.mu_analysis.matrix.minimum_norm import (
     descended,
     first_steps,
@@ -36,6 +36,7 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     smallest_step,
 )
 from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions, vertex_rays, vertex_search
+from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.uncertainty.blocks import Block, structure_size
 
@@ -43,6 +44,8 @@ __all__ = ["lower_bound", "lower_bounds"]
 
 Found = tuple[float, ComplexArray | None]
 
+# Share of its upper bound by which a lower one may be below it and still be the answer.
+ATTAINED = 1e-6
 # A candidate that is changed by more than this share is not one of the structure; then so many rounds of leading back.
 OUTSIDE = 1e-9
 SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
@@ -70,12 +73,24 @@ def lower_bounds(
     restarts: int = 12,
     steps: int = 40,
     tuning: MuTuning = TUNING,
+    upper: Sequence[UpperBound] = (),
 ) -> list[Found]:
-    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
+    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time.
+
+    Where an upper bound is given for each, no more is looked for once it is attained to `ATTAINED`.
+    """
     best: list[Found] = [(0.0, None)] * len(stack)
     jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
-    for k, m in enumerate(stack):
-        for component in components(m, blocks):
+    split = [components(m, blocks) for m in stack]
+    whole = [k for k, parts in enumerate(split) if upper and len(parts) == 1]
+    for k, delta in zip(
+        whole, _at_the_bound([split[k][0] for k in whole], blocks, [upper[k] for k in whole]), strict=False
+    ):
+        best[k] = _verified(stack[k], blocks, split[k][0], [delta] if np.isfinite(delta).all() else [], best[k])
+    for k, parts in enumerate(split):
+        if upper and best[k][0] >= upper[k].beta * (1 - ATTAINED):
+            continue
+        for component in parts:
             if component.matrix.any():
                 # The steps are sized for a matrix of order one.
                 size = float(np.exp2(max(np.rint(np.log2(np.abs(component.matrix).max())), -1000.0)))
@@ -95,6 +110,30 @@ def lower_bounds(
                     back = [c for c in (c / size for c in found) if np.isfinite(c).all()]
                 best[k] = _verified(stack[k], blocks, component, back, best[k])
     return best
+
+
+def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> list[ComplexArray]:
+    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity; complex blocks.
+
+    Where that singular value is a single one at the minimum over D, its vectors are as long in every block, and Delta
+    attains the upper bound.
+    """
+    if not parts or any(block.interval is not None for block in blocks):
+        return []
+    layout, M = delta_layout(blocks), np.stack([part.matrix for part in parts])
+    w, z = (np.exp2(-np.array(e)) for e in zip(*(expand(blocks, part.exponents) for part in parts), strict=True))
+    with np.errstate(all="ignore"):  # a Delta that overflows does not verify
+        try:
+            right = np.linalg.cholesky(np.stack([bound.Dw for bound in upper]) * w[:, :, None] * w[:, None])
+            left = np.linalg.cholesky(np.stack([bound.Dz for bound in upper]) * z[:, :, None] * z[:, None])
+            back = np.linalg.solve(right, np.conj(np.swapaxes(M, 1, 2)) @ left)
+            v, sigma, uh = np.linalg.svd(back)
+        except np.linalg.LinAlgError:
+            return []
+        row, x = np.conj(v[:, :, 0]), np.conj(uh[:, 0])
+        gains = layout.gains(row, x)
+        start = layout.deltas(np.conj(gains) / positive(np.abs(gains) * sigma[:, :1]), row, x)
+        return list(sharpened(M, layout, start))
 
 
 def _verified(

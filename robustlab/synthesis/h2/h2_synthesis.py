@@ -11,9 +11,8 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.magnitude import moderated
-from robustlab.matrix_equations import care, dare, gramians
-from robustlab.norms import H2Norm, h2_by_gramians
+from robustlab.matrix_equations import care, dare
+from robustlab.norms import H2Norm, h2_by_channels, h2_by_gramians
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -176,6 +175,7 @@ class _Trial:
     K: StateSpaceModel
     loop: StateSpaceModel
     norm: H2Norm
+    loudest: str
     eps: float
     scaling: Scaling
     regularised: PlantMatrices
@@ -263,9 +263,9 @@ class _Search:
         found = self._judged(K, self.plant.D22)
         return None if found is None else _Trial(*found, eps, scaling, regularised, bare)
 
-    def _judged(self, K: StateSpaceModel, D22: AnyArray) -> tuple[StateSpaceModel, StateSpaceModel, H2Norm] | None:
-        """K with D22 taken back in, its loop, and that loop's norm; None where the loop is unstable or its norm not
-        finite.
+    def _judged(self, K: StateSpaceModel, D22: AnyArray) -> tuple[StateSpaceModel, StateSpaceModel, H2Norm, str] | None:
+        """K with D22 taken back in, its loop, that loop's norm and what makes most of it; None where the loop is
+        unstable or its norm not finite.
         """
         rebuilt = rebuilt_loop(self.plant, K, D22)
         if rebuilt is None:
@@ -275,8 +275,8 @@ class _Search:
             loop = cancelled_direct_term(loop, self.matrices.D11, K.D)
             if loop is None:
                 return None
-        norm = h2_by_gramians(loop)
-        return (full, loop, norm) if np.isfinite(norm.value) else None
+        norm, out, into = h2_by_channels(loop)
+        return (full, loop, norm, _loudest(loop, out, into)) if np.isfinite(norm.value) else None
 
     def _with_modes(self, trial: _Trial) -> Iterator[_Trial]:
         """The trial, and the same one with K in coordinates of its modes, where its loop is sound."""
@@ -284,8 +284,8 @@ class _Search:
         modes = separated_modes(trial.K)
         found = None if modes is None else self._judged(modes, np.zeros_like(self.plant.D22))
         if found is not None and found[2].status.trustworthy:
-            K, loop, norm = found
-            yield replace(trial, K=K, loop=loop, norm=norm)
+            K, loop, norm, loudest = found
+            yield replace(trial, K=K, loop=loop, norm=norm, loudest=loudest)
 
     def _finished(self, best: _Trial, gamma: float, doubt: str, smallest: float) -> H2Synthesis:
         parts = [doubt or "loop rebuilt from K is stable; both Gramians and P(jw), K(jw) on their own give its norm"]
@@ -306,7 +306,7 @@ class _Search:
             closed_loop=best.loop,
             status=status,
             reason=reason,
-            limit=_loudest(best.loop),
+            limit=best.loudest,
             plant=self.plant,
             method=self.method,
             norm=best.norm,
@@ -425,19 +425,10 @@ def _lacking(plant: GeneralizedPlant, p: PlantMatrices) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _loudest(loop: StateSpaceModel) -> str:
+def _loudest(loop: StateSpaceModel, out: AnyArray, into: AnyArray) -> str:
     """The output that carries most of the H2 norm, and the input that makes most of it."""
-    if not loop.n_inputs or not loop.n_outputs:
-        return ""
-    try:
-        loop = moderated(loop, "h2").model  # shares do not depend on the scaling
-        reach, see = gramians(loop.A, loop.B, loop.C, loop.is_discrete)
-    except NoTrustworthyNumber:
-        return ""
-    out = np.diag(loop.C @ reach @ loop.C.T) + (loop.D**2).sum(axis=1)
-    into = np.diag(loop.B.T @ see @ loop.B) + (loop.D**2).sum(axis=0)
     total = out.sum()
-    if total <= 0:
+    if not total > 0:
         return ""
     i, j = int(out.argmax()), int(into.argmax())
     names = loop.output_names[i], loop.input_names[j]

@@ -22,7 +22,6 @@ from robustlab.norms.axis_integral import AxisTuning, axis_integral
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius
-from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["AGREEMENT", "SecondVoice", "first_confirmed", "h2_voice", "hinf_voice", "norm_doubt", "separate_responses"]
@@ -164,7 +163,7 @@ def hinf_voice(
     separate = SeparateLoop(plant, K, loop, tuning)
     omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))
     found = separate.values(omega, polynomial=True)
-    rouche, stable = float(np.max(found.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
+    rouche, stable = float(np.max(found.rouche, initial=0.0)), separate.proved_stable()
     for _ in range(tuning.zooms):
         between = _between(found.omega, found.gain, tuning)
         if not len(between):
@@ -217,7 +216,7 @@ def h2_voice(
     separate = SeparateLoop(plant, K, loop, tuning)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows in these units is no confirmation
         norm, blur, rouche, count = _by_quadrature(separate, claimed)
-    stable = proved_stable(loop.A, loop.is_discrete)
+    stable = separate.proved_stable()
     return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
 
 

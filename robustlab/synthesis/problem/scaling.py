@@ -6,6 +6,7 @@ undone exactly in the controller.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -217,23 +218,24 @@ def _to_one(*scaled: tuple[AnyArray, AnyArray | int]) -> int:
 
 def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     """State factors that balance rows of [A B1 B2] against columns of [A; C1; C2], one state after the other."""
-    A, B, C = p.A.copy(), np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
-    t = states.copy()
+    n, t = len(states), states.copy()
+    # All that enters a state, and all that it enters, as one row and one column more.
+    squares = np.zeros((n + 1, n + 1))
+    squares[:n, :n] = p.A**2
+    squares[:n, n] = (p.B1**2).sum(1) + (p.B2**2).sum(1)
+    squares[n, :n] = (p.C1**2).sum(0) + (p.C2**2).sum(0)
+    np.fill_diagonal(squares, 0.0)
     for _ in range(sweeps):
         settled = True
-        for i in range(len(t)):
-            own = A[i, i] ** 2
-            row = (A[i] @ A[i]) - own + B[i] @ B[i]
-            column = (A[:, i] @ A[:, i]) - own + C[:, i] @ C[:, i]
-            if row <= 0 or column <= 0:
+        for i in range(n):
+            row, column = float(squares[i].sum()), float(squares[:, i].sum())
+            if not (0 < row < np.inf and 0 < column < np.inf):
                 continue
-            f = float(_power(np.sqrt(np.sqrt(row / column))))
-            if f != 1.0:
-                A[i] /= f
-                B[i] /= f
-                A[:, i] *= f
-                C[:, i] *= f
-                t[i] *= f
+            power = round(0.25 * (math.log2(row) - math.log2(column)))
+            if power:
+                squares[i] *= 4.0**-power
+                squares[:, i] *= 4.0**power
+                t[i] *= 2.0**power
                 settled = False
         if settled:
             break

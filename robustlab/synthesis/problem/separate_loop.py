@@ -33,6 +33,7 @@ from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import balanced_states
 from robustlab.synthesis.problem.scaling import in_ordinary_units
+from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["ROUCHE", "SeparateLoop", "SeparateValues", "frobenius", "poles_in_s"]
@@ -88,6 +89,12 @@ class SeparateLoop:
             for m, modes in zip(models, self.modes, strict=True)
         ]
         self.log_direct = complex(np.log(complex(np.linalg.det(np.eye(plant.n_con) - K.D @ plant.D22))))
+
+    def proved_stable(self) -> bool:
+        """Whether the rebuilt loop is proved stable: by its modes, or else by what `stability` has."""
+        modes = self.modes[0]
+        proved = modes is not None and modes.proves_stable(self.dt > 0)
+        return proved or proved_stable(self.loop.A, self.dt > 0)
 
     # --- where -------------------------------------------------------------------------------------------------------
 
