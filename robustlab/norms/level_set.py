@@ -68,7 +68,7 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     np.fill_diagonal(off, 0.0)
     for _ in range(20):
         row, column = off.sum(1) + into + 1e-300, off.sum(0) + out + 1e-300
-        power = np.minimum(np.maximum(np.rint(0.5 * np.log2(row / column)), -40), 40)
+        power = np.minimum(np.maximum(np.rint(0.5 * (np.log2(row) - np.log2(column))), -40), 40)
         if not (np.abs(power) > 1).any():  # what is left is a factor of two, and goes back and forth
             break
         # One state at a time would be Osborne's order; damped simultaneous steps need no Python loop over states.

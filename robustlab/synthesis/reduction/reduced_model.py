@@ -28,8 +28,8 @@ class ReducedModel(Shown):
         ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` or ``"band "`` before it where that was asked
         for; ``"hankel"``, ``"stochastic"`` or ``"coprime"``.
     error
-        H-infinity norm of the difference: of the models (of their stable parts, for the others are equal); times the
-        weights where there are any; inside the band where there is one; relative to the model for ``"stochastic"``;
+        Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
+        ``left_out``; times the weights where there are any; inside the band where there is one; relative to the model for ``"stochastic"``;
         for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
     bound
         What theory promises for ``error`` before anything is computed, as in `reduce_model`. NaN with weights or a
@@ -49,7 +49,12 @@ class ReducedModel(Shown):
     difference
         H-infinity norm of the difference at all frequencies, where ``error`` is that inside a band or a relative one.
     hankel_error
-        Hankel norm of the difference, from its own Gramians; NaN for other methods than ``"hankel"``.
+        Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
+        ``"hankel"``.
+    left_out
+        Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
+        a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
+        rounding adds to ``error`` below 1 per cent of it.
     """
 
     model: StateSpaceModel
@@ -63,6 +68,7 @@ class ReducedModel(Shown):
     reason: str = ""
     difference: HinfNorm | None = None
     hankel_error: float = np.nan
+    left_out: tuple[tuple[float, float], ...] = ()
 
     @property
     def order(self) -> int:
@@ -90,6 +96,9 @@ class ReducedModel(Shown):
         ]
         if self.n_apart:
             rows.append(("kept apart", f"{self.n_apart} states of modes that are not stable"))
+        if self.left_out:
+            around = ", ".join(f"{0.5 * (a + b) if a else 0.0:.6g} +- {0.5 * (b - a) if a else b:.2g}" for a, b in self.left_out)
+            rows.append(("nothing is proved", f"at {around} rad/s: modes on the stability boundary"))
         return [*rows, ("why", self.reason)] if self.reason else rows
 
     def to_json(self) -> dict[str, Any]:

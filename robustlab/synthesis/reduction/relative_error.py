@@ -102,6 +102,11 @@ class Spectrum:
         doubt = _doubt(factor, c, a @ P + P @ a.T + b @ b.T, a.T @ X + X @ a + out.T @ out)
         return cls(model, factor, Balancing.of(reach, lyapunov_factor(a.T, out.T)), doubt)
 
+    def per_gain(self) -> float:
+        """What an error of gain 1 is at most relative to the model."""
+        found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
+        return found.upper / np.sqrt(1 - min(self.doubt, TRUSTED_SHARE)) if found.status.trustworthy else np.inf
+
     def relative(self, error: StateSpaceModel) -> HinfNorm:
         """The norm of an error relative to the model, proved for every frequency."""
         found = linf_norm(series(error, inverse(_conjugate(self.factor))))
