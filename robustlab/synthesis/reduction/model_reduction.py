@@ -30,7 +30,7 @@ from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
 from robustlab.synthesis.reduction.hankel_norm import hankel_bound, hankel_norm, nearest_in_hankel_norm
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound, relative_gap
-from robustlab.synthesis.reduction.split_error import SplitError, merged
+from robustlab.synthesis.reduction.split_error import SplitError, merged, widened
 
 __all__ = [
     "balanced_truncation",
@@ -49,9 +49,10 @@ METHODS = get_args(Method)
 BOUND_ROUNDING = 1e-10
 # Share of the responses by which the two models may seem to differ.
 OVERLOOKED = 1e-9
+TINY = float(np.finfo(float).tiny)
 # Share of the error that splitting parts off may add to it, before frequencies next to a mode on the boundary are left
 # out.
-SPLIT_SHARE = 0.01
+SPLIT_SHARE = 1e-3
 
 
 @told_as("hankel_singular_values")
@@ -357,28 +358,20 @@ def _balanced_reduction(
 
 def _evidence(way: _Way, ordinary: Moderated, lost: SplitError, difference: StateSpaceModel) -> _Evidence:
     """The sizes of a difference of stable parts, and what splitting these off may add to them."""
-
-    def widened(norm: HinfNorm, by: float, why: str) -> HinfNorm:
-        lower = max(norm.lower - by, 0.0)
-        status = Status.INACCURATE if why else norm.status
-        return HinfNorm(lower, norm.frequency, lower, norm.upper + by, status, norm.reason or why)
-
     error = way.measured(difference)
     whole = None if way.band is None and not way.relative else norm_as_given(hinf_norm(difference), ordinary)
     if lost.nothing:
         return _Evidence(error, whole)
-    per_gain = way.per_gain()
-    size = float(way.values.max(initial=0.0)) if not way.relative else 1.0
-    wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / per_gain
+    per_gain, size = (way.per_gain(), 1.0) if way.relative else (way.per_gain(), float(way.values.max(initial=0.0)))
+    wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / max(per_gain, TINY)
     wanted = wanted if way.relative else float(np.ldexp(wanted, ordinary.gain))
     axis = lost.bound(wanted)
     part = axis if way.band is None else lost.bound(wanted, way.band)
-    by = [part.upper * per_gain, axis.upper]
-    given = [x if way.relative and x is by[0] else ordinary.value(x, "reduce_model") for x in by]
+    added = per_gain * part.upper
     left_out = merged(axis.left_out + part.left_out)
     return _Evidence(
-        widened(error, given[0], part.reason),
-        None if whole is None else widened(whole, given[1], axis.reason),
+        widened(error, added if way.relative else ordinary.value(added, "reduce_model"), part.reason),
+        None if whole is None else widened(whole, ordinary.value(axis.upper, "reduce_model"), axis.reason),
         tuple((ordinary.frequency(low), ordinary.frequency(high)) for low, high in left_out),
     )
 

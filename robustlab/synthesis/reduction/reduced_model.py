@@ -54,7 +54,7 @@ class ReducedModel(Shown):
     left_out
         Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
         a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
-        rounding adds to ``error`` below 1 per cent of it.
+        rounding adds to ``error`` below a thousandth of it.
     """
 
     model: StateSpaceModel
@@ -85,10 +85,15 @@ class ReducedModel(Shown):
         kind = self.method.partition(" ")[0]
         what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
         bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
+        around = ", ".join(
+            f"{0.5 * (low + high):.6g} +- {0.5 * (high - low):.2g}" if low else f"0 to {high:.2g}"
+            for low, high in self.left_out
+        )
         rows = [
             ("order", f"{self.order} of {self.full.n_states} states"),
             ("method", self.method),
             (what, f"{self.error.upper:.6g} at {self.error.frequency:.4g} rad/s (verified upper bound{bound})"),
+            ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
             ("status", self.status.value),
             ("Hankel norm of the error", number(self.hankel_error, digits=6)),
             ("error at all frequencies", "" if self.difference is None else number(self.difference.upper, digits=6)),
@@ -96,9 +101,6 @@ class ReducedModel(Shown):
         ]
         if self.n_apart:
             rows.append(("kept apart", f"{self.n_apart} states of modes that are not stable"))
-        if self.left_out:
-            around = ", ".join(f"{0.5 * (a + b) if a else 0.0:.6g} +- {0.5 * (b - a) if a else b:.2g}" for a, b in self.left_out)
-            rows.append(("nothing is proved", f"at {around} rad/s: modes on the stability boundary"))
         return [*rows, ("why", self.reason)] if self.reason else rows
 
     def to_json(self) -> dict[str, Any]:

@@ -15,12 +15,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.norms import linf_norm
+from robustlab.norms import HinfNorm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import SplitModel
 
-__all__ = ["SplitBound", "SplitError", "merged"]
+__all__ = ["SplitBound", "SplitError", "merged", "widened"]
 
 Band = tuple[float, float]
 # A pole counts as one on the boundary up to this share of its frequency (one at zero: of the slowest stable one).
@@ -83,8 +83,12 @@ class SplitError:
     def _norm(self, piece: Band) -> tuple[float, str]:
         """Upper bound in a band, and why it is none."""
         if piece not in self._proved:
-            found = linf_norm(self._model, RTOL, band=piece)
-            self._proved[piece] = found.upper, "" if found.status is Status.CERTIFIED else found.reason
+            try:
+                found = linf_norm(self._model, RTOL, band=piece)
+            except NoTrustworthyNumber as error:
+                self._proved[piece] = np.inf, error.found
+            else:
+                self._proved[piece] = found.upper, "" if found.status is Status.CERTIFIED else found.reason
         return self._proved[piece]
 
     def _gains(self, omega: AnyArray) -> AnyArray:
@@ -100,6 +104,12 @@ def _as_rates(model: StateSpaceModel) -> AnyArray:
     """Poles in rad/s; of a discrete model those that are not zero, as logarithms."""
     poles = model.poles()
     return np.log(poles[np.abs(poles) > 1e-12]) / model.dt if model.is_discrete else poles
+
+
+def widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
+    """The bracket of a norm to which so much may be added; not certified where there is a reason against it."""
+    lower, status = max(norm.lower - by, 0.0), Status.INACCURATE if reason else norm.status
+    return HinfNorm(lower, norm.frequency, lower, norm.upper + by, status, norm.reason or reason)
 
 
 def merged(intervals: Iterable[Band]) -> tuple[Band, ...]:
