@@ -18,7 +18,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.matrix_equations import lapack
-from robustlab.modal_response import ModalResponse
+from robustlab.modal_response import ModalResponse, largest_gain
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["TUNING", "Band", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
@@ -81,12 +81,14 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
 
 def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     """``sigma_max`` at each frequency, shape (n_omega,)."""
+    return largest_gain(_finite_response(m, omega))
+
+
+def _finite_response(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     response = frequency_response(m, omega)
     if not np.isfinite(response).all():
         raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
-    if min(m.n_inputs, m.n_outputs) == 1:
-        return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
-    return np.linalg.svd(response, compute_uv=False)[:, 0]
+    return response
 
 
 def search_grid(m: StateSpaceModel, points: int) -> AnyArray:
@@ -110,13 +112,17 @@ class _Gains:
     def __init__(self, m: StateSpaceModel, share: float) -> None:
         self.model, self.share = m, share
         self.modes = ModalResponse.of(m.A, m.B, m.C, m.D)
-        # Bound of |(jw I - A)^-1 B| at all frequencies so far.
-        self.reach = 0.0 if self.modes else np.inf
+        # Bound of |(jw I - A)^-1 B| at all frequencies searched so far.
+        self.reach = 0.0
 
     def searched(self, omega: AnyArray) -> AnyArray:
         """Off by no more than ``share`` of the largest, or below 0.9 of it and from above: enough to look for peaks."""
         if self.modes is None:
-            return largest_gains(self.model, omega)
+            m, n = self.model, self.model.n_states
+            outputs = np.vstack([m.C, np.eye(n)]), np.vstack([m.D, np.zeros((n, m.n_inputs))])
+            found = _finite_response(StateSpaceModel(m.A, m.B, *outputs), omega)
+            self.reach = max(self.reach, float(np.linalg.norm(found[:, m.n_outputs :], axis=(1, 2)).max()))
+            return largest_gain(found[:, : m.n_outputs])
         gain, error, reach = self.modes.gains(1j * np.minimum(omega, BEYOND))
         self.reach = max(self.reach, float(reach.max()))
         highest = float((gain - error).max())
@@ -143,7 +149,8 @@ class _Gains:
         """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
         m = self.model
         out, direct = (4 * EPS * float(np.linalg.norm(part)) for part in (m.C, m.D))
-        if out * self.reach <= 0.1 * self.share * lower:  # the bound is coarse, and still nothing beside the norm
+        # The modes' bound is coarse, and may still be nothing beside the norm.
+        if self.modes is None or out * self.reach <= 0.1 * self.share * lower:
             return out * self.reach + direct
         states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
         out, direct = (4 * EPS * float(np.linalg.norm(part, 2)) for part in (m.C, m.D))

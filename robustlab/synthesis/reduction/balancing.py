@@ -16,7 +16,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors
-from robustlab.matrix_equations import lyapunov_factor
+from robustlab.matrix_equations import lyapunov_factors
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.synthesis.problem.double_double import sum_of_products
@@ -136,8 +136,7 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
     m = bilinear_to_continuous(model) if model.is_discrete else model
     scale = balancing_factors(m.A)
     a = m.A / scale[:, None] * scale
-    reach = lyapunov_factor(a, m.B / scale[:, None])
-    see = lyapunov_factor(a.T, (m.C * scale).T)
+    reach, see = lyapunov_factors(a, m.B / scale[:, None], m.C * scale)
     return scale[:, None] * reach, see / scale[:, None]
 
 

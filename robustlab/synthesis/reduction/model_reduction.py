@@ -344,7 +344,8 @@ def _balanced_reduction(
                 f"the model of order {small.n_states + apart} is not stable",
                 hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
-        difference = parallel(stable, small, -1)
+        both = parallel(stable, small, -1)
+        difference = both._with_matrices(both.A, both.B, both.C, both.D, np.append(stable.poles(), small.poles()))
         evidence = _evidence(way, ordinary, lost, difference)
         model = ordinary.as_given(split.joined(small), "reduce_model")
         found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart)
