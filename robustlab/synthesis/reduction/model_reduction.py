@@ -532,7 +532,17 @@ def _checked(
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
     return ReducedModel(
-        named, method, error, bound, values, apart, full, status, reason, evidence.difference, left_out=evidence.left_out
+        named,
+        method,
+        error,
+        bound,
+        values,
+        apart,
+        full,
+        status,
+        reason,
+        evidence.difference,
+        left_out=evidence.left_out,
     )
 
 

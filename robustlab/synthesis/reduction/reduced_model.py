@@ -29,8 +29,8 @@ class ReducedModel(Shown):
         for; ``"hankel"``, ``"stochastic"`` or ``"coprime"``.
     error
         Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
-        ``left_out``; times the weights where there are any; inside the band where there is one; relative to the model for ``"stochastic"``;
-        for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
+        ``left_out``; times the weights where there are any; inside the band where there is one; relative to the gain of
+        the stable part for ``"stochastic"``; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
     bound
         What theory promises for ``error`` before anything is computed, as in `reduce_model`. NaN with weights or a
         band: there is no such promise.

@@ -41,22 +41,24 @@ class SplitBound:
 
 
 class SplitError:
-    """The difference of a model and the sum of its parts; nothing is computed for one that was not split."""
+    """The difference of a model and the sum of its parts; ``nothing`` is true where these are the same."""
 
     def __init__(self, split: SplitModel) -> None:
         self._model = split.rounding()
-        self._proved: dict[Band, tuple[float, str]] = {}
         self.nothing = self._model is None or not self._model.D.size
         if self.nothing:
             return
+        self._proved: dict[Band, tuple[float, str]] = {}
         apart, stable = _as_rates(split.apart), _as_rates(split.stable)
         slow = float(np.abs(stable).min(initial=np.inf))
-        centre = np.where(np.abs(apart.imag) > 1e-3 * slow, np.abs(apart.imag), 0.0)
+        at = np.abs(np.imag(apart))
+        centre = np.where(at > 1e-3 * slow, at, 0.0)
         scale = np.where(centre > 0, centre, slow)
-        near = np.abs(apart.real) <= NEAR * scale
+        near = np.abs(np.real(apart)) <= NEAR * scale
         self._centres, self._scales = centre[near], scale[near]
-        at = self._centres[:, None, None] + (self._scales[:, None] * WIDTHS)[:, :, None] * np.array([-1.0, 1.0])
-        self._sizes = self._gains(np.abs(at)).max(axis=2)
+        beside = self._scales[:, None] * WIDTHS
+        both = np.stack([self._centres[:, None] - beside, self._centres[:, None] + beside])
+        self._sizes = self._gains(np.abs(both)).max(axis=0)
         others = self._gains(np.abs(apart[~near])).max(initial=0.0)
         self._elsewhere = max(float(others), float(self._sizes[:, :1].max(initial=0.0)))
 
@@ -67,24 +69,23 @@ class SplitError:
             return SplitBound()
         low, high = band or (0.0, np.pi / m.dt if m.dt else np.inf)
         small = self._sizes <= max(wanted, 2 * self._elsewhere)
-        narrowest = np.logical_and.accumulate(small, axis=1).sum(axis=1) - 1
-        for wider in range(0, len(WIDTHS), 2):
-            half = self._scales * WIDTHS[np.maximum(narrowest - wider, 0)]
+        width = np.logical_and.accumulate(small, axis=1).sum(axis=1) - 1
+        while True:
+            half = self._scales * WIDTHS[np.maximum(width, 0)]
             around = np.clip([self._centres - half, self._centres + half], low, high)
             left_out = merged((float(a), float(b)) for a, b in around.T)
             ends = [low, *(end for interval in left_out for end in interval), high]
-            pieces = [piece for piece in zip(ends[::2], ends[1::2], strict=True) if piece[0] < piece[1]]
-            found = [self._norm(piece) for piece in pieces]
+            found = [self._norm(m, piece) for piece in zip(ends[::2], ends[1::2], strict=True) if piece[0] < piece[1]]
             reason = next((reason for _, reason in found if reason), "")
-            if not reason or not (narrowest > wider).any():
-                break
-        return SplitBound(max((upper for upper, _ in found), default=0.0), left_out, reason)
+            width = width - 2  # ten times as wide, where rounding leaves open what is so near to a pole
+            if not reason or not (width >= 0).any():
+                return SplitBound(max((upper for upper, _ in found), default=0.0), left_out, reason)
 
-    def _norm(self, piece: Band) -> tuple[float, str]:
+    def _norm(self, model: StateSpaceModel, piece: Band) -> tuple[float, str]:
         """Upper bound in a band, and why it is none."""
         if piece not in self._proved:
             try:
-                found = linf_norm(self._model, RTOL, band=piece)
+                found = linf_norm(model, RTOL, band=piece)
             except NoTrustworthyNumber as error:
                 self._proved[piece] = np.inf, error.found
             else:
