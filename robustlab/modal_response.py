@@ -11,6 +11,7 @@ the bound is large, and the response has to be computed from A.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 
@@ -23,6 +24,8 @@ EPS = float(np.finfo(float).eps)
 KNOWN = 0.01
 # Stands for the terms of second order, which the two shares keep below it.
 SECOND_ORDER = 1.25
+# Terms of the expansions of `above` after the constant one, and the share of a radius of convergence that is used.
+DEGREE, RADIUS = 4, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +93,18 @@ class ModalResponse:
 
         to first order, in Frobenius norms; infinite where that order does not suffice.
         """
-        into_size, out_size, modes, direct_size = self.sizes
-        with np.errstate(all="ignore"):  # a point on a pole has an infinite bound
+        with np.errstate(all="ignore"):
             found, near = self._values(s)
-            into_defect, out_defect = _lengths(self.into_error, 1), _lengths(self.out_error, 0)
-            reach, see = near * into_size, near * out_size
-            error = ((see @ self.defect) * reach).sum(1) + see @ into_defect + reach @ out_defect
-            error += (len(self.poles) + 8) * EPS * (see @ into_size + direct_size)
-            sound = ((near * self.defect.sum(0)).max(1) < KNOWN) & (error < np.inf)
-        return found, np.where(sound, SECOND_ORDER * error, np.inf), reach @ modes
+            return found, self._doubt(near), (near * self.sizes[0]) @ self.sizes[2]
+
+    def _doubt(self, near: AnyArray) -> AnyArray:
+        """Bound of the error of responses, shape (k,), wherever ``|(sI - Lambda)^-1| <= near``, shape (k, n)."""
+        into_size, out_size, _, direct = self.sizes
+        reach, see = near * into_size, near * out_size
+        error = ((see @ self.defect) * reach).sum(1) + see @ _lengths(self.into_error, 1)
+        error += reach @ _lengths(self.out_error, 0) + (len(self.poles) + 8) * EPS * (see @ into_size + direct)
+        sound = ((near * self.defect.sum(0)).max(1) < KNOWN) & (error < np.inf)
+        return np.where(sound, SECOND_ORDER * error, np.inf)
 
     def entries(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         """`response` with a bound of the error of every entry, shape (k, p, m); NaN where that is infinite."""
@@ -120,6 +126,60 @@ class ModalResponse:
         sound = np.isfinite(gain)
         return np.where(sound, gain, 0.0), np.where(sound, error, np.inf), reach
 
+    def above(self, level: float, ends: AnyArray, most: int) -> AnyArray | None:
+        r"""Frequencies beyond the first of some increasing ones whose gain exceeds a level; empty where none does.
+
+        A proof for all frequencies up to the last one, or of all where that is infinite. Between two, with middle c and
+        half distance h, the gain is that of a polynomial in :math:`(\omega - c) / h` but for its remainder and for
+        errors as in `response`; the square of a polynomial is nowhere larger than the largest of its Bernstein
+        coefficients. What is left open is halved, up to ``most`` intervals: None where that does not settle it.
+        """
+        with np.errstate(all="ignore"):
+            if not np.isfinite(ends[-1]):  # from where on the sizes of all terms are enough
+                direct, sizes, size = self.sizes[3], self.sizes[0] * self.sizes[1], np.abs(self.poles)
+                last = max(2 * ends[-2], 1.1 * size.max(), size.max() + 1.01 * float(sizes.sum()) / (level - direct))
+                far = 1 / (last - size)[None]
+                if not (direct < level and (far @ sizes + direct + self._doubt(far))[0] <= level):
+                    return None
+                ends = np.append(ends[:-1], np.geomspace(ends[-2], last, 2 + int(np.log2(last / ends[-2])))[1:])
+            low, high, looked = ends[:-1], ends[1:], 0
+            while len(low):
+                looked, middle = looked + len(low), 0.5 * (low + high)
+                if looked > most or not ((low < middle) & (middle < high)).all():
+                    return None
+                gain, error, top = self._over(middle, 0.5 * (high - low), level)
+                if (gain - error > level).any():
+                    return middle[gain - error > level]
+                left = ~(top <= level)
+                low, high = np.append(low[left], middle[left]), np.append(middle[left], high[left])
+        return np.zeros(0)
+
+    def _over(self, middle: AnyArray, half: AnyArray, level: float) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """The gain in the middle of intervals, its error, and a bound of the gain in all of each."""
+        R = 1 / (1j * middle[:, None] - self.poles)
+        p, m = self.direct.shape
+        terms = (self.out.T[:, :, None] * self.into[:, None, :]).reshape(len(self.poles), p * m)
+        share, step, power, parts = half[:, None] * np.abs(R), -1j * half[:, None] * R, R, []
+        for _ in range(DEGREE + 1):
+            parts.append((power @ terms).reshape(-1, p, m))
+            power = power * step
+        parts[0] = parts[0] + self.direct
+        if p > m:  # the smaller of the two products
+            parts = [part.transpose(0, 2, 1) for part in parts]
+        square = np.zeros((len(middle), 2 * DEGREE + 1, min(p, m), min(p, m)), complex)
+        for i, one in enumerate(parts):
+            for j, two in enumerate(parts):
+                square[:, i + j] += one @ two.conj().transpose(0, 2, 1)
+        square = np.tensordot(square, BERNSTEIN, (1, 1)).transpose(0, 3, 1, 2)
+        top = np.trace(square, axis1=2, axis2=3).real.max(1)
+        # What follows the polynomial is smaller than a geometric series; each part may be off by as much as the first.
+        error = self._doubt(np.where(share < RADIUS, np.abs(R) / (1 - share), np.inf))
+        rest = (np.abs(power) / (1 - share)) @ (self.sizes[0] * self.sizes[1]) + (DEGREE + 1) * error
+        close = (top > np.maximum(level - rest, 0.0) ** 2) & (rest < level)
+        if min(p, m) > 1 and close.any():
+            top[close] = np.linalg.eigvalsh(square[close])[:, :, -1].max(1)
+        return largest_gain(parts[0]), error, np.sqrt(np.maximum(top, 0.0)) + rest
+
     def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         r"""``log det(sI - A)`` at finite points s, shape (k,), up to whole turns, and bounds of its error.
 
@@ -135,6 +195,15 @@ class ModalResponse:
             error = near @ np.diag(self.defect) + len(self.poles) * worst**2 / (1 - worst)
             error += 8 * EPS * (np.abs(logs).sum(1) + len(self.poles))
         return logs.sum(1), np.where((worst < KNOWN) & (error < np.inf), SECOND_ORDER * error, np.inf)
+
+
+def _bernstein(degree: int) -> AnyArray:
+    """Coefficients of powers of t in -1 .. 1, in columns, in Bernstein's basis, in rows."""
+    rows = [np.poly([1.0] * (degree - i) + [-1.0] * i) for i in range(degree + 1)]  # (t - 1)^(n - i) (t + 1)^i
+    return np.array([[row[k] / comb(degree, k) for k in range(degree + 1)] for row in rows])
+
+
+BERNSTEIN = _bernstein(2 * DEGREE)
 
 
 def largest_gain(response: AnyArray) -> AnyArray:

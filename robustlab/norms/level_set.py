@@ -19,6 +19,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.matrix_equations import lapack
 from robustlab.modal_response import ModalResponse, largest_gain
+from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["TUNING", "Band", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
@@ -28,6 +29,10 @@ Band = tuple[float, float]
 EPS = float(np.finfo(float).eps)
 # A frequency, in the time unit of a model that is well scaled, at which only its direct term is left.
 BEYOND = 1e200
+# Frequencies at which rounding is looked at besides the peak; where no modes tell, they are picked by this many EPS.
+LOOKED_AT, ROUGHLY = 3, 1e4
+# How much wider the intervals of a proof get away from a pole.
+COVER = AxisTuning(growth=2.0)
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,12 @@ class NormTuning:
     # Peaks that a zoom looks at before the first level test, and the share of rtol that a quick gain may be off by.
     first_peaks: int = 3
     quick: float = 0.1
+    # A level is proved interval by interval, and not by the eigenvalues of the Hamiltonian, from so many states on, for
+    # these take longer then, and where terms so many times as large cancel, for these have been missed then.
+    cover_states: int = 36
+    cancelling: float = 1e4
+    # Intervals per state before it is left to the eigenvalues after all.
+    cover_intervals: int = 40
 
 
 TUNING = NormTuning()
@@ -112,8 +123,15 @@ class _Gains:
     def __init__(self, m: StateSpaceModel, share: float) -> None:
         self.model, self.share = m, share
         self.modes = ModalResponse.of(m.A, m.B, m.C, m.D)
-        # Bound of |(jw I - A)^-1 B| at all frequencies searched so far.
+        # Bound of |(jw I - A)^-1 B| at all frequencies searched so far; these, and the gain with what rounding may add.
         self.reach = 0.0
+        self._tops: list[tuple[AnyArray, AnyArray]] = []
+
+    def doubtful(self, level: float) -> AnyArray:
+        """Finite frequencies searched so far at which rounding may take the gain above a level, a few of the worst."""
+        omega, top = (np.concatenate(x) for x in zip(*self._tops, strict=True))
+        worst = np.argsort(-top)[:LOOKED_AT]
+        return omega[worst[(top[worst] > level) & np.isfinite(omega[worst])]]
 
     def searched(self, omega: AnyArray) -> AnyArray:
         """Off by no more than ``share`` of the largest, or below 0.9 of it and from above: enough to look for peaks."""
@@ -121,10 +139,13 @@ class _Gains:
             m, n = self.model, self.model.n_states
             outputs = np.vstack([m.C, np.eye(n)]), np.vstack([m.D, np.zeros((n, m.n_inputs))])
             found = _finite_response(StateSpaceModel(m.A, m.B, *outputs), omega)
-            self.reach = max(self.reach, float(np.linalg.norm(found[:, m.n_outputs :], axis=(1, 2)).max()))
-            return largest_gain(found[:, : m.n_outputs])
+            gain, reach = largest_gain(found[:, : m.n_outputs]), np.linalg.norm(found[:, m.n_outputs :], axis=(1, 2))
+            self.reach = max(self.reach, float(reach.max()))
+            self._tops.append((omega, gain + ROUGHLY * EPS * float(np.linalg.norm(m.C)) * reach))
+            return gain
         gain, error, reach = self.modes.gains(1j * np.minimum(omega, BEYOND))
         self.reach = max(self.reach, float(reach.max()))
+        self._tops.append((omega, gain + error))
         highest = float((gain - error).max())
         far = error > self.share * highest
         if far.any():
@@ -145,6 +166,16 @@ class _Gains:
             gain[doubtful] = largest_gains(self.model, omega[doubtful])
         return gain
 
+    def above(self, level: float, band: Band | None, tuning: NormTuning) -> AnyArray | None:
+        """Frequencies whose gain exceeds a level, none where that is proved of all; None where it is not known."""
+        terms = self.reach * float(np.linalg.norm(self.model.C))
+        if self.modes is None or (self.model.n_states < tuning.cover_states and terms <= tuning.cancelling * level):
+            return None
+        low, high = band or (0.0, np.inf)
+        ends = panel_ends(self.modes.poles, 0.0, COVER)[:-1]
+        ends = np.concatenate([[low], ends[(ends > low) & (ends < high)], [high]])
+        return self.modes.above(level, ends, tuning.cover_intervals * self.model.n_states)
+
     def rounding(self, omega: AnyArray, lower: float) -> float:
         """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
         m = self.model
@@ -159,8 +190,11 @@ class _Gains:
 
 def level_bracket(
     m: StateSpaceModel, rtol: float, tuning: NormTuning, band: Band | None = None
-) -> tuple[float, float, float, bool]:
-    """``(lower, frequency, upper, trusted)`` for a continuous model that is well scaled; over a band, or the axis."""
+) -> tuple[float, float, float, bool, AnyArray]:
+    """``(lower, frequency, upper, trusted)`` for a continuous model that is well scaled; over a band, or the axis.
+
+    Last frequencies at which rounding may be more than the bracket allows for, none where it was counted in the proof.
+    """
     size = np.abs(m.poles())
     decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max())) if size.any() else 2
     gains, omega = _Gains(m, tuning.quick * rtol), search_grid(m, int(tuning.points_per_decade * decades))
@@ -169,28 +203,34 @@ def level_bracket(
     sigma = gains.searched(omega)
     floor = gains.rounding(omega, float(sigma.max()))
     if floor == 0:
-        return 0.0, 0.0, 0.0, True
+        return 0.0, 0.0, 0.0, True, np.zeros(0)
     lower, at = _zoom(gains, omega, sigma, tuning, tuning.first_peaks, 0.1 * rtol)
     trusted, upper = True, np.inf
     for _ in range(tuning.levels):
         upper = lower * (1 + rtol) + floor
-        new_omega = crossings(m, upper, band)
+        above = gains.above(upper, band, tuning)
+        if above is not None and not len(above):
+            return lower, at, upper, trusted, np.zeros(0)
+        new_omega = crossings(m, upper, band) if above is None else above
         new_sigma = gains.proved(new_omega, upper)
         omega, sigma = np.concatenate([omega, new_omega]), np.concatenate([sigma, new_sigma])
         peak = int(np.argmax(new_sigma))
-        if new_sigma[peak] > upper:
+        if above is None and new_sigma[peak] > upper:
             lower, at = float(new_sigma[peak]), float(new_omega[peak])
             continue
         zoomed, zoomed_at = _zoom(gains, omega, sigma, tuning, tuning.zoom_peaks, tuning.zoom_flat)
+        if above is not None and zoomed > upper:
+            lower, at = zoomed, zoomed_at
+            continue
         if zoomed <= upper:
             if zoomed > lower:
                 lower, at = zoomed, zoomed_at
-            return lower, at, upper, trusted
+            return lower, at, upper, trusted, gains.doubtful(upper)
         # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say
         # so.
         lower, at = zoomed, zoomed_at
         trusted = False
-    return lower, at, upper, False
+    return lower, at, upper, False, gains.doubtful(upper)
 
 
 def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> AnyArray:

@@ -141,9 +141,9 @@ def reduce_model(
     .. math:: \sup_\omega \sigma_{max}( (G G^* + \beta^2 I)^{-1/2} (G - G_r) ) \le
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
-    Modes that are not stable are split off and kept; ``method="coprime"`` reduces them too, through the normalised
-    right coprime factors ``G = N M^{-1}``, whose error is then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound
-    of the gap between the two models).
+    Modes that are not stable are split off and kept, and what rounding may add there is part of the error;
+    ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
+    then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
     Parameters
     ----------
@@ -172,7 +172,8 @@ def reduce_model(
     Returns
     -------
     ReducedModel
-        With its certified error; its states are balanced, those kept apart come last.
+        With its certified error and the frequencies (``left_out``) next to modes on the stability boundary for which
+        nothing is certified; its states are balanced, those kept apart come last.
 
     Raises
     ------
