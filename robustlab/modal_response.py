@@ -26,6 +26,8 @@ KNOWN = 0.01
 SECOND_ORDER = 1.25
 # Terms of the expansions of `above` after the constant one, and the share of a radius of convergence that is used.
 DEGREE, RADIUS = 4, 0.9
+# Share that rounding may be of a bound that comes from the squares of these terms.
+SQUARED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ class ModalResponse:
 
         to first order, in Frobenius norms; infinite where that order does not suffice.
         """
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # a point on a pole has an infinite bound
             found, near = self._values(s)
             return found, self._doubt(near), (near * self.sizes[0]) @ self.sizes[2]
 
@@ -137,9 +139,10 @@ class ModalResponse:
         with np.errstate(all="ignore"):
             if not np.isfinite(ends[-1]):  # from where on the sizes of all terms are enough
                 direct, sizes, size = self.sizes[3], self.sizes[0] * self.sizes[1], np.abs(self.poles)
-                last = max(2 * ends[-2], 1.1 * size.max(), size.max() + 1.01 * float(sizes.sum()) / (level - direct))
+                beyond = 1.01 * sizes.sum() / np.maximum(level - direct, 0.0)
+                last = max(2 * ends[-2], 1.1 * size.max(), size.max() + beyond)
                 far = 1 / (last - size)[None]
-                if not (direct < level and (far @ sizes + direct + self._doubt(far))[0] <= level):
+                if not (np.isfinite(last) and (far @ sizes + direct + self._doubt(far))[0] <= level):
                     return None
                 ends = np.append(ends[:-1], np.geomspace(ends[-2], last, 2 + int(np.log2(last / ends[-2])))[1:])
             low, high, looked = ends[:-1], ends[1:], 0
@@ -178,7 +181,7 @@ class ModalResponse:
         close = (top > np.maximum(level - rest, 0.0) ** 2) & (rest < level)
         if min(p, m) > 1 and close.any():
             top[close] = np.linalg.eigvalsh(square[close])[:, :, -1].max(1)
-        return largest_gain(parts[0]), error, np.sqrt(np.maximum(top, 0.0)) + rest
+        return largest_gain(parts[0]), error, np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED) + rest
 
     def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         r"""``log det(sI - A)`` at finite points s, shape (k,), up to whole turns, and bounds of its error.

@@ -49,6 +49,8 @@ FAR = 1e12
 # Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
 # unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
+# Share of the norm that rounding is at the worst frequencies before it may be all of the norm.
+MOST = 0.1
 
 
 @dataclass(frozen=True)
@@ -206,12 +208,13 @@ def bracketed_norm(
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
+    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
     for at, gain in zip(rate * doubtful, largest_gains(m, rate * doubtful) if len(doubtful) else [], strict=True):
-        upper = max(upper, float(gain) + gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, float(at))))
-    error = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
+        beside = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, float(at)))
+        worst, upper = max(worst, beside), max(upper, float(gain) + beside)
     if error > LOUD * attained:
         upper += error
-        nothing = None if blind else _nothing(m, scaled, tuning.nothing_points)
+        nothing = None if blind or worst < MOST * attained else _nothing(m, scaled, tuning.nothing_points)
         if nothing is not None:
             return nothing
         share = error / attained if attained else np.inf

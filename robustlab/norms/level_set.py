@@ -31,6 +31,8 @@ EPS = float(np.finfo(float).eps)
 BEYOND = 1e200
 # Frequencies at which rounding is looked at besides the peak; where no modes tell, they are picked by this many EPS.
 LOOKED_AT, ROUGHLY = 3, 1e4
+# Frequencies at which the states are solved for where the bound by the modes is too coarse, those where it is largest.
+REACHES = 40
 # How much wider the intervals of a proof get away from a pole.
 COVER = AxisTuning(growth=2.0)
 
@@ -92,7 +94,10 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
 
 def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     """``sigma_max`` at each frequency, shape (n_omega,)."""
-    return largest_gain(_finite_response(m, omega))
+    response = _finite_response(m, omega)
+    if min(m.n_inputs, m.n_outputs) == 1:
+        return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
+    return np.linalg.svd(response, compute_uv=False)[:, 0]
 
 
 def _finite_response(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
@@ -123,13 +128,14 @@ class _Gains:
     def __init__(self, m: StateSpaceModel, share: float) -> None:
         self.model, self.share = m, share
         self.modes = ModalResponse.of(m.A, m.B, m.C, m.D)
-        # Bound of |(jw I - A)^-1 B| at all frequencies searched so far; these, and the gain with what rounding may add.
+        # Bound of |(jw I - A)^-1 B| at all frequencies searched so far; these, the gain with what rounding may add, and
+        # that bound at each.
         self.reach = 0.0
-        self._tops: list[tuple[AnyArray, AnyArray]] = []
+        self._tops: list[tuple[AnyArray, AnyArray, AnyArray]] = []
 
     def doubtful(self, level: float) -> AnyArray:
         """Finite frequencies searched so far at which rounding may take the gain above a level, a few of the worst."""
-        omega, top = (np.concatenate(x) for x in zip(*self._tops, strict=True))
+        omega, top, _ = (np.concatenate(x) for x in zip(*self._tops, strict=True))
         worst = np.argsort(-top)[:LOOKED_AT]
         return omega[worst[(top[worst] > level) & np.isfinite(omega[worst])]]
 
@@ -141,11 +147,11 @@ class _Gains:
             found = _finite_response(StateSpaceModel(m.A, m.B, *outputs), omega)
             gain, reach = largest_gain(found[:, : m.n_outputs]), np.linalg.norm(found[:, m.n_outputs :], axis=(1, 2))
             self.reach = max(self.reach, float(reach.max()))
-            self._tops.append((omega, gain + ROUGHLY * EPS * float(np.linalg.norm(m.C)) * reach))
+            self._tops.append((omega, gain + ROUGHLY * EPS * float(np.linalg.norm(m.C)) * reach, reach))
             return gain
         gain, error, reach = self.modes.gains(1j * np.minimum(omega, BEYOND))
         self.reach = max(self.reach, float(reach.max()))
-        self._tops.append((omega, gain + error))
+        self._tops.append((omega, gain + error, reach))
         highest = float((gain - error).max())
         far = error > self.share * highest
         if far.any():
@@ -176,16 +182,17 @@ class _Gains:
         ends = np.concatenate([[low], ends[(ends > low) & (ends < high)], [high]])
         return self.modes.above(level, ends, tuning.cover_intervals * self.model.n_states)
 
-    def rounding(self, omega: AnyArray, lower: float) -> float:
+    def rounding(self, lower: float) -> float:
         """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
         m = self.model
         out, direct = (4 * EPS * float(np.linalg.norm(part)) for part in (m.C, m.D))
         # The modes' bound is coarse, and may still be nothing beside the norm.
-        if self.modes is None or out * self.reach <= 0.1 * self.share * lower:
+        if self.modes is None or out * self.reach <= self.share * lower:
             return out * self.reach + direct
+        omega, _, reach = (np.concatenate(x) for x in zip(*self._tops, strict=True))
         states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
         out, direct = (4 * EPS * float(np.linalg.norm(part, 2)) for part in (m.C, m.D))
-        return out * float(largest_gains(states, omega).max()) + direct
+        return out * float(largest_gains(states, omega[np.argsort(-reach)[:REACHES]]).max()) + direct
 
 
 def level_bracket(
@@ -201,7 +208,7 @@ def level_bracket(
     if band is not None:
         omega = _within(omega, band)
     sigma = gains.searched(omega)
-    floor = gains.rounding(omega, float(sigma.max()))
+    floor = gains.rounding(float(sigma.max()))
     if floor == 0:
         return 0.0, 0.0, 0.0, True, np.zeros(0)
     lower, at = _zoom(gains, omega, sigma, tuning, tuning.first_peaks, 0.1 * rtol)
@@ -219,17 +226,13 @@ def level_bracket(
             lower, at = float(new_sigma[peak]), float(new_omega[peak])
             continue
         zoomed, zoomed_at = _zoom(gains, omega, sigma, tuning, tuning.zoom_peaks, tuning.zoom_flat)
-        if above is not None and zoomed > upper:
-            lower, at = zoomed, zoomed_at
-            continue
         if zoomed <= upper:
             if zoomed > lower:
                 lower, at = zoomed, zoomed_at
-            return lower, at, upper, trusted, gains.doubtful(upper)
-        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say
-        # so.
+            return lower, at, upper, trusted and above is None, gains.doubtful(upper)
         lower, at = zoomed, zoomed_at
-        trusted = False
+        # Where the level was "proved", yet a frequency exceeds it, rounding moved an eigenvalue: go on, but say so.
+        trusted = trusted and above is not None
     return lower, at, upper, False, gains.doubtful(upper)
 
 

@@ -43,6 +43,7 @@ STABLE_MARGIN = 1e-10
 class SplitModel:
     """A model as the sum of a stable part, which can be balanced, and the rest, which is kept; D is in the former.
 
+    The parts have no names of signals, so that weights of any units go with them.
     ``whole`` is the model in balanced states, ``basis`` T, shape (n, n), the states of both parts in terms of these;
     None where one of the parts is the model itself.
     """
@@ -96,7 +97,9 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     n, dt = model.n_states, model.dt
     stable = _is_stable(model.poles(), dt)
     if stable.all():
-        return SplitModel(model, _static(model, 0 * model.D), model)
+        bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
+        bare = bare._with_matrices(bare.A, bare.B, bare.C, bare.D, model.poles())
+        return SplitModel(bare, _static(model, 0 * model.D), model)
     if not stable.any():
         return SplitModel(_static(model, model.D), model._with_matrices(model.A, model.B, model.C, 0 * model.D), model)
     scale = balancing_factors(model.A)

@@ -320,9 +320,7 @@ def _balanced_reduction(
     unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))
     ordinary = unchanged if weighted else moderated(full, "reduce_model")
     split = split_stable(ordinary.model)
-    lost = SplitError(split)
-    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, ordinary.model.dt)
-    name = method
+    stable, lost, name = split.stable, SplitError(split), method
     if method == "stochastic":
         way = _stochastic_way(stable, ordinary, floor)
     elif method == "hankel":
@@ -533,17 +531,7 @@ def _checked(
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
     return ReducedModel(
-        named,
-        method,
-        error,
-        bound,
-        values,
-        apart,
-        full,
-        status,
-        reason,
-        evidence.difference,
-        left_out=evidence.left_out,
+        named, method, error, bound, values, apart, full, status, reason, evidence.difference, evidence.left_out
     )
 
 

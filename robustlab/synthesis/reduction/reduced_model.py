@@ -48,13 +48,13 @@ class ReducedModel(Shown):
         Why it is inaccurate; else empty.
     difference
         H-infinity norm of the difference at all frequencies, where ``error`` is that inside a band or a relative one.
-    hankel_error
-        Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
-        ``"hankel"``.
     left_out
         Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
         a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
         rounding adds to ``error`` below a thousandth of it.
+    hankel_error
+        Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
+        ``"hankel"``.
     """
 
     model: StateSpaceModel
@@ -67,8 +67,8 @@ class ReducedModel(Shown):
     status: Status
     reason: str = ""
     difference: HinfNorm | None = None
-    hankel_error: float = np.nan
     left_out: tuple[tuple[float, float], ...] = ()
+    hankel_error: float = np.nan
 
     @property
     def order(self) -> int:
