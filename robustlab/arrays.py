@@ -22,9 +22,10 @@ def not_finite(array: Array, entries: str = "entries") -> tuple[str, str] | None
     >>> not_finite(np.array([[1.0, np.nan], [np.inf, 2.0]]))
     ('0,1', 'is NaN (2 of 4 entries)')
     """
-    bad = np.argwhere(~np.isfinite(array))
-    if not len(bad):
+    finite = np.isfinite(array)
+    if finite.all():
         return None
+    bad = np.argwhere(~finite)
     word = "NaN" if np.isnan(array[tuple(bad[0])]) else "infinite"
     return ",".join(map(str, bad[0])), f"is {word} ({len(bad)} of {array.size} {entries})"
 

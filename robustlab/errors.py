@@ -191,7 +191,7 @@ def plain_text(text: str) -> str:
 # What WHERE may begin with and is no function that a user called; `told_as` adds the functions themselves.
 _STEPS = {
     *("bilinear map", "care", "central controller", "controller", "coprime factors", "dare", "evaluate"),
-    *("frequency axis", "gramians", "H-infinity Riccati test", "lifting", "lower_lft", "lyapunov", "lyapunov_factor"),
+    *("frequency axis", "gramians", "H-infinity Riccati test", "lifting", "lower_lft", "lyapunov", "lyapunov_factors"),
     *("perturbed_model", "residualisation", "scaling", "stable part", "upper_lft"),
 }
 

@@ -460,26 +460,19 @@ def gramians(
     return 0.5 * (P + P.T), 0.5 * (Q + Q.T)
 
 
-def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> AnyArray:
-    r"""Triangular factor L, shape (n, n), of a controllability Gramian: the Gramian itself is never formed.
+def lyapunov_factors(A: ArrayLike, B: ArrayLike, C: ArrayLike, *, tolerance: float = 1e-8) -> tuple[AnyArray, AnyArray]:
+    r"""Triangular factors of both Gramians, shapes (n, n), from one Schur form: no Gramian is ever formed.
 
-    .. math:: A X + X A^T + B B^T = 0, \qquad X = L L^T
+    .. math:: A P + P A^T + B B^T = 0, \quad P = L_c L_c^T, \qquad A^T Q + Q A + C^T C = 0, \quad Q = L_o L_o^T
 
-    Eigenvalues of X down to ``eps^2`` of the largest keep their sign, which an eigenvalue decomposition of X loses.
-
-    Parameters
-    ----------
-    A, B
-        Shapes (n, n), (n, m); A is stable (continuous time).
-    tolerance
-        Largest relative residual that is accepted.
+    Eigenvalues of P and Q down to ``eps^2`` of the largest keep their sign, which a decomposition of them loses.
 
     Raises
     ------
     InputError
         Shapes that do not fit, NaN or Inf.
     NoTrustworthyNumber
-        A is not stable, or the residual is too large.
+        A is not stable (continuous time), or a relative residual is above ``tolerance``.
 
     References
     ----------
@@ -488,24 +481,33 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
 
     Examples
     --------
-    >>> float(lyapunov_factor([[-0.5]], [[2.0]])[0, 0])
-    2.0
+    >>> [float(x[0, 0]) for x in lyapunov_factors([[-0.5]], [[2.0]], [[3.0]])]
+    [2.0, 3.0]
     """
-    a, b = real_array("A", A, 2, "lyapunov_factor"), real_array("B", B, 2, "lyapunov_factor")
+    where = "lyapunov_factors"
+    a, b, c = (real_array(k, v, 2, where) for k, v in (("A", A), ("B", B), ("C", C)))
     n = a.shape[0]
-    _check_shapes("lyapunov_factor", A=(a, (n, n)), B=(b, (n, b.shape[1])))
-    if n == 0 or not b.any():
-        return np.zeros((n, n))
+    _check_shapes(where, A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
+    if n == 0 or not (b.any() or c.any()):
+        return np.zeros((n, n)), np.zeros((n, n))
     s, _, poles, q, _, info = lapack().zgees(lambda _: 0, a)
     if info:
-        raise NoTrustworthyNumber("lyapunov_factor", "the QR algorithm did not converge")
+        raise NoTrustworthyNumber(where, "the QR algorithm did not converge")
     if np.real(poles).max() >= 0:
-        raise NoTrustworthyNumber(
-            "lyapunov_factor", f"A has the eigenvalue {poles[np.real(poles).argmax()]:.6g}", "a stable A"
-        )
+        raise NoTrustworthyNumber(where, f"A has the eigenvalue {poles[np.real(poles).argmax()]:.6g}", "a stable A")
+    reach = _hammarling(a, b, s, q, tolerance)
+    # A^T is conj(q) s^T q^T, whose middle is lower triangular: upper, with its states in reverse order.
+    return reach, _hammarling(a.T, c.T, s.T[::-1, ::-1], q.conj()[:, ::-1], tolerance)
+
+
+def _hammarling(a: AnyArray, b: AnyArray, s: AnyArray, q: AnyArray, tolerance: float) -> AnyArray:
+    """L with ``a L L^T + L L^T a^T + b b^T = 0`` for ``a = q s q^H``, s upper triangular."""
+    where, n = "lyapunov_factors", len(a)
+    if not b.any():
+        return np.zeros((n, n))
     rest, u = (q.conj().T @ b).astype(complex), np.zeros((n, n), complex)
     # Last row of U first; what is left of the right-hand side is again of the form B B^H.
-    solve, shifted, diagonal = lapack().ztrtrs, s.copy(order="F"), np.einsum("ii->i", s)
+    solve, shifted, poles = lapack().ztrtrs, s.copy(order="F"), s.diagonal().copy()
     for k in range(n - 1, -1, -1):
         direction = rest[k].conj()
         size = math.sqrt(np.vdot(direction, direction).real)
@@ -514,23 +516,23 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
         decay, direction = math.sqrt(-2 * poles[k].real), direction / size
         u[k, k] = size / decay
         if k:
-            np.einsum("ii->i", shifted)[:k] = diagonal[:k] + poles[k].conj()
+            np.einsum("ii->i", shifted)[:k] = poles[:k] + poles[k].conj()
             x, info = solve(shifted[:k, :k], -(decay * (rest[:k] @ direction) + s[:k, k] * u[k, k]))
             if info:
-                raise NoTrustworthyNumber("lyapunov_factor", MIRRORED)
+                raise NoTrustworthyNumber(where, MIRRORED)
             u[:k, k] = x
             rest[:k] -= (decay * x)[:, None] * direction.conj()
     factor = q @ u
     if not np.isfinite(factor).all():
-        raise NoTrustworthyNumber("lyapunov_factor", "the factor is not finite")
+        raise NoTrustworthyNumber(where, "the factor is not finite")
     # X is real, so its real and imaginary factors side by side are a real factor of it.
     L = np.asarray(np.linalg.qr(np.hstack([np.real(factor), np.imag(factor)]).T, mode="r")).T
     with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
-        X = L @ L.T
-        size = 2 * np.linalg.norm(a @ X) + np.linalg.norm(b @ b.T)
-        residual = float(np.linalg.norm(a @ X + X @ a.T + b @ b.T) / size) if size else 0.0
+        half, known = a @ (L @ L.T), b @ b.T
+        size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
+        residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
-        raise NoTrustworthyNumber("lyapunov_factor", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+        raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return L
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from math import comb
 
 import numpy as np
 
@@ -25,6 +26,10 @@ KNOWN = 0.01
 SECOND_ORDER = 1.25
 # Numbers of an array that stays in the cache: larger ones cost fresh pages of memory, which take longer than the sums.
 STRETCH = 3000
+# Terms of the expansions of `above` after the constant one, and the share of a radius of convergence that is used.
+DEGREE, RADIUS = 4, 0.9
+# Share that rounding may be of a bound that comes from the squares of these terms.
+SQUARED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,20 +113,24 @@ class ModalResponse:
 
         to first order, in Frobenius norms; infinite where that order does not suffice.
         """
-        into_size, out_size, modes, _ = self.sizes
-        spread, rows, columns, rest = self._weights
+        into_size, _, modes, _ = self.sizes
 
         def evaluate(s: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
             R = 1.0 / (s[:, None] - self.poles)
             near = np.abs(R)
-            reach, see = near * into_size, near * out_size
-            error = np.einsum("ij,ij->i", see @ self.defect, reach) + see @ rows + reach @ columns + rest
-            sound = ((near * spread).max(1) < KNOWN) & (error < np.inf)
             found = (R @ self._terms).reshape(len(s), *self.direct.shape) + self.direct
-            return found, np.where(sound, SECOND_ORDER * error, np.inf), reach @ modes
+            return found, self._doubt(near), (near * into_size) @ modes
 
         found, error, reach = self._stretches(evaluate, s)
         return found, error, reach
+
+    def _doubt(self, near: AnyArray) -> AnyArray:
+        """Bound of the error of responses, shape (k,), wherever ``|(sI - Lambda)^-1| <= near``, shape (k, n)."""
+        spread, rows, columns, rest = self._weights
+        reach, see = near * self.sizes[0], near * self.sizes[1]
+        error = np.einsum("ij,ij->i", see @ self.defect, reach) + see @ rows + reach @ columns + rest
+        sound = ((near * spread).max(1) < KNOWN) & (error < np.inf)
+        return np.where(sound, SECOND_ORDER * error, np.inf)
 
     def entries(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         """`response` with a bound of the error of every entry, shape (k, p, m); NaN where that is infinite."""
@@ -190,6 +199,60 @@ class ModalResponse:
         margin = 1 - np.abs(self.poles) if discrete else -np.real(self.poles)
         return bool((margin > SECOND_ORDER * self._weights[0] + 4 * EPS).all())
 
+    def above(self, level: float, ends: AnyArray, most: int) -> AnyArray | None:
+        r"""Frequencies beyond the first of some increasing ones whose gain exceeds a level; empty where none does.
+
+        A proof for all frequencies up to the last one, or of all where that is infinite. Between two, with middle c and
+        half distance h, the gain is that of a polynomial in :math:`(\omega - c) / h` but for its remainder and for
+        errors as in `response`; the square of a polynomial is nowhere larger than the largest of its Bernstein
+        coefficients. What is left open is halved, up to ``most`` intervals: None where that does not settle it.
+        """
+        with np.errstate(all="ignore"):
+            if not np.isfinite(ends[-1]):  # from where on the sizes of all terms are enough
+                direct, sizes, size = self.sizes[3], self.sizes[0] * self.sizes[1], np.abs(self.poles)
+                beyond = 1.01 * sizes.sum() / np.maximum(level - direct, 0.0)
+                last = max(2 * ends[-2], 1.1 * size.max(), size.max() + beyond)
+                far = 1 / (last - size)[None]
+                if not (np.isfinite(last) and (far @ sizes + direct + self._doubt(far))[0] <= level):
+                    return None
+                ends = np.append(ends[:-1], np.geomspace(ends[-2], last, 2 + int(np.log2(last / ends[-2])))[1:])
+            low, high, looked = ends[:-1], ends[1:], 0
+            while len(low):
+                looked, middle = looked + len(low), 0.5 * (low + high)
+                if looked > most or not ((low < middle) & (middle < high)).all():
+                    return None
+                gain, error, top = self._over(middle, 0.5 * (high - low), level)
+                if (gain - error > level).any():
+                    return middle[gain - error > level]
+                left = ~(top <= level)
+                low, high = np.append(low[left], middle[left]), np.append(middle[left], high[left])
+        return np.zeros(0)
+
+    def _over(self, middle: AnyArray, half: AnyArray, level: float) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """The gain in the middle of intervals, its error, and a bound of the gain in all of each."""
+        R = 1 / (1j * middle[:, None] - self.poles)
+        p, m = self.direct.shape
+        share, step, power, parts = half[:, None] * np.abs(R), -1j * half[:, None] * R, R, []
+        for _ in range(DEGREE + 1):
+            parts.append((power @ self._terms).reshape(-1, p, m))
+            power = power * step
+        parts[0] = parts[0] + self.direct
+        if p > m:  # the smaller of the two products
+            parts = [part.transpose(0, 2, 1) for part in parts]
+        square = np.zeros((len(middle), 2 * DEGREE + 1, min(p, m), min(p, m)), complex)
+        for i, one in enumerate(parts):
+            for j, two in enumerate(parts):
+                square[:, i + j] += one @ two.conj().transpose(0, 2, 1)
+        square = np.tensordot(square, BERNSTEIN, (1, 1)).transpose(0, 3, 1, 2)
+        top = np.trace(square, axis1=2, axis2=3).real.max(1)
+        # What follows the polynomial is smaller than a geometric series; each part may be off by as much as the first.
+        error = self._doubt(np.where(share < RADIUS, np.abs(R) / (1 - share), np.inf))
+        rest = (np.abs(power) / (1 - share)) @ (self.sizes[0] * self.sizes[1]) + (DEGREE + 1) * error
+        close = (top > np.maximum(level - rest, 0.0) ** 2) & (rest < level)
+        if min(p, m) > 1 and close.any():
+            top[close] = np.linalg.eigvalsh(square[close])[:, :, -1].max(1)
+        return largest_gain(parts[0]), error, np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED) + rest
+
     def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         r"""``log det(sI - A)`` at finite points s, shape (k,), up to whole turns, and bounds of its error.
 
@@ -209,6 +272,15 @@ class ModalResponse:
 
         logs, error = self._stretches(evaluate, s)
         return logs, error
+
+
+def _bernstein(degree: int) -> AnyArray:
+    """Coefficients of powers of t in -1 .. 1, in columns, in Bernstein's basis, in rows."""
+    rows = [np.poly([1.0] * (degree - i) + [-1.0] * i) for i in range(degree + 1)]  # (t - 1)^(n - i) (t + 1)^i
+    return np.array([[row[k] / comb(degree, k) for k in range(degree + 1)] for row in rows])
+
+
+BERNSTEIN = _bernstein(2 * DEGREE)
 
 
 def largest_gain(response: AnyArray) -> AnyArray:

@@ -49,6 +49,8 @@ FAR = 1e12
 # Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
 # unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
+# Share of the norm that rounding is at the worst frequencies before it may be all of the norm.
+MOST = 0.1
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,10 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
     imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
     and ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these
-    exceeds it. A zoom on the highest peaks looks for what rounding may have hidden. Values come from the model's modes
-    where a bound of their error shows that this is enough (`ModalResponse`); what is told is solved for with A.
+    exceeds it. With many states, or where large terms cancel, the level is proved interval by interval instead, by
+    expansions of the response with bounds of their remainders and of rounding (`ModalResponse.above`). A zoom on the
+    highest peaks looks for what rounding may have hidden. Values come from the model's modes where a bound of their
+    error shows that this is enough; what is told is solved for with A.
 
     Parameters
     ----------
@@ -186,7 +190,7 @@ def bracketed_norm(
     try:
         scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         part = None if band is None else _band_of(ordinary, band, rate)
-        lower, omega, upper, trusted = level_bracket(scaled, rtol, tuning, part)
+        lower, omega, upper, trusted, doubtful = level_bracket(scaled, rtol, tuning, part)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
@@ -194,6 +198,7 @@ def bracketed_norm(
     omega *= rate
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
+        doubtful = 2 / m.dt * np.arctan(rate * doubtful * m.dt / 2) / rate
     attained = float(largest_gains(m, np.array([omega]))[0])
     reason = "" if trusted else "the level test and a direct search disagreed; digits were lost"
     if abs(attained - lower) > 10 * rtol * lower and lower > upper - lower:
@@ -203,10 +208,13 @@ def bracketed_norm(
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    error = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
+    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
+    for at, gain in zip(rate * doubtful, largest_gains(m, rate * doubtful) if len(doubtful) else [], strict=True):
+        beside = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, float(at)))
+        worst, upper = max(worst, beside), max(upper, float(gain) + beside)
     if error > LOUD * attained:
         upper += error
-        nothing = None if blind else _nothing(m, scaled, tuning.nothing_points)
+        nothing = None if blind or worst < MOST * attained else _nothing(m, scaled, tuning.nothing_points)
         if nothing is not None:
             return nothing
         share = error / attained if attained else np.inf

@@ -18,7 +18,8 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import solved_response
 from robustlab.matrix_equations import balanced_eigenvalues, lapack
-from robustlab.modal_response import ModalResponse
+from robustlab.modal_response import ModalResponse, largest_gain
+from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["TUNING", "Band", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
@@ -28,6 +29,12 @@ Band = tuple[float, float]
 EPS = float(np.finfo(float).eps)
 # A frequency, in the time unit of a model that is well scaled, at which only its direct term is left.
 BEYOND = 1e200
+# Frequencies at which rounding is looked at besides the peak; where no modes tell, they are picked by this many EPS.
+LOOKED_AT, ROUGHLY = 3, 1e4
+# Frequencies at which the states are solved for where the bound by the modes is too coarse, those where it is largest.
+REACHES = 40
+# How much wider the intervals of a proof get away from a pole.
+COVER = AxisTuning(growth=2.0)
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,12 @@ class NormTuning:
     nothing_points: int = 200
     # The share of rtol that a quick gain may be off by.
     quick: float = 0.1
+    # A level is proved interval by interval, and not by the eigenvalues of the Hamiltonian, from so many states on, for
+    # these take longer then, and where terms so many times as large cancel, for these have been missed then.
+    cover_states: int = 36
+    cancelling: float = 1e4
+    # Intervals per state before it is left to the eigenvalues after all.
+    cover_intervals: int = 40
 
 
 TUNING = NormTuning()
@@ -75,12 +88,17 @@ def _lengths(matrix: AnyArray, axis: int) -> AnyArray:
 
 def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     """``sigma_max`` at each frequency, shape (n_omega,)."""
-    response = solved_response(m, omega)
-    if not np.isfinite(response).all():
-        raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
+    response = _finite_response(m, omega)
     if min(m.n_inputs, m.n_outputs) == 1:
         return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
     return np.linalg.svd(response, compute_uv=False)[:, 0]
+
+
+def _finite_response(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
+    response = solved_response(m, omega)
+    if not np.isfinite(response).all():
+        raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
+    return response
 
 
 def search_grid(m: StateSpaceModel, points: int) -> AnyArray:
@@ -104,15 +122,30 @@ class _Gains:
     def __init__(self, m: StateSpaceModel, share: float) -> None:
         self.model, self.share = m, share
         self.modes = ModalResponse.of(m.A, m.B, m.C, m.D)
-        # Bound of |(jw I - A)^-1 B| at all frequencies so far.
-        self.reach = 0.0 if self.modes else np.inf
+        # Bound of |(jw I - A)^-1 B| at all frequencies searched so far; these, the gain with what rounding may add, and
+        # that bound at each.
+        self.reach = 0.0
+        self._tops: list[tuple[AnyArray, AnyArray, AnyArray]] = []
+
+    def doubtful(self, level: float) -> AnyArray:
+        """Finite frequencies searched so far at which rounding may take the gain above a level, a few of the worst."""
+        omega, top, _ = (np.concatenate(x) for x in zip(*self._tops, strict=True))
+        worst = np.argsort(-top)[:LOOKED_AT]
+        return omega[worst[(top[worst] > level) & np.isfinite(omega[worst])]]
 
     def searched(self, omega: AnyArray) -> AnyArray:
         """Off by no more than ``share`` of the largest, or below 0.9 of it and from above: enough to look for peaks."""
         if self.modes is None:
-            return largest_gains(self.model, omega)
+            m, n = self.model, self.model.n_states
+            outputs = np.vstack([m.C, np.eye(n)]), np.vstack([m.D, np.zeros((n, m.n_inputs))])
+            found = _finite_response(StateSpaceModel(m.A, m.B, *outputs), omega)
+            gain, reach = largest_gain(found[:, : m.n_outputs]), np.linalg.norm(found[:, m.n_outputs :], axis=(1, 2))
+            self.reach = max(self.reach, float(reach.max()))
+            self._tops.append((omega, gain + ROUGHLY * EPS * float(np.linalg.norm(m.C)) * reach, reach))
+            return gain
         gain, error, reach = self.modes.gains(1j * np.minimum(omega, BEYOND))
         self.reach = max(self.reach, float(reach.max()))
+        self._tops.append((omega, gain + error, reach))
         highest = float((gain - error).max())
         far = error > self.share * highest
         if far.any():
@@ -137,40 +170,58 @@ class _Gains:
         at = float(omega[np.argmax(sigma)])
         return float(largest_gains(self.model, np.array([at]))[0]), at
 
-    def rounding(self, omega: AnyArray, lower: float) -> float:
+    def above(self, level: float, band: Band | None, tuning: NormTuning) -> AnyArray | None:
+        """Frequencies whose gain exceeds a level, none where that is proved of all; None where it is not known."""
+        terms = self.reach * float(np.linalg.norm(self.model.C))
+        if self.modes is None or (self.model.n_states < tuning.cover_states and terms <= tuning.cancelling * level):
+            return None
+        low, high = band or (0.0, np.inf)
+        ends = panel_ends(self.modes.poles, 0.0, COVER)[:-1]
+        ends = np.concatenate([[low], ends[(ends > low) & (ends < high)], [high]])
+        return self.modes.above(level, ends, tuning.cover_intervals * self.model.n_states)
+
+    def rounding(self, lower: float) -> float:
         """What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero."""
         m = self.model
         out, direct = (4 * EPS * float(np.linalg.norm(part)) for part in (m.C, m.D))
-        if out * self.reach <= 0.1 * self.share * lower:  # the bound is coarse, and still nothing beside the norm
+        # The modes' bound is coarse, and may still be nothing beside the norm.
+        if self.modes is None or out * self.reach <= self.share * lower:
             return out * self.reach + direct
+        omega, _, reach = (np.concatenate(x) for x in zip(*self._tops, strict=True))
         states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
         out, direct = (4 * EPS * float(np.linalg.norm(part, 2)) for part in (m.C, m.D))
-        return out * float(largest_gains(states, omega).max()) + direct
+        return out * float(largest_gains(states, omega[np.argsort(-reach)[:REACHES]]).max()) + direct
 
 
 def level_bracket(
     m: StateSpaceModel, rtol: float, tuning: NormTuning, band: Band | None = None
-) -> tuple[float, float, float, bool]:
-    """``(lower, frequency, upper, trusted)`` for a continuous model that is well scaled; over a band, or the axis."""
+) -> tuple[float, float, float, bool, AnyArray]:
+    """``(lower, frequency, upper, trusted)`` for a continuous model that is well scaled; over a band, or the axis.
+
+    Last frequencies at which rounding may be more than the bracket allows for, none where it was counted in the proof.
+    """
     size = np.abs(m.poles())
     decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max())) if size.any() else 2
     gains, omega = _Gains(m, tuning.quick * rtol), search_grid(m, int(tuning.points_per_decade * decades))
     if band is not None:
         omega = _within(omega, band)
     sigma = gains.searched(omega)
-    floor = gains.rounding(omega, float(sigma.max()))
+    floor = gains.rounding(float(sigma.max()))
     if floor == 0:
-        return 0.0, 0.0, 0.0, True
+        return 0.0, 0.0, 0.0, True, np.zeros(0)
     omega, sigma = _zoomed(gains, omega, sigma, tuning)
     lower, at = gains.highest(omega, sigma)
     trusted, upper = True, np.inf
     for _ in range(tuning.levels):
         upper = lower * (1 + rtol) + floor
-        new_omega = crossings(m, upper, band)
+        above = gains.above(upper, band, tuning)
+        if above is not None and not len(above):
+            return lower, at, upper, trusted, np.zeros(0)
+        new_omega = crossings(m, upper, band) if above is None else above
         new_sigma = gains.proved(new_omega, upper)
         omega, sigma = np.concatenate([omega, new_omega]), np.concatenate([sigma, new_sigma])
         peak = int(np.argmax(new_sigma))
-        if new_sigma[peak] > upper:
+        if above is None and new_sigma[peak] > upper:
             lower, at = float(new_sigma[peak]), float(new_omega[peak])
             continue
         omega, sigma = _zoomed(gains, omega, sigma, tuning)
@@ -178,12 +229,11 @@ def level_bracket(
         if zoomed <= upper:
             if zoomed > lower:
                 lower, at = zoomed, zoomed_at
-            return lower, at, upper, trusted
-        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say
-        # so.
+            return lower, at, upper, trusted and above is None, gains.doubtful(upper)
         lower, at = zoomed, zoomed_at
-        trusted = False
-    return lower, at, upper, False
+        # Where the level was "proved", yet a frequency exceeds it, rounding moved an eigenvalue: go on, but say so.
+        trusted = trusted and above is not None
+    return lower, at, upper, False, gains.doubtful(upper)
 
 
 def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> AnyArray:

@@ -8,7 +8,7 @@ import pytest
 from slicot_examples import model_of_ab09ad
 
 import robustlab as rl
-from robustlab.matrix_equations import lyapunov, lyapunov_factor
+from robustlab.matrix_equations import lyapunov, lyapunov_factors
 from robustlab.result import Status, plain
 from robustlab.synthesis.reduction.balancing import split_stable
 
@@ -233,14 +233,14 @@ def test_the_factor_is_that_of_the_lyapunov_solution(n, m):
     rng = np.random.default_rng(n)
     A = rng.normal(size=(n, n)) - 4 * np.eye(n)
     B = rng.normal(size=(n, m))
-    L = lyapunov_factor(A, B)
+    L = lyapunov_factors(A, B, 0 * B.T)[0]
     np.testing.assert_allclose(L @ L.T, lyapunov(A, B @ B.T), atol=1e-13)
     assert np.allclose(L, np.tril(L))
 
 
 def test_the_factor_keeps_gramian_values_below_eps():
     # Two decoupled states, one reached 1e-12 times as much: its variance is 1e-24 of the other's.
-    L = lyapunov_factor(np.diag([-1.0, -2.0]), np.diag([1.0, 1e-12]))
+    L = lyapunov_factors(np.diag([-1.0, -2.0]), np.diag([1.0, 1e-12]), np.zeros((0, 2)))[0]
     np.testing.assert_allclose(np.linalg.svd(L, compute_uv=False), [np.sqrt(0.5), 0.5e-12], rtol=1e-10)
 
 
@@ -256,4 +256,4 @@ def test_the_factor_keeps_gramian_values_below_eps():
 )
 def test_the_factor_refuses_what_has_none(A, B, error, message):
     with pytest.raises(error, match=message):
-        lyapunov_factor(A, B)
+        lyapunov_factors(A, B, np.transpose(B))

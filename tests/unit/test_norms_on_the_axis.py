@@ -9,8 +9,10 @@ from attack_cases import make_case
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.exact_stability import exactly_on_boundary
+from robustlab.modal_response import ModalResponse
 from robustlab.norms import h2_by_gramians
 from robustlab.norms.axis_integral import AxisTuning, mean_square_gain
+from robustlab.norms.level_set import NormTuning
 from robustlab.result import Status
 from robustlab.statespace import feedback, parallel
 
@@ -369,3 +371,23 @@ def test_an_index_that_the_second_voice_contradicts_is_not_certified(monkeypatch
     found = rl.passivity(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]]))
     assert found.output_index.status is Status.INACCURATE
     assert found.status is Status.INACCURATE
+
+
+@pytest.mark.parametrize(("n_in", "n_out"), [(1, 1), (2, 3)])
+def test_a_level_proved_by_intervals_is_that_of_the_hamiltonian(n_in, n_out):
+    rng = np.random.default_rng(n_in)
+    A = rng.normal(size=(24, 24))
+    A -= (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(24)
+    G = rl.StateSpaceModel(A, rng.normal(size=(24, n_in)), rng.normal(size=(n_out, 24)), np.zeros((n_out, n_in)))
+    by_intervals, by_eigenvalues = (rl.hinf_norm(G, tuning=NormTuning(cover_states=n)) for n in (0, 1000))
+    assert by_intervals.status is by_eigenvalues.status is Status.CERTIFIED
+    assert by_intervals.upper == pytest.approx(by_eigenvalues.upper, rel=3e-6)
+    peak = by_intervals.lower
+    modes = ModalResponse.of(G.A, G.B, G.C, G.D)
+    assert modes is not None
+    ends = np.array([0.0, *np.geomspace(0.1, 10, 9), np.inf])
+    assert modes.above(peak * (1 + 1e-6), ends, 10_000).size == 0
+    found = modes.above(peak * (1 - 1e-6), ends, 10_000)
+    assert found.size > 0
+    assert np.linalg.norm(rl.frequency_response(G, found), 2, axis=(1, 2)).max() > peak * (1 - 1e-6)
+    assert modes.above(peak * (1 + 1e-6), ends, 10) is None  # too few intervals

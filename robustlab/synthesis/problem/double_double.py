@@ -18,7 +18,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 
-__all__ = ["DoubleDouble", "inverse"]
+__all__ = ["DoubleDouble", "inverse", "sum_of_products"]
 
 SPLIT = 134217729.0  # 2^27 + 1
 
@@ -103,6 +103,16 @@ def inverse(A: DoubleDouble) -> tuple[DoubleDouble, AnyArray]:
     return work[:, :, n:], log_det
 
 
+def sum_of_products(*pairs: tuple[AnyArray, AnyArray]) -> AnyArray:
+    """``X1 @ Y1 + X2 @ Y2 + ...`` of real matrices, shape (n, m), rounded once: what cancels in it keeps its digits."""
+    shape = len(pairs[0][0]), pairs[0][1].shape[1]
+    total = np.zeros(shape), np.zeros(shape)
+    for x, y in pairs:
+        for k in range(len(y)):
+            total = _sum(*total, *_product(x[:, k : k + 1], 0.0, y[k : k + 1], 0.0))
+    return total[0]
+
+
 def _reciprocal(x: DoubleDouble) -> DoubleDouble:
     """``1/x``: Newton's iteration from ordinary precision."""
     found = DoubleDouble.of(1 / x.rounded())
@@ -136,7 +146,7 @@ def _halves(a: AnyArray) -> tuple[AnyArray, AnyArray]:
     return high, a - high
 
 
-def _product(a: AnyArray, a_low: AnyArray, b: AnyArray, b_low: AnyArray) -> tuple[AnyArray, AnyArray]:
+def _product(a: AnyArray, a_low: AnyArray | float, b: AnyArray, b_low: AnyArray | float) -> tuple[AnyArray, AnyArray]:
     p = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
     e = ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2

@@ -2,6 +2,7 @@
 
 balancing             Gramian factors, balanced states, truncation and residualisation
 band_gramians         Gramian factors over a band of frequencies
+split_error           what splitting off modes cost, bounded over the axis
 hankel_norm           the nearest model in the Hankel norm
 relative_error        stochastic balancing: errors relative to the gain
 coprime_reduction     through normalised coprime factors

@@ -16,9 +16,10 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors
-from robustlab.matrix_equations import lyapunov_factor
+from robustlab.matrix_equations import lyapunov_factors
 from robustlab.norms import bilinear_to_continuous
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, parallel
+from robustlab.synthesis.problem.double_double import sum_of_products
 
 __all__ = [
     "Balancing",
@@ -40,18 +41,39 @@ STABLE_MARGIN = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class SplitModel:
-    """A model as the sum of a stable part, which can be balanced, and the rest, which is kept; D is in the former."""
+    """A model as the sum of a stable part, which can be balanced, and the rest, which is kept; D is in the former.
+
+    The parts have no names of signals, so that weights of any units go with them.
+    ``whole`` is the model in balanced states, ``basis`` T, shape (n, n), the states of both parts in terms of these;
+    None where one of the parts is the model itself.
+    """
 
     stable: StateSpaceModel
     apart: StateSpaceModel
+    whole: StateSpaceModel
+    basis: AnyArray | None = None
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
         """The sum, with a reduced stable part; states of that first."""
-        n, k = reduced.n_states, self.apart.n_states
-        a = np.block([[reduced.A, np.zeros((n, k))], [np.zeros((k, n)), self.apart.A]])
+        return parallel(reduced, self.apart).renamed(self.whole.inputs, self.whole.outputs)
+
+    def rounding(self) -> StateSpaceModel | None:
+        r"""The model less the sum of its parts, exactly but for one rounding of each residual; None where that is zero.
+
+        .. math:: C (sI - A)^{-1} (R_A (sI - \Lambda)^{-1} \hat B + R_B) + R_C (sI - \Lambda)^{-1} \hat B, \qquad
+           R_A = A T - T \Lambda, \quad R_B = B - T \hat B, \quad R_C = C T - \hat C
+        """
+        if self.basis is None:
+            return None
+        m, t, parts = self.whole, self.basis, parallel(self.stable, self.apart)
+        eye = np.eye(len(t))
+        a = sum_of_products((m.A, t), (t, -parts.A))
+        b, c = sum_of_products((eye, m.B), (t, -parts.B)), sum_of_products((m.C, t), (parts.C, -eye))
+        if not (a.any() or b.any() or c.any()):
+            return None
         return StateSpaceModel(
-            a, np.vstack([reduced.B, self.apart.B]), np.hstack([reduced.C, self.apart.C]), reduced.D + self.apart.D,
-            self.stable.dt, self.stable.inputs, self.stable.outputs,
+            np.block([[parts.A, np.zeros_like(a)], [a, m.A]]), np.vstack([parts.B, b]), np.hstack([c, m.C]),
+            np.zeros_like(m.D), m.dt,
         )  # fmt: skip
 
 
@@ -59,7 +81,7 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     r"""Stable and other modes as a parallel connection: ordered real Schur form, then a Sylvester equation.
 
     .. math:: A = Q \begin{bmatrix} A_{11} & A_{12} \\ 0 & A_{22} \end{bmatrix} Q^T, \qquad
-       A_{11} X - X A_{22} + A_{12} = 0
+       A_{11} X - X A_{22} + A_{12} = 0, \qquad T = Q \begin{bmatrix} I & X \\ 0 & I \end{bmatrix}
 
     Raises
     ------
@@ -73,11 +95,13 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     from scipy.linalg import LinAlgError, schur, solve_sylvester
 
     n, dt = model.n_states, model.dt
-    if n == 0 or _is_stable(model.poles(), dt).all():
-        nothing = StateSpaceModel(
-            np.zeros((0, 0)), np.zeros((0, model.n_inputs)), np.zeros((model.n_outputs, 0)), 0 * model.D, dt
-        )
-        return SplitModel(model, nothing)
+    stable = _is_stable(model.poles(), dt)
+    if stable.all():
+        bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
+        bare = bare._with_matrices(bare.A, bare.B, bare.C, bare.D, model.poles())
+        return SplitModel(bare, _static(model, 0 * model.D), model)
+    if not stable.any():
+        return SplitModel(_static(model, model.D), model._with_matrices(model.A, model.B, model.C, 0 * model.D), model)
     scale = balancing_factors(model.A)
     a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     try:
@@ -91,10 +115,20 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
         size = np.linalg.norm(t)
     if not np.isfinite(x).all() or not residual <= 1e-8 * (1 + np.linalg.norm(x)) * size < np.inf:
         raise NoTrustworthyNumber("stable part", f"its poles cannot be told from the others (residual {residual:.1e})")
-    b, c = q.T @ b, c @ q
-    top, right = b[:k] - x @ b[k:], c[:, :k] @ x + c[:, k:]
-    stable = StateSpaceModel(t[:k, :k], top, c[:, :k], model.D, dt, model.inputs, model.outputs)
-    return SplitModel(stable, StateSpaceModel(t[k:, k:], b[k:], right, 0 * model.D, dt, model.inputs, model.outputs))
+    basis = np.hstack([q[:, :k], q[:, :k] @ x + q[:, k:]])
+    out = c @ basis
+    low = q.T @ b
+    return SplitModel(
+        StateSpaceModel(t[:k, :k], low[:k] - x @ low[k:], out[:, :k], model.D, dt),
+        StateSpaceModel(t[k:, k:], low[k:], out[:, k:], 0 * model.D, dt),
+        StateSpaceModel(a, b, c, model.D, dt, model.inputs, model.outputs),
+        basis,
+    )
+
+
+def _static(like: StateSpaceModel, D: AnyArray) -> StateSpaceModel:
+    n_y, n_u = D.shape
+    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((n_y, 0)), D, like.dt)
 
 
 def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
@@ -105,8 +139,7 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
     m = bilinear_to_continuous(model) if model.is_discrete else model
     scale = balancing_factors(m.A)
     a = m.A / scale[:, None] * scale
-    reach = lyapunov_factor(a, m.B / scale[:, None])
-    see = lyapunov_factor(a.T, (m.C * scale).T)
+    reach, see = lyapunov_factors(a, m.B / scale[:, None], m.C * scale)
     return scale[:, None] * reach, see / scale[:, None]
 
 

@@ -550,7 +550,7 @@ def _weighted(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFami
     split = split_stable(K)
     if not split.stable.n_states:
         return []
-    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, K.dt)
+    stable = split.stable
     into, out = _sensitivity_weights(plant, K)
     return _tried(
         lambda: _projected("balanced", Balancing.of(*weighted_factors(stable, None, None)), stable, split),

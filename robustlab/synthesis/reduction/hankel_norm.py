@@ -33,24 +33,30 @@ __all__ = ["hankel_bound", "hankel_norm", "nearest_in_hankel_norm"]
 REPEATED = 1e-8
 
 
-def _dilated(model: StateSpaceModel, balancing: Balancing, k: int) -> StateSpaceModel:
-    """The dilation that leaves out the value at index k, however often it comes; states times the root of |Gamma|."""
-    a, b, c = balancing.left @ model.A @ balancing.right, balancing.left @ model.B, model.C @ balancing.right
-    values = balancing.values[: len(a)]
+def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False) -> tuple[StateSpaceModel, AnyArray]:
+    """The dilation of a balanced model that leaves out the value at index k, however often it comes, and the others.
+
+    Its states are times the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
+    """
     level = values[k]
     cut = np.abs(values - level) <= REPEATED * level
-    u = -np.linalg.pinv(c[:, cut].T) @ b[cut]
-    s, a, b, c = values[~cut], a[np.ix_(~cut, ~cut)], b[~cut], c[:, ~cut]
+    u = -np.linalg.pinv(m.C[:, cut].T) @ m.B[cut]
+    if unitary:
+        eye = np.eye(len(u))
+        left, _, right = np.linalg.svd(u + (eye - u @ u.T) @ (eye - u.T @ u))
+        u = left @ right
+    s, a, b, c = values[~cut], m.A[np.ix_(~cut, ~cut)], m.B[~cut], m.C[:, ~cut]
     gamma = s**2 - level**2
     root = np.sqrt(np.abs(gamma))
     inverse = (np.sign(gamma) / root)[:, None]
     middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
-    return StateSpaceModel(
+    dilated = StateSpaceModel(
         inverse * middle / root,
         inverse * (s[:, None] * b + level * c.T @ u),
         (c * s + level * u @ b.T) / root,
-        model.D - level * u,
+        m.D - level * u,
     )
+    return dilated, s
 
 
 def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
@@ -65,7 +71,7 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
     if order >= len(values):
         return balancing.reduced(model, order, "truncation")
     order = int((values > values[order] * (1 + REPEATED)).sum())
-    parts = split_stable(_dilated(model, balancing, order))
+    parts = split_stable(_dilated(balancing.reduced(model, len(values), "truncation"), values, order)[0])
     if parts.stable.n_states != order:
         found = f"{parts.stable.n_states} stable modes where there should be {order}: digits were lost"
         raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
@@ -76,16 +82,20 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
 def _constant_near(unstable: StateSpaceModel) -> AnyArray:
     """A constant no farther from a strictly proper model without stable modes than the sum of its Hankel values.
 
-    One value after another, the smallest first: each dilation moves the model by no more than the value that it takes.
+    One value after another, the smallest first: each dilation moves the model by no more than the value that it takes,
+    and is balanced again with the other values, as long as the model is square and U unitary.
     """
-    left = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
-    while left.n_states:
-        balancing = Balancing.of(*gramian_factors(left))
-        smallest = len(balancing.left) - 1
-        if smallest < 0:
-            break
-        left = _dilated(left, balancing, smallest)
-    return left.D
+    mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
+    balancing = Balancing.of(*gramian_factors(mirrored))
+    values = balancing.values[: len(balancing.left)]
+    left = balancing.reduced(mirrored, len(values), "truncation")
+    (p, m), n = left.D.shape, left.n_states
+    into, out = np.zeros((n, max(0, p - m))), np.zeros((max(0, m - p), n))
+    direct = np.pad(left.D, ((0, len(out)), (0, into.shape[1])))
+    left = StateSpaceModel(left.A, np.hstack([left.B, into]), np.vstack([left.C, out]), direct)
+    while len(values):
+        left, values = _dilated(left, values, len(values) - 1, unitary=True)
+    return left.D[:p, :m]
 
 
 def hankel_bound(values: AnyArray, order: int) -> float:

@@ -23,13 +23,14 @@ from robustlab.norms import (
     norm_as_given,
 )
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.statespace import StateSpaceModel, append, as_model, parallel, series
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.synthesis.reduction.band_gramians import band_gramian_factors
 from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
 from robustlab.synthesis.reduction.hankel_norm import hankel_bound, hankel_norm, nearest_in_hankel_norm
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound, relative_gap
+from robustlab.synthesis.reduction.split_error import SplitError, merged, widened
 
 __all__ = [
     "balanced_truncation",
@@ -48,6 +49,10 @@ METHODS = get_args(Method)
 BOUND_ROUNDING = 1e-10
 # Share of the responses by which the two models may seem to differ.
 OVERLOOKED = 1e-9
+TINY = float(np.finfo(float).tiny)
+# Share of the error that splitting parts off may add to it, before frequencies next to a mode on the boundary are left
+# out.
+SPLIT_SHARE = 1e-3
 
 
 @told_as("hankel_singular_values")
@@ -136,9 +141,9 @@ def reduce_model(
     .. math:: \sup_\omega \sigma_{max}( (G G^* + \beta^2 I)^{-1/2} (G - G_r) ) \le
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
-    Modes that are not stable are split off and kept; ``method="coprime"`` reduces them too, through the normalised
-    right coprime factors ``G = N M^{-1}``, whose error is then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound
-    of the gap between the two models).
+    Modes that are not stable are split off and kept, and what rounding may add there is part of the error;
+    ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
+    then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
     Parameters
     ----------
@@ -167,7 +172,8 @@ def reduce_model(
     Returns
     -------
     ReducedModel
-        With its certified error; its states are balanced, those kept apart come last.
+        With its certified error and the frequencies (``left_out``) next to modes on the stability boundary for which
+        nothing is certified; its states are balanced, those kept apart come last.
 
     Raises
     ------
@@ -282,7 +288,8 @@ class _Way:
     ``values`` are its Hankel values in the units of the model as given, ``most`` the largest order. ``reduced`` gives
     the part of an order, ``measured`` the certified size of a difference, ``bound`` what is promised for it, and
     ``seen`` turns differences of responses at frequencies, as given, into what ``measured`` is the largest norm of,
-    where that is not the difference; ``looked_at`` are frequencies to look at besides those of the model.
+    where that is not the difference; ``looked_at`` are frequencies to look at besides those of the model. ``per_gain``
+    bounds how much ``measured`` is for a largest gain of 1 over the ``band``; the model of ordinary entries has both.
     """
 
     values: Array
@@ -292,6 +299,18 @@ class _Way:
     bound: Callable[[int], float] = lambda _: np.nan
     seen: Callable[[Array, ComplexArray], ComplexArray] | None = None
     looked_at: tuple[float, ...] = ()
+    per_gain: Callable[[], float] = lambda: 1.0
+    band: Band | None = None
+    relative: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Proved sizes of a difference, `ReducedModel.error` and `.difference`, and the frequencies they do not hold at."""
+
+    error: HinfNorm
+    difference: HinfNorm | None = None
+    left_out: tuple[Band, ...] = ()
 
 
 def _balanced_reduction(
@@ -301,8 +320,7 @@ def _balanced_reduction(
     unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))
     ordinary = unchanged if weighted else moderated(full, "reduce_model")
     split = split_stable(ordinary.model)
-    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, ordinary.model.dt)
-    name = method
+    stable, lost, name = split.stable, SplitError(split), method
     if method == "stochastic":
         way = _stochastic_way(stable, ordinary, floor)
     elif method == "hankel":
@@ -325,19 +343,37 @@ def _balanced_reduction(
                 f"the model of order {small.n_states + apart} is not stable",
                 hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
-        difference = _difference(stable, small)
-        found = _checked(
-            full, ordinary.as_given(split.joined(small), "reduce_model"), name, way, way.measured(difference),
-            way.bound(small.n_states), apart,
-        )  # fmt: skip
+        both = parallel(stable, small, -1)
+        difference = both._with_matrices(both.A, both.B, both.C, both.D, np.append(stable.poles(), small.poles()))
+        evidence = _evidence(way, ordinary, lost, difference)
+        model = ordinary.as_given(split.joined(small), "reduce_model")
+        found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart)
         if method == "hankel":
             return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
-        if band is None and method != "stochastic":
-            return found
-        return replace(found, difference=norm_as_given(hinf_norm(difference), ordinary))
+        return found
 
     limits = np.zeros(way.most + 1) if np.isnan(way.bound(0)) else np.append(way.values, 0.0)
     return candidate, apart, apart + way.most, limits
+
+
+def _evidence(way: _Way, ordinary: Moderated, lost: SplitError, difference: StateSpaceModel) -> _Evidence:
+    """The sizes of a difference of stable parts, and what splitting these off may add to them."""
+    error = way.measured(difference)
+    whole = None if way.band is None and not way.relative else norm_as_given(hinf_norm(difference), ordinary)
+    if lost.nothing:
+        return _Evidence(error, whole)
+    per_gain, size = (way.per_gain(), 1.0) if way.relative else (way.per_gain(), float(way.values.max(initial=0.0)))
+    wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / max(per_gain, TINY)
+    wanted = wanted if way.relative else float(np.ldexp(wanted, ordinary.gain))
+    axis = lost.bound(wanted)
+    part = axis if way.band is None else lost.bound(wanted, way.band)
+    added = per_gain * part.upper
+    left_out = merged(axis.left_out + part.left_out)
+    return _Evidence(
+        widened(error, added if way.relative else ordinary.value(added, "reduce_model"), part.reason),
+        None if whole is None else widened(whole, ordinary.value(axis.upper, "reduce_model"), axis.reason),
+        tuple((ordinary.frequency(low), ordinary.frequency(high)) for low, high in left_out),
+    )
 
 
 def _plain_way(stable: StateSpaceModel, ordinary: Moderated, projection: Projection) -> _Way:
@@ -366,6 +402,7 @@ def _weighted_way(stable: StateSpaceModel, weights: Weights, projection: Project
         lambda order: balancing.reduced(stable, order, projection),
         lambda difference: hinf_norm(_weighted(difference, *weights)),
         seen=seen,
+        per_gain=lambda: float(np.prod([hinf_norm(w, 1e-2).upper for w in weights if w is not None])),
     )
 
 
@@ -379,6 +416,7 @@ def _band_way(stable: StateSpaceModel, ordinary: Moderated, band: Band, projecti
         lambda difference: norm_as_given(linf_norm(difference, band=(low, high)), ordinary),
         seen=lambda omega, gap: gap[(omega >= band[0]) & (omega <= band[1])],
         looked_at=tuple(np.linspace(*band, 22)[1:-1]) if np.isfinite(band[1]) else (),
+        band=(low, high),
     )
 
 
@@ -411,6 +449,8 @@ def _stochastic_way(stable: StateSpaceModel, ordinary: Moderated, floor: float) 
         measured,
         lambda order: relative_bound(balancing.values, order),
         lambda omega, gap: relative_gap(frequency_response(given, omega), gap, floor),
+        per_gain=spectrum.per_gain,
+        relative=True,
     )
 
 
@@ -465,12 +505,6 @@ def error_bound(values: Array, order: int) -> float:
     return 2 * float(distinct.sum())
 
 
-def _difference(one: StateSpaceModel, two: StateSpaceModel) -> StateSpaceModel:
-    n, m = one.n_states, two.n_states
-    a = np.block([[one.A, np.zeros((n, m))], [np.zeros((m, n)), two.A]])
-    return StateSpaceModel(a, np.vstack([one.B, two.B]), np.hstack([one.C, -two.C]), one.D - two.D, one.dt)
-
-
 def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None) -> StateSpaceModel:
     if into is not None:
         model = series(into, model)
@@ -478,7 +512,7 @@ def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSp
 
 
 def _checked(
-    full: StateSpaceModel, model: StateSpaceModel, method: str, way: _Way, error: HinfNorm, bound: float, apart: int
+    full: StateSpaceModel, model: StateSpaceModel, method: str, way: _Way, evidence: _Evidence, bound: float, apart: int
 ) -> ReducedModel:
     """The result; the models as given and as returned are compared at frequencies of the full one."""
     named = StateSpaceModel(
@@ -486,20 +520,24 @@ def _checked(
     )
     values = np.array(way.values)
     values.setflags(write=False)
-    largest = float(values.max(initial=0.0))
+    largest, error = float(values.max(initial=0.0)), evidence.error
     reason = error.reason
     if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
     if not reason and method != "coprime":
-        seen, size = _seen_difference(full, named, way)
+        seen, size = _seen_difference(full, named, way, evidence.left_out)
         size = 1.0 if method == "stochastic" else size
         if seen > error.upper * (1 + 1e-6) + OVERLOOKED * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
-    return ReducedModel(named, method, error, bound, values, apart, full, status, reason)
+    return ReducedModel(
+        named, method, error, bound, values, apart, full, status, reason, evidence.difference, evidence.left_out
+    )
 
 
-def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, way: _Way) -> tuple[float, float]:
+def _seen_difference(
+    full: StateSpaceModel, model: StateSpaceModel, way: _Way, left_out: tuple[Band, ...]
+) -> tuple[float, float]:
     """Largest difference of the two responses, as it is measured, on a grid away from poles, less the bounds of their
     errors where they come from the modes; and the size of the responses.
     """
@@ -508,6 +546,8 @@ def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, way: _Way) -
     omega = np.append(default_grid(full, 40) * 1.0123, way.looked_at)
     if full.is_discrete:
         omega = omega[omega < np.pi / full.dt]
+    for low, high in left_out:
+        omega = omega[(omega <= low) | (omega >= high)]
     share = OVERLOOKED if way.seen is None else 0.0  # what weighs a difference would weigh the bounds of its errors
     (first, error), (second, other) = (_response(m, omega, share) for m in (full, model))
     size = float(np.linalg.norm(first, 2, axis=(1, 2)).max(initial=0.0))
@@ -529,7 +569,7 @@ def _coprime_reduction(full: StateSpaceModel) -> Candidates:
     way = _Way(balancing.values, len(balancing.left), reduction.reduced, hinf_norm)
 
     def candidate(order: int) -> ReducedModel:
-        error = way.measured(_difference(factors, reduction.reduced_factors(order)))
-        return _checked(full, way.reduced(order), "coprime", way, error, error_bound(way.values, order), 0)
+        error = way.measured(parallel(factors, reduction.reduced_factors(order), -1))
+        return _checked(full, way.reduced(order), "coprime", way, _Evidence(error), error_bound(way.values, order), 0)
 
     return candidate, 0, way.most, np.append(way.values, 0.0)

@@ -28,9 +28,9 @@ class ReducedModel(Shown):
         ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` or ``"band "`` before it where that was asked
         for; ``"hankel"``, ``"stochastic"`` or ``"coprime"``.
     error
-        H-infinity norm of the difference: of the models (of their stable parts, for the others are equal); times the
-        weights where there are any; inside the band where there is one; relative to the model for ``"stochastic"``;
-        for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
+        Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
+        ``left_out``; times the weights where there are any; inside the band where there is one; relative to the gain of
+        the stable part for ``"stochastic"``; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
     bound
         What theory promises for ``error`` before anything is computed, as in `reduce_model`. NaN with weights or a
         band: there is no such promise.
@@ -48,8 +48,13 @@ class ReducedModel(Shown):
         Why it is inaccurate; else empty.
     difference
         H-infinity norm of the difference at all frequencies, where ``error`` is that inside a band or a relative one.
+    left_out
+        Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
+        a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
+        rounding adds to ``error`` below a thousandth of it.
     hankel_error
-        Hankel norm of the difference, from its own Gramians; NaN for other methods than ``"hankel"``.
+        Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
+        ``"hankel"``.
     """
 
     model: StateSpaceModel
@@ -62,6 +67,7 @@ class ReducedModel(Shown):
     status: Status
     reason: str = ""
     difference: HinfNorm | None = None
+    left_out: tuple[tuple[float, float], ...] = ()
     hankel_error: float = np.nan
 
     @property
@@ -79,10 +85,15 @@ class ReducedModel(Shown):
         kind = self.method.partition(" ")[0]
         what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
         bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
+        around = ", ".join(
+            f"{0.5 * (low + high):.6g} +- {0.5 * (high - low):.2g}" if low else f"0 to {high:.2g}"
+            for low, high in self.left_out
+        )
         rows = [
             ("order", f"{self.order} of {self.full.n_states} states"),
             ("method", self.method),
             (what, f"{self.error.upper:.6g} at {self.error.frequency:.4g} rad/s (verified upper bound{bound})"),
+            ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
             ("status", self.status.value),
             ("Hankel norm of the error", number(self.hankel_error, digits=6)),
             ("error at all frequencies", "" if self.difference is None else number(self.difference.upper, digits=6)),

@@ -27,11 +27,11 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_exponents
-from robustlab.matrix_equations import care, lyapunov_factor
+from robustlab.matrix_equations import care, lyapunov_factors
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, inverse, series
-from robustlab.synthesis.reduction.balancing import Balancing, gramian_factors
+from robustlab.synthesis.reduction.balancing import Balancing
 
 __all__ = ["Spectrum", "relative_bound", "relative_gap"]
 
@@ -89,7 +89,7 @@ class Spectrum:
             found = "the gain vanishes at infinite frequency: D has no full row rank"
             raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
         root, back = (turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T)
-        reach = gramian_factors(model)[0]
+        reach = lyapunov_factors(a, b, 0 * c)[0]
         P = reach @ reach.T
         into = P @ c.T + b @ d.T
         try:
@@ -100,7 +100,12 @@ class Spectrum:
         out = back @ (c - into.T @ X)
         factor = StateSpaceModel(a, into, out, root)
         doubt = _doubt(factor, c, a @ P + P @ a.T + b @ b.T, a.T @ X + X @ a + out.T @ out)
-        return cls(model, factor, Balancing.of(reach, lyapunov_factor(a.T, out.T)), doubt)
+        return cls(model, factor, Balancing.of(reach, lyapunov_factors(a, 0 * b, out)[1]), doubt)
+
+    def per_gain(self) -> float:
+        """What an error of gain 1 is at most relative to the model."""
+        found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
+        return found.upper / np.sqrt(1 - min(self.doubt, TRUSTED_SHARE)) if found.status.trustworthy else np.inf
 
     def relative(self, error: StateSpaceModel) -> HinfNorm:
         """The norm of an error relative to the model, proved for every frequency."""

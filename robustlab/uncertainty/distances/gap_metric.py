@@ -28,7 +28,7 @@ from robustlab.matrix_equations import care, lyapunov
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed, number
-from robustlab.statespace import StateSpaceModel, as_model, series
+from robustlab.statespace import StateSpaceModel, as_model, parallel, series
 from robustlab.uncertainty.distances.coprime import (
     CoprimeFactors,
     MappedModels,
@@ -305,17 +305,6 @@ def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool
 # --- the directed gap ------------------------------------------------------------------------------------------------
 
 
-def _difference(one: StateSpaceModel, two: StateSpaceModel) -> StateSpaceModel:
-    """``G1 - G2``."""
-    between = np.zeros((one.n_states, two.n_states))
-    return StateSpaceModel(
-        np.block([[one.A, between], [between.T, two.A]]),
-        np.vstack([one.B, two.B]),
-        np.hstack([one.C, -two.C]),
-        one.D - two.D,
-    )
-
-
 def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     """Bracket of ``inf ||G1 - G2 Q||`` over stable Q."""
     from scipy.optimize import brentq
@@ -326,7 +315,7 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     if low <= NOTHING:
         low = 0.0
     if low <= CLOSE:
-        difference = hinf_norm(_difference(one.right, two.right))
+        difference = hinf_norm(parallel(one.right, two.right, -1))
         if difference.upper <= CLOSE:
             return low, difference.upper
     first = min(norm.upper * (1 + TUNING.gap_rtol) + ROUNDING, 1.0)
