@@ -10,7 +10,7 @@ import typer
 
 from robustlab.cli.console import emit, require_trust
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, names
+from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, names, put_once
 from robustlab.errors import UsageError
 
 app = typer.Typer(
@@ -94,10 +94,12 @@ def gain(
     if isinstance(thing, ExtendedPlant):
         result: Any = _effects(thing, blocks, effects, order, effort)
     else:
-        if effects.controller or effects.amplitude or effects.stick_speed:
+        if effects != EffectOptions():
             raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
         known = [b.name for b in thing.blocks] if isinstance(thing, UncertainModel) else []
-        given = dict(_pair(text) for text in blocks.nature or [])
+        given: dict[str, str] = {}
+        for text in blocks.nature or []:
+            put_once(given, "--nature", text, *_pair(text))
         nature = natures_in_words(given, "--nature", known)
         options = {"order": order, **vars(effort)}
         if blocks.stability:

@@ -251,7 +251,7 @@ class Inequality:
             a = self.A - self.B @ feedback[:, :n]
             hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
             height = np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)
-        except np.linalg.LinAlgError:  # no strict inequality at infinity, or numbers beyond all measure: nothing is proved
+        except np.linalg.LinAlgError:  # no strict inequality at infinity, or numbers beyond all measure
             return np.array([])
         found = np.unique(np.append(height, 0.0))
         between = 0.5 * (found[:-1] + found[1:])

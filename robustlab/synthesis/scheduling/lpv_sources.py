@@ -130,7 +130,9 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
     p = block.parameter
     low, high = block.interval if p is None else (p.low, p.high)
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
-        return np.linspace(low, high, max(int(given), 2))
+        if given < 2:
+            raise InputError(f"lpv_model: points of {block.name!r}", f"{given}", "2 or more")
+        return np.linspace(low, high, int(given))
     values = real_array(f"points of {block.name!r}", given, 1, "lpv_model")
     if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():
         raise InputError(

@@ -217,7 +217,9 @@ def anti_windup(
     if P.is_discrete or K.is_discrete:
         raise InputError("anti_windup", "a discrete model", "continuous ones", "rl.d2c makes one")
     if not K.n_outputs or not P.n_states + K.n_states:
-        raise InputError("anti_windup", "no control, or a loop without states", "a dynamic loop whose controls saturate")
+        raise InputError(
+            "anti_windup", "no control, or a loop without states", "a dynamic loop whose controls saturate"
+        )
     pairs = _limits(limits, K.n_outputs)
     if not reach > 1:
         raise InputError("anti_windup: reach", f"{reach!r}", "more than 1, or inf")
