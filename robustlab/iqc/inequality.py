@@ -247,10 +247,11 @@ class Inequality:
         n = self.n
         Q, N, R = S[:n, :n], S[:n, n:], S[n:, n:]
         try:
-            feedback = np.linalg.solve(R, np.hstack([N.T, self.B.T]))
-            a = self.A - self.B @ feedback[:, :n]
-            hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
-            height = np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)
+            with np.errstate(all="ignore"):
+                feedback = np.linalg.solve(R, np.hstack([N.T, self.B.T]))
+                a = self.A - self.B @ feedback[:, :n]
+                hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
+                height = np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)
         except np.linalg.LinAlgError:  # no strict inequality at infinity, or numbers beyond all measure
             return np.array([])
         found = np.unique(np.append(height, 0.0))
