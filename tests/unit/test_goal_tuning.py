@@ -177,7 +177,8 @@ def test_what_was_tuned_is_a_start_and_numbers_are_checked() -> None:
     found = rl.tune(LAG, "pi", [TrackingGoal(1.0)], starts=0, effort=0.1)
     again = rl.tune(LAG, "pi", [TrackingGoal(1.0)], start=found, starts=0, effort=0.1)
     assert again.gamma <= found.gamma * (1 + 1e-6)
-    for options, text in (({"starts": -1}, "starts"), ({"seed": -1}, "seed"), ({"start": 3}, "start")):
+    wrong: list[tuple[Any, str]] = [({"starts": -1}, "starts"), ({"seed": -1}, "seed"), ({"start": 3}, "start")]
+    for options, text in wrong:
         with pytest.raises(InputError, match=text):
             rl.tune(LAG, "pi", [TrackingGoal(1.0)], **options)
     with pytest.raises(InputError, match="less than 180"):
