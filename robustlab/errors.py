@@ -19,8 +19,10 @@ Every message says WHERE, what was FOUND and what was EXPECTED on one line; the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
+from inspect import signature
+from operator import index
 from typing import ParamSpec, TypeVar
 
 __all__ = [
@@ -153,6 +155,8 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
     """
     import difflib
 
+    if not isinstance(name, str):
+        return None
     # Names come from files: comparing takes the square of their length, and nobody mistypes thousands of characters.
     near = [other for other in known[:2000] if len(other) <= 200] if len(name) <= 200 else []
     close = difflib.get_close_matches(name, near, n=1)
@@ -200,24 +204,33 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorator of a function that is built on others: its errors begin with its own name, whoever raised them.
 
     The user called ``disk_margin``; that it takes a `small_gain` test on its way is nothing that they could look up.
-    What is no step of ours, a file or a signal for example, stays as it is.
+    What is no step of ours, a file or a signal for example, stays as it is. Arguments that are no numbers, mappings,
+    functions or names where the signature says so are refused, whatever the function would make of them.
 
     Examples
     --------
     >>> @told_as("outer")
-    ... def outer():
+    ... def outer(level: "float" = 1.0):
     ...     raise InputError("care: R", "singular", "an invertible R")
-    >>> try:
-    ...     outer()
-    ... except InputError as error:
-    ...     print(error)
+    >>> for level in (1.0, "one"):
+    ...     try:
+    ...         outer(level)
+    ...     except InputError as error:
+    ...         print(error)
     outer: R: singular, expected an invertible R
+    outer: level: 'one', expected a number
     """
     _STEPS.add(name)
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        given, kinds = _arguments(function)
+
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            for key, value in (*zip(given, args, strict=False), *kwargs.items()):
+                expected, fits = kinds.get(key, ("", None))
+                if fits is not None and not fits(value):
+                    raise InputError(f"{name}: {key}", repr(value), expected)
             try:
                 return function(*args, **kwargs)
             except RobustlabError as error:
@@ -227,3 +240,49 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return call
 
     return decorate
+
+
+def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tuple[str, Callable[[object], bool]]]]:
+    """Names of what is given by position, and what arguments must be that the signature says more of than a shape."""
+    parameters = signature(function).parameters
+    kinds: dict[str, tuple[str, Callable[[object], bool]]] = {}
+    for key, parameter in parameters.items():
+        said = str(parameter.annotation)
+        bare = said.removesuffix(" | None")
+        kind = next((k for word, k in _KINDS.items() if bare.startswith(word)), None) if "] | " not in bare else None
+        if bare in ("int", "float"):
+            kind = _SEED if key == "seed" else ("a number", _is_number)
+        if kind is not None:
+            expected, fits = kind
+            kinds[key] = (f"{expected}, or None", _or_none(fits)) if bare != said else kind
+    return [key for key, p in parameters.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)], kinds
+
+
+def _or_none(fits: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda value: value is None or fits(value)
+
+
+def _is_number(value: object) -> bool:
+    if isinstance(value, (str, bytes)) or getattr(value, "ndim", 0):
+        return False
+    try:
+        float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return True
+
+
+def _is_seed(value: object) -> bool:
+    try:
+        return index(value) >= 0  # pyright: ignore[reportArgumentType]
+    except TypeError:
+        return False
+
+
+_SEED = "a whole number, 0 or more", _is_seed
+# Beginning of an annotation -> what is expected, and whether a value is that.
+_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
+    "Mapping[": ("names with their values, {...}", lambda value: isinstance(value, Mapping)),
+    "Callable[": ("a function", callable),
+    "Sequence[": ("a list", lambda value: isinstance(value, Iterable) and not isinstance(value, bytes)),
+}

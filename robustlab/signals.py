@@ -71,6 +71,8 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
         return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
     if isinstance(given, str):
         given = [given]
+    if not isinstance(given, Iterable):
+        raise InputError(where, f"signals {given!r}", "a list of names or (name, unit) pairs")
     result: list[Signal] = []
     for item in given:
         if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):

@@ -11,7 +11,7 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit, require_trust
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, load_model, names
+from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, load_model, names, put_once
 from robustlab.errors import UsageError
 
 app = typer.Typer(
@@ -92,10 +92,12 @@ def gain(
     if isinstance(thing, ExtendedPlant):
         result: Any = _effects(thing, blocks, effects, order, effort)
     else:
-        if effects.controller or effects.amplitude or effects.stick_speed:
+        if effects != EffectOptions():
             raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
         known = [b.name for b in thing.blocks] if isinstance(thing, rl.UncertainModel) else []
-        given = dict(_pair(text) for text in blocks.nature or [])
+        given: dict[str, str] = {}
+        for text in blocks.nature or []:
+            put_once(given, "--nature", text, *_pair(text))
         nature = natures_in_words(given, "--nature", known)
         options = {"order": order, **vars(effort)}
         if blocks.stability:

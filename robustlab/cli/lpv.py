@@ -47,7 +47,11 @@ class SchedulingOptions:
         """The LPV model in a file, or of the uncertain one there."""
         found: Any = rl.load(file)
         rates = assignments("--rate", self.rates)
-        counts = {name: int(value) for name, value in assignments("--points", self.points).items()}
+        given = assignments("--points", self.points)
+        for name, value in given.items():
+            if not value.is_integer():  # nan and inf are none
+                raise UsageError(f"--points {name}={value:g}", "no whole number", "2 or more")
+        counts = {name: int(value) for name, value in given.items()}
         if isinstance(found, rl.UncertainModel):
             return rl.lpv_model(found, counts, rates)
         if not isinstance(found, rl.LPVModel):

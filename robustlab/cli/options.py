@@ -162,12 +162,19 @@ def numbers(option: str, text: str) -> list[float]:
         raise UsageError(option, repr(text), "numbers, for example 1,2.5") from None
 
 
+def put_once(found: dict[str, Any], option: str, text: str, name: str, value: Any) -> None:
+    """Keep a value under its name; one that is given twice is a mistake of which nobody knows what was meant."""
+    if name in found:
+        raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
+    found[name] = value
+
+
 def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
     """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
     values: dict[str, float] = {}
     for text in texts or []:
         name, value = _named_value(option, text)
-        values[name] = _number(option, text, value, (units or {}).get(name, ""))
+        put_once(values, option, text, name, _number(option, text, value, (units or {}).get(name, "")))
     return values
 
 
@@ -177,7 +184,7 @@ def shares(option: str, texts: list[str] | None) -> dict[str, float]:
     for text in texts or []:
         name, value = _named_value(option, text)
         try:
-            values[name] = share(f"{option} {text}", value)
+            put_once(values, option, text, name, share(f"{option} {text}", value))
         except InputError as error:
             raise UsageError(error.where, error.found, error.expected) from None
     return values
@@ -194,7 +201,7 @@ def ends(
         if not (name and colon):
             raise UsageError(f"{option} {text}", "no name and two numbers", "NAME=LOW:HIGH")
         unit = (units or {}).get(name, "")
-        found[name] = _number(option, text, low, unit), _number(option, text, high, unit)
+        put_once(found, option, text, name, (_number(option, text, low, unit), _number(option, text, high, unit)))
     return found
 
 

@@ -25,7 +25,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.channels import chained, closed, covering, in_order, named
 from robustlab.delays.pade import checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import frequency_response
+from robustlab.frequency import CHUNK, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
@@ -34,7 +34,7 @@ from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, inverse, parallel, product
-from robustlab.uncertainty.upper_lft import closed_response, upper_lft
+from robustlab.uncertainty.upper_lft import upper_lft
 
 __all__ = ["DelayedModel", "as_delayed", "delay", "uncertain_delays", "with_delays"]
 
@@ -143,7 +143,8 @@ class DelayedModel(TransferMatrix, Shown, Traced):
     # --- behaviour ---------------------------------------------------------------------------------------------------
 
     def response_at(self, omega: ArrayLike) -> ComplexArray:
-        """Exact frequency response, shape (n_omega, n_y, n_u): the delays are closed at each frequency.
+        """Exact frequency response, shape (n_omega, n_y, n_u): states and delays are solved for at once, so that a pole
+        of the parts that the loop has moved, an integrator's for example, is no pole here.
 
         Raises
         ------
@@ -152,15 +153,40 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         NoTrustworthyNumber
             A pole lies at a frequency.
         """
-        w = real_array("omega", np.atleast_1d(np.asarray(omega, dtype=float)), 1, "frequency_response")
-        open_loop = frequency_response(self.H, w)
-        turns = np.exp(-1j * w[:, None] * self.delays)
-        try:
-            found = closed_response(open_loop, turns[:, :, None] * np.eye(len(self.delays)))
-        except np.linalg.LinAlgError:
-            at_pole = "a frequency hits a pole exactly"
-            raise NoTrustworthyNumber("frequency_response", at_pole, None, "leave that frequency out") from None
-        return np.asarray(found, dtype=np.complex128)
+        w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
+        if not len(self.delays):
+            return frequency_response(self.H, w)
+        inner, B, C, D = self.at_once()
+        found = np.empty((len(w), *D.shape), dtype=complex)
+        step = max(1, CHUNK // len(inner) ** 2)
+        for first in range(0, len(w), step):
+            part = w[first : first + step]
+            try:
+                solved = np.linalg.solve(self.turned(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
+            except np.linalg.LinAlgError:
+                at_pole = "a frequency hits a pole exactly"
+                raise NoTrustworthyNumber("frequency_response", at_pole, None, "leave that frequency out") from None
+            found[first : first + step] = D + C @ solved
+        return found
+
+    def at_once(self) -> tuple[Array, Array, Array, Array]:
+        """``[A B1; C1 D11]``, ``[B2; D12]``, ``[C2 D21]``, D22 in balanced unknowns: states, what leaves delays."""
+        from scipy.linalg import matrix_balance
+
+        H, k = self.H, len(self.delays)
+        inner, scale = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]]), np.ones(H.n_states + k)
+        if len(scale):
+            balanced: Any = matrix_balance(inner, permute=False, separate=True)
+            scale = np.asarray(balanced[1][0], dtype=float)
+        B, C = np.vstack([H.B, H.D[:k]])[:, k:], np.hstack([H.C, H.D[:, :k]])[k:]
+        return inner / scale[:, None] * scale, B / scale[:, None], C * scale, H.D[k:, k:]
+
+    def turned(self, matrix: Array, omega: Array) -> ComplexArray:
+        """A matrix over the unknowns of `at_once`, plus s and the delays' leads on its diagonal at each frequency."""
+        s, place = 1j * omega[:, None], np.arange(len(matrix))
+        found = np.broadcast_to(matrix, (len(omega), *matrix.shape)).astype(np.complex128)
+        found[:, place, place] += np.hstack([np.repeat(s, self.H.n_states, axis=1), np.exp(s * self.delays)])
+        return found
 
     def undelayed(self) -> StateSpaceModel:
         """The model with all delays at zero.

@@ -225,6 +225,8 @@ class Inequality:
         From the transfer functions of the model as it was given and of the filters: nothing of this class's states.
         """
         omega = self._candidates(self.supply(point.unknowns, point.square))
+        if not len(omega):
+            return np.inf, np.nan
         top = np.array([self._relative(point, w, channels) for w, channels in self.loop.at(omega)])
         worst = int(np.argmax(top))
         return float(top[worst]), float(omega[worst])
@@ -245,12 +247,14 @@ class Inequality:
         n = self.n
         Q, N, R = S[:n, :n], S[:n, n:], S[n:, n:]
         try:
-            feedback = np.linalg.solve(R, np.hstack([N.T, self.B.T]))
-        except np.linalg.LinAlgError:  # at infinity it is no strict inequality, and is judged so there
-            return np.array([0.0, 1.0])
-        a = self.A - self.B @ feedback[:, :n]
-        hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
-        found = np.unique(np.append(np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag), 0.0))
+            with np.errstate(all="ignore"):
+                feedback = np.linalg.solve(R, np.hstack([N.T, self.B.T]))
+                a = self.A - self.B @ feedback[:, :n]
+                hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
+                height = np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)
+        except np.linalg.LinAlgError:  # no strict inequality at infinity, or numbers beyond all measure
+            return np.array([])
+        found = np.unique(np.append(height, 0.0))
         between = 0.5 * (found[:-1] + found[1:])
         beyond = [2 * found[-1] + 1.0, 10 * found[-1] + 10.0]
         return np.unique(np.concatenate([found, between, beyond, np.geomspace(*GRID)]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 from robustlab.errors import InputError, did_you_mean
@@ -53,7 +54,7 @@ class Varying:
     holds: str = ""
 
     def __post_init__(self) -> None:
-        if isinstance(self.rate, bool) or not isinstance(self.rate, (int, float)) or not self.rate > 0:
+        if isinstance(self.rate, bool) or not isinstance(self.rate, Real) or not self.rate > 0:
             found, hint = f"a rate of {self.rate!r}", "leave a constant parameter out"
             raise InputError("Varying", found, "a positive number, or inf", hint)
 
@@ -67,10 +68,9 @@ class Nonlinearity:
     Attributes
     ----------
     sector
-        a and b, finite, a < b.
+        a and b, finite, a < b. With a slope only what both allow is kept: phi(z) / z is the slope of a chord, too.
     slope
-        m and k, finite; None where the slope has no bound. The slope at the origin lies in the sector, so m <= b and
-        k >= a.
+        m and k, finite; None where the slope has no bound. m < b and k > a.
     odd
         Whether :math:`\varphi(-z) = -\varphi(z)`: it admits more multipliers.
     steady
@@ -99,15 +99,19 @@ class Nonlinearity:
         for name, ends in (("sector", self.sector), ("slope", self.slope)):
             if ends is None:
                 continue
-            if len(ends) != 2 or not all(map(math.isfinite, ends)) or not ends[0] < ends[1]:
+            if not _is_range(ends):
                 hint = (
                     "an infinite end has no strict inequality: friction takes a stick_speed"
                     if name == "sector"
                     else None
                 )
                 raise InputError(f"Nonlinearity: {name}", f"{ends}", "two finite numbers, the smaller one first", hint)
-        if self.slope is not None and not (self.slope[0] <= self.sector[1] and self.slope[1] >= self.sector[0]):
-            raise InputError("Nonlinearity: slope", f"{self.slope}", f"one that meets the sector {self.sector}")
+        if self.slope is not None:
+            # The middle of the sector has to be a law of the class: the homotopy of the proof starts there.
+            both = max(self.sector[0], self.slope[0]), min(self.sector[1], self.slope[1])
+            if not both[0] < both[1]:
+                raise InputError("Nonlinearity: slope", f"{self.slope}", f"one that meets the sector {self.sector}")
+            object.__setattr__(self, "sector", both)
 
     @classmethod
     def saturation(cls, limit: float = 1.0, reach: float = math.inf) -> Nonlinearity:
@@ -227,6 +231,14 @@ def _nature(where: str, text: str) -> Nature:
     return Nonlinearity(ends, None if word == "sector" else ends, odd=word == "odd-slope")
 
 
+def _is_range(ends: Any) -> bool:
+    return (
+        isinstance(ends, (tuple, list)) and len(ends) == 2
+        and all(isinstance(e, Real) and not isinstance(e, bool) and math.isfinite(e) for e in ends)
+        and ends[0] < ends[1]
+    )  # fmt: skip
+
+
 def _positive(name: str, value: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 < value < math.inf:
         raise InputError(f"Nonlinearity: {name}", f"{value!r}", "a positive finite number")

@@ -122,6 +122,8 @@ def posed(
     if pole is not None and not 0 < pole < np.inf:
         raise InputError(f"{where}: pole", f"{pole!r}", "a positive number in rad/s")
     budget = search_budget(where, TUNING.work, effort, time_limit)
+    if nature is not None and not isinstance(nature, Mapping):
+        raise InputError(f"{where}: nature", f"{nature!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
     given = dict(nature or {})
     laws: dict[tuple[str, str], Nonlinearity] = {}
     for key, law in given.items():
@@ -208,6 +210,8 @@ class Problem:
     def least_gain(self, basis: Basis, budget: Budget) -> tuple[float, IqcProof] | None:
         """The least gain that is proved with these filters, and its proof; None where there is none."""
         size = float(max(hinf_norm(self.middle.nominal).upper, 1e-12))
+        if math.isinf(size):  # a pole that cannot be told from the axis
+            return None
         unit = 2.0 ** round(math.log2(size))
         inequality, terms = self._inequality(basis, 1.0, unit)
         if inequality is None:

@@ -24,6 +24,9 @@ from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = ["checked_band", "linf_norm"]
 
+# A pole within so many times what eigenvalues are known to may lie on the boundary: those of Jordan blocks are blurred.
+BESIDE = 1e9
+
 
 @told_as("linf_norm")
 def linf_norm(
@@ -117,14 +120,19 @@ def _on_the_boundary(m: StateSpaceModel, rate: int) -> HinfNorm | None:
 def _in_the_band(band: tuple[float, float], m: StateSpaceModel, rate: int) -> HinfNorm | None:
     """The same of the poles in a band alone; those elsewhere make no gain in it infinite."""
     poles, blur = m.poles(), eigenvalue_blur(m)
-    near = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real) <= blur
+    distance = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real)
     at = np.abs(np.angle(poles) if m.is_discrete else poles.imag)
     low, high = (omega * m.dt if m.is_discrete else omega for omega in np.ldexp(band, -rate))
-    near &= (at >= low - blur) & (at <= high + blur)
-    if not near.any():
+    inside = (at >= low - blur) & (at <= high + blur)
+    if not (inside & (distance <= FAR * blur)).any():
         return None
-    there = exactly_on_boundary(m.A, m.is_discrete)
-    return _infinite(complex(poles[near][0]), 0 if m.is_discrete else rate, bool(there))
+    nearest = int(np.where(inside, distance, np.inf).argmin())
+    # Exact arithmetic tells whether a pole lies on the boundary, not which: none beside the band may be the one.
+    beside = ~inside & (distance <= BESIDE * blur)
+    there = bool(not beside.any() and exactly_on_boundary(m.A, m.is_discrete))
+    if not there and distance[nearest] > blur:
+        return None
+    return _infinite(complex(poles[nearest]), 0 if m.is_discrete else rate, there)
 
 
 def _infinite(pole: complex, rate: int, there: bool) -> HinfNorm:

@@ -85,12 +85,12 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         outputs: Sequence[SignalLike] | None = None,
     ) -> None:
         where = "UncertainFrequencyData"
-        w = real_array("omega", np.atleast_1d(np.asarray(omega, dtype=float)), 1, where)
+        w = real_array("omega", np.atleast_1d(omega), 1, where)
         if not len(w) or w[0] < 0 or (np.diff(w) <= 0).any():
             raise InputError(
                 f"{where}: omega", "frequencies that do not increase from 0 on", "increasing ones, in rad/s"
             )
-        response = np.array(M, dtype=np.complex128)
+        response = _complex("M", M, where)
         checked = as_blocks(blocks)
         q, p = structure_size(checked)
         if response.ndim != 3 or len(response) != len(w) or response.shape[1] < p or response.shape[2] < q:
@@ -325,7 +325,7 @@ def frequency_data(
     >>> [b.name for b in found.blocks], found.delta_channels.shape
     (['measured y1 from u1'], (2, 1, 1))
     """
-    w = real_array("omega", np.atleast_1d(np.asarray(omega, dtype=float)), 1, "frequency_data")
+    w = real_array("omega", np.atleast_1d(omega), 1, "frequency_data")
     if isinstance(given, UncertainModel) or not _is_response(given):
         if radius is not None:
             found, hint = "a radius of a model", "rl.unstructured gives a model a weight at all frequencies"
@@ -333,18 +333,27 @@ def frequency_data(
         model = given if hasattr(given, "response_at") or isinstance(given, UncertainModel) else as_model(given)
         M = frequency_response(getattr(model, "M", model), w)
         return UncertainFrequencyData(w, M, getattr(model, "blocks", ()), model.inputs, model.outputs)
-    G = np.asarray(given, dtype=np.complex128)
+    G = _complex("response", given, "frequency_data")
     G = G[:, None, None] if G.ndim == 1 else np.broadcast_to(G, (len(w), *G.shape)) if G.ndim == 2 else G
     plain = UncertainFrequencyData(w, G, (), inputs, outputs)
-    return plain if radius is None else _with_radius(plain, np.asarray(radius, dtype=float), name)
+    return plain if radius is None else _with_radius(plain, _complex("radius", radius, "frequency_data"), name)
+
+
+def _complex(name: str, given: ArrayLike, where: str) -> ComplexArray:
+    """Numbers as a new complex array."""
+    try:
+        return np.array(given, dtype=np.complex128)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: {name}", repr(given), "an array of numbers") from None
 
 
 def _is_response(given: Any) -> bool:
     return isinstance(given, (np.ndarray, list, tuple, int, float, complex))
 
 
-def _with_radius(plain: UncertainFrequencyData, radius: Array, name: str) -> UncertainFrequencyData:
+def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) -> UncertainFrequencyData:
     """The data with a block for each entry, or one for all."""
+    radius = np.where(given.imag == 0, given.real, np.nan)
     n, n_y, n_u = plain.M.shape
     if n_y == n_u == 1 and radius.shape == (n,):
         radius = radius[:, None, None]
@@ -411,7 +420,8 @@ def response_radius(response: ArrayLike, coherence: ArrayLike, averages: int, co
     >>> response_radius([2.0], [0.9], 20).round(4)
     array([0.2755])
     """
-    G, g2 = np.asarray(response, dtype=complex), np.asarray(coherence, dtype=float)
+    G, given = (_complex(k, v, "response_radius") for k, v in (("response", response), ("coherence", coherence)))
+    g2 = np.where(given.imag == 0, given.real, np.nan)
     if G.shape != g2.shape or not ((g2 >= 0) & (g2 <= 1)).all():
         raise InputError("response_radius: coherence", f"shape {g2.shape}", f"numbers from 0 to 1, shape {G.shape}")
     if isinstance(averages, bool) or not isinstance(averages, (int, np.integer)) or averages < 2:

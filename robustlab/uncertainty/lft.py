@@ -22,7 +22,7 @@ from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, with_units
-from robustlab.signals import Signal, is_constant, is_number, names_of, picked, real_array, same_units
+from robustlab.signals import Signal, indices, is_constant, is_number, names_of, picked, real_array, same_units
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
 from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, weighted, wired
@@ -293,9 +293,10 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
         """The same set with the named inputs and outputs only."""
         q, p = self.delta_shape
-        ins = list(self.M.input_names[:q]) + list(inputs if inputs is not None else self.M.input_names[q:])
-        outs = list(self.M.output_names[:p]) + list(outputs if outputs is not None else self.M.output_names[p:])
-        return UncertainModel(self.M.select(ins, outs), self.blocks)
+        ins, outs = self.M.input_names, self.M.output_names
+        some_ins = [ins[q + k] for k in indices(inputs, ins[q:], "input")]
+        some_outs = [outs[p + k] for k in indices(outputs, outs[p:], "output")]
+        return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
     def close(self, K: StateSpaceModel) -> UncertainModel:
         """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs."""

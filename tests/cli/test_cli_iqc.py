@@ -108,6 +108,8 @@ def test_anti_windup(files, capfd):
         (["gain", "loop.h5", "--nature", "y:v=friction:1"], 3, "friction with level:stick speed"),
         (["gain", "loop.h5", "--nature", "saturation"], 2, "NAME=WORD:NUMBERS"),
         (["gain", "loop.h5", "--amplitude", "u=1"], 2, "a plant with effects"),
+        (["gain", "loop.h5", "--feedback", "sideways"], 2, "a plant with effects"),
+        (["gain", "loop.h5", "--nature", "y:v=saturation", "--nature", "y:v=dead-zone"], 2, "'y:v' is given twice"),
         (["gain", "loop.h5"], 3, "no block at all"),
         (["gain", "loop.h5", "--nature", "y:v=slope:-9:0"], 4, "unstable with all blocks at their middles"),
         (["anti-windup", "lag.h5", "pi.h5", "--limit", "w=-1:1"], 2, "one of u"),

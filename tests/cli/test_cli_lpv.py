@@ -37,6 +37,21 @@ def test_an_uncertain_model_is_built_and_bounded(spring):
     assert told["upper"] == pytest.approx(rl.lpv_gain(model).upper, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("points", "code", "text"),
+    [
+        (["k=nan"], 2, "no whole number"),
+        (["k=2.5"], 2, "no whole number"),
+        (["k=1"], 3, "2 or more"),
+        (["k=3", "k=4"], 2, "'k' is given twice"),
+    ],
+)
+def test_numbers_of_points_that_are_none(spring, points, code, text):
+    done = robustlab("lpv", "build", "spring.h5", *(word for p in points for word in ("--points", p)), cwd=spring)
+    assert done.returncode == code
+    assert text in done.stderr
+
+
 def test_a_controller_is_designed_stored_and_evaluated(tmp_path):
     rl.save(tmp_path / "plant.h5", shown_objects.scheduled_plant())
     done = robustlab("lpv", "hinf", "plant.h5", "--n-meas", "1", "--n-con", "1", "--out", "k.h5", cwd=tmp_path)

@@ -98,3 +98,17 @@ def test_a_loop_proved_for_the_coprime_set_stabilises_every_model():
     assert all(rl.UncertainModel(m, []).feedback(4.0).nominal.is_stable() for m in models)
     with pytest.raises(rl.InputError, match="discrete models"):
         rl.cover([rl.discretise(m, 0.1) for m in models], "coprime")
+
+
+@pytest.mark.parametrize("form", ["input-multiplicative", "output-multiplicative", "inverse-additive"])
+def test_models_without_an_inverse_are_named(form):
+    models = [rl.StateSpaceModel([[-p]], [[1.0, 2.0]], [[1.0], [1.0]], np.zeros((2, 2))) for p in (1.0, 1.2)]
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"inverse|unstable error"):
+        rl.cover(models, form, gain=False)
+
+
+def test_a_loop_that_makes_no_model_is_named():
+    models = [rl.StateSpaceModel([[-p]], [[1.0]], [[1.0]], [[0.0]]) for p in (1.0, 1.2)]
+    for loop in (3, lambda g: None):
+        with pytest.raises(rl.InputError, match="cover: loop"):
+            rl.cover(models, loop=loop)

@@ -150,11 +150,36 @@ def test_the_bounds_of_the_axis_hold_when_they_are_attacked(seed):
         assert (np.linalg.norm(far - axis.D, 2, axis=(1, 2)) <= bound).all()
 
 
+def test_an_integrator_in_the_loop_is_no_pole_of_it():
+    """1 / (s e^(s/2) + 1): all of these asked the open loop at frequency zero, where it has a pole."""
+    integrator = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    loop = (integrator @ rl.delay(0.5)).feedback()
+    omega = np.array([0.0, 1e-12, 1e-6, 0.3, 2.0])
+    s = 1j * omega
+    assert rl.frequency_response(loop, omega)[:, 0, 0] == pytest.approx(1 / (s * np.exp(0.5 * s) + 1), rel=1e-14)
+    found = rl.delay_gain(loop)
+    grid = np.linspace(0.0, 20.0, 4001)
+    assert found.lower <= found.upper
+    assert np.abs(1 / (1j * grid * np.exp(0.5j * grid) + 1)).max() <= found.upper <= 1.01
+    assert rl.delay_disk_margin(integrator @ rl.delay(0.5)).upper == pytest.approx(
+        rl.delay_disk_margins(integrator @ rl.delay(0.5)).simultaneous.upper, rel=0.01
+    )
+    P = rl.StateSpaceModel([[0.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    judged = rl.verify_delayed_loop(rl.with_delays(P, inputs={1: 0.5}), rl.StateSpaceModel([], [], [], [[-1.0]]))
+    assert judged.status is rl.Status.CERTIFIED
+    # What is added to the integrator's output and taken from it again, digits that a pole nearby would have cost
+    near = rl.frequency_response(judged.loop, [1e-9, 1e-7])[:, 0, 0]
+    exact = [1 / (1j * w + np.exp(-0.5j * w)) for w in (1e-9, 1e-7)]
+    assert near == pytest.approx(exact, rel=1e-13)
+
+
 def test_what_is_refused():
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
         rl.delay_disk_margins(5.0 * LAG @ rl.delay(1.0))
     assert rl.delay_classical_margins(5.0 * LAG @ rl.delay(1.0)).channels["y1"].stable is False
     with pytest.raises(rl.NoTrustworthyNumber, match=r"gain at high frequencies|shows whether"):
         rl.delay_classical_margins((LAG + 0.8 * np.eye(1)) @ rl.delay(1.0))
+    with pytest.raises(rl.InputError, match="0 x 0"):
+        rl.delay_disk_margins(rl.StateSpaceModel([], [], [], np.zeros((0, 0))))
     with pytest.raises(rl.InputError, match="a square one"):
         rl.delay_disk_margins(rl.with_delays(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [0.0]])))

@@ -148,6 +148,11 @@ def test_disk_margins_at_a_frequency():
         (lambda: rl.disk_margin_at(MOTORS, frequency=[1.0]), "without blocks"),
         (lambda: rl.hinf_norm(rl.frequency_data(LAG, [1.0])), "no state-space model"),
         (lambda: rl.response_radius([1.0], [1.2], 5), "coherence"),
+        (lambda: rl.response_radius([1.0], [0.5j], 5), "coherence"),
+        (lambda: rl.frequency_data([1.0], "abc"), "omega"),
+        (lambda: rl.frequency_data(["a"], [1.0]), "response"),
+        (lambda: rl.frequency_data([1.0], [1.0], radius=1j), "radius"),
+        (lambda: rl.UncertainFrequencyData([1.0], [[[1.0]]], inputs=3.0), "signals 3.0"),
     ],
 )
 def test_what_is_refused(call, message):

@@ -144,6 +144,8 @@ def test_poles_that_are_moved_are_noticed():
         ({"disturbance": rl.StateSpaceModel([[-1.0]], [[1]], [[1]], [[1]])}, InputError, "direct term"),
         ({"disturbance": rl.StateSpaceModel([[-1.0]], [[1]], [[1], [1], [1]], [[0]] * 3)}, InputError, "3 outputs"),
         ({"regulated": ["y7"]}, InputError, "y7"),
+        ({"channels": []}, InputError, "without a disturbance"),
+        ({"disturbance": "constant", "channels": []}, InputError, "at least one of"),
     ],
 )  # fmt: skip
 def test_what_no_disturbance_is_is_named(options, error, text):

@@ -162,6 +162,8 @@ def test_two_loops_and_names() -> None:
         (["tracking"], InputError, "'tracking'"),
         ([TrackingGoal(0.0)], InputError, "response_time"),
         ([MarginGoal(1.0, "middle")], InputError, "middle"),
+        ([OvershootGoal(120.0)], InputError, "less than 100"),
+        (MarginGoal(1.0), InputError, "a list"),
         ([GainGoal(1.0, "reference", "outputs")], InputError, "'outputs'"),
         ([VarianceGoal(1.0, "noise", "control")], InputError, "H2 norm is infinite"),
     ],
@@ -169,6 +171,18 @@ def test_two_loops_and_names() -> None:
 def test_what_is_no_goal_is_named(goals: Any, error: Any, text: str) -> None:
     with pytest.raises(error, match=text):
         rl.tune(LAG, "p", goals, starts=0)
+
+
+def test_what_was_tuned_is_a_start_and_numbers_are_checked() -> None:
+    found = rl.tune(LAG, "pi", [TrackingGoal(1.0)], starts=0, effort=0.1)
+    again = rl.tune(LAG, "pi", [TrackingGoal(1.0)], start=found, starts=0, effort=0.1)
+    assert again.gamma <= found.gamma * (1 + 1e-6)
+    wrong: list[tuple[Any, str]] = [({"starts": -1}, "starts"), ({"seed": -1}, "seed"), ({"start": 3}, "start")]
+    for options, text in wrong:
+        with pytest.raises(InputError, match=text):
+            rl.tune(LAG, "pi", [TrackingGoal(1.0)], **options)
+    with pytest.raises(InputError, match="less than 180"):
+        MarginGoal.of(6.0, 200.0)
 
 
 def test_plants_that_do_not_fit_and_a_structure_that_cannot() -> None:

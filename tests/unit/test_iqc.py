@@ -473,6 +473,23 @@ def test_an_unstable_member_is_shown():
     assert "unstable" in found.summary()
 
 
+@pytest.mark.parametrize("odd", [False, True])
+def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(odd):
+    """Of w = law(5 / (s + 1) w) each law with slopes above 0.5 is unstable; proved "stable" from the law zero, which is
+    of the sector [-1, 1] alone, and so no start of the homotopy."""
+    law = rl.Nonlinearity((-1.0, 1.0), (0.5, 1.5), odd=odd)
+    assert law.sector == (0.5, 1.0)
+    with pytest.raises(NoTrustworthyNumber, match="unstable with all blocks at their middles"):
+        rl.iqc_stability(rl.StateSpaceModel([[-1.0]], [[5.0]], [[1.0]], [[0.0]], 0, ["w"], ["z"]), {("z", "w"): law})
+    with pytest.raises(InputError, match="meets the sector"):
+        rl.Nonlinearity((0.0, 1.0), (1.0, 2.0))
+
+
+@pytest.mark.parametrize("pole", [1e-300, 1e300])
+def test_filters_beyond_all_measure_prove_nothing(pole):
+    assert rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity.saturation()}, pole=pole).status is Status.INCONCLUSIVE
+
+
 def test_an_algebraic_loop_counts_slopes_only():
     direct = rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[-1.0]], [[-0.5, 0.0]], 0.0, ["u", "d"], ["y"])
     found = rl.iqc_gain(direct, {("y", "u"): rl.Nonlinearity.saturation()})
@@ -486,6 +503,9 @@ def test_an_algebraic_loop_counts_slopes_only():
     ("ask", "text"),
     [
         (lambda: rl.Nonlinearity((0.0, math.inf)), "two finite numbers"),
+        (lambda: rl.Nonlinearity(5.0), "two finite numbers"),
+        (lambda: rl.iqc_gain(CUBE, "saturation"), "block -> what it is"),
+        (lambda: rl.iqc_gain(random_set(1, [rl.RealScalar("f")]), {}, inputs=["nope"]), r"expected one of \w+$"),
         (lambda: rl.Nonlinearity.friction(2.0), "no stick_speed"),
         (lambda: rl.Nonlinearity((0.0, 1.0), (2.0, 3.0)), "meets the sector"),
         (lambda: rl.Nonlinearity.saturation(2.0, 1.0), "more than 2"),

@@ -143,6 +143,14 @@ def test_a_pole_on_the_boundary_counts_in_its_band_alone():
     undamped = rl.StateSpaceModel([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], [[0]])
     assert rl.linf_norm(undamped, band=(2.0, 5.0)).lower == pytest.approx(1 / 3, rel=1e-9)
     assert "on the stability boundary" in rl.linf_norm(undamped, band=(0.5, 5.0)).reason
+    twice = np.array([[0, 1.0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, -2, 0]])  # (s^2 + 1)^2: blurred to 1e-8
+    double = rl.StateSpaceModel(twice, np.eye(4)[:, 3:], np.eye(4)[:1], [[0.0]])
+    assert rl.linf_norm(double, band=(0.5, 5.0)).status is Status.CERTIFIED
+    assert rl.linf_norm(double, band=(2.0, 5.0)).lower == pytest.approx(1 / 9, rel=1e-9)
+    # an integrator, and beside it a pole of the band that may or may not lie on the axis
+    A = np.array([[0.0, 0, 0], [0, 0, 1], [0, -1, -1e-16]])
+    beside = rl.StateSpaceModel(A, np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
+    assert rl.linf_norm(beside, band=(0.5, 5.0)).status is Status.INACCURATE
     summing = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)
     assert rl.linf_norm(summing, band=(2.0, 5.0)).lower == pytest.approx(1 / abs(np.exp(0.2j) - 1), rel=1e-9)
     assert rl.linf_norm(summing, band=(0.0, 5.0)).value == np.inf

@@ -146,6 +146,13 @@ def test_the_held_controller_goes_into_c(found, tmp_path):
     [
         (lambda: rl.anti_windup(LAG, PI, limits=(0.5, 1.0)), InputError, "low < 0 < high"),
         (lambda: rl.anti_windup(LAG, PI, reach=0.5), InputError, "more than 1"),
+        (lambda: rl.anti_windup(LAG, PI, limits="ab"), InputError, "low < 0 < high"),
+        (lambda: rl.anti_windup(LAG, PI, time=0.0), InputError, "a positive number of seconds"),
+        (
+            lambda: rl.anti_windup(*(rl.StateSpaceModel([], [], [], [[k]]) for k in (1.0, -1.0))),
+            InputError,
+            "without states",
+        ),
         (lambda: rl.anti_windup(rl.discretise(LAG, 0.1), PI), InputError, "a discrete model"),
         (lambda: rl.anti_windup(LAG, rl.StateSpaceModel([], [], [], [[1.0]])), NoTrustworthyNumber, "unstable without"),
         (lambda: rl.anti_windup(LAG, rl.StateSpaceModel([], [], [], [[-1.0, 0.0]])), InputError, "at least as many"),

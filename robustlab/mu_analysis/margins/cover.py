@@ -364,7 +364,7 @@ def conservatism(
     >>> round(conservatism(cover(lags, gain=False).model, lags).ratio, 3)
     1.0
     """
-    around = loop or (lambda g: g)
+    around = _closing(loop)
     gains = []
     for i, given in enumerate(models, 1):
         model = as_model(given, f"conservatism: model {i}")
@@ -388,6 +388,22 @@ def conservatism(
     return Conservatism(
         worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, said
     )
+
+
+def _closing(loop: Loop | None) -> Loop:
+    """What is made of a model, checked."""
+    if loop is None:
+        return lambda g: g
+    if not callable(loop):
+        raise InputError("cover: loop", f"{loop!r}", "a function of a model")
+
+    def made(g: UncertainModel) -> UncertainModel:
+        found = loop(g)
+        if not isinstance(found, UncertainModel):
+            raise InputError("cover: loop", f"it makes a {type(found).__name__} of a model", "an uncertain model")
+        return found
+
+    return made
 
 
 def _gain_only(model: StateSpaceModel) -> StateSpaceModel:

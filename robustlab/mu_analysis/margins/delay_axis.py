@@ -64,21 +64,10 @@ class DelayAxis:
     """The response of a model with exact delays on the axis, of some of its outputs and inputs."""
 
     def __init__(self, model: DelayedModel, outputs: Sequence[int], inputs: Sequence[int]) -> None:
-        from scipy.linalg import matrix_balance
-
-        H, n, k = model.H, model.H.n_states, len(model.delays)
-        self.delays, self.n = model.delays, n
-        inner = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]])
-        scale = np.ones(n + k)
-        if n + k:
-            found = matrix_balance(inner, permute=False, separate=True)
-            scale = np.asarray(found[1][0], dtype=float)
-        self.inner = inner / scale[:, None] * scale
-        some_out, some_in = [k + i for i in outputs], [k + j for j in inputs]
-        self.B = np.vstack([H.B, H.D[:k]])[:, some_in] / scale[:, None]
-        self.C = np.hstack([H.C, H.D[:, :k]])[some_out] * scale
-        self.D = H.D[np.ix_(some_out, some_in)]
-        self.weight = np.concatenate([np.ones(n), self.delays])
+        self.model, self.delays, self.n = model, model.delays, model.H.n_states
+        self.inner, B, C, D = model.at_once()
+        self.B, self.C, self.D = B[:, list(inputs)], C[list(outputs)], D[np.ix_(outputs, inputs)]
+        self.weight = np.concatenate([np.ones(self.n), self.delays])
 
     def response(self, omega: Array) -> ComplexArray:
         """The response alone, (k, n_y, n_u)."""
@@ -158,13 +147,7 @@ class DelayAxis:
         return size or 1.0 / float(self.delays.max(initial=1.0))
 
     def _matrix(self, omega: Array) -> ComplexArray:
-        F = np.broadcast_to(-self.inner, (len(omega), *self.inner.shape)).astype(np.complex128)
-        place = np.arange(len(self.weight))
-        diagonal = np.concatenate(
-            [np.repeat(1j * omega[:, None], self.n, axis=1), np.exp(1j * omega[:, None] * self.delays)], axis=1
-        )
-        F[:, place, place] += diagonal
-        return F
+        return self.model.turned(-self.inner, omega)
 
 
 class Measured(NamedTuple):

@@ -181,7 +181,7 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: 
     p = as_delayed(plant, f"{where}: plant")
     if at not in PLACES or sign not in (1, -1):
         raise InputError(where, f"at {at!r}, sign {sign!r}", "input, output or both; 1 or -1")
-    if K is None and p.n_inputs != p.n_outputs:
+    if (K is None and p.n_inputs != p.n_outputs) or not p.n_inputs * p.n_outputs:
         raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
     k = _renamed(as_delayed(K, f"{where}: K") if K is not None else as_delayed(_gain(p.n_inputs)), "k")
     if (k.n_outputs, k.n_inputs) != (p.n_inputs, p.n_outputs):

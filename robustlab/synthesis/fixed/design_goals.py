@@ -245,7 +245,9 @@ class MarginGoal(Goal):
     def of(cls, gain_db: float, phase_degrees: float, *, at: str = "output", hard: bool = False) -> MarginGoal:
         """The smallest disk that holds this gain margin (dB) and phase margin."""
         factor = 10 ** (_positive("gain_db", gain_db) / 20)
-        angle = np.radians(_positive("phase_degrees", phase_degrees))
+        if not _positive("phase_degrees", phase_degrees) < 180:
+            raise InputError("goal: phase_degrees", f"{phase_degrees!r}", "less than 180")
+        angle = np.radians(phase_degrees)
         return cls(float(max(2 * (factor - 1) / (factor + 1), 2 * np.tan(angle / 2))), at, hard=hard)
 
     @property
@@ -280,7 +282,9 @@ class OvershootGoal(Goal):
     @property
     def peak(self) -> float:
         """The peak gain that stands for the overshoot."""
-        log = -np.log(_positive("percent", self.percent) / 100) / np.pi
+        if not _positive("percent", self.percent) < 100:
+            raise InputError("goal: percent", f"{self.percent!r}", "less than 100: no oscillator overshoots more")
+        log = -np.log(self.percent / 100) / np.pi
         zeta = float(log / np.sqrt(1 + log**2))
         return 1 / (2 * zeta * np.sqrt(1 - zeta**2)) if 0 < zeta < np.sqrt(0.5) else 1.0
 

@@ -5,7 +5,7 @@ For one plant, for several at once, or for the worst member of an uncertain one:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,6 +41,7 @@ __all__ = [
     "ParameterValue",
     "bounded_law",
     "fixed_structure",
+    "check_starts",
     "given_starts",
     "not_found",
     "require_finite_h2",
@@ -294,11 +295,16 @@ def fixed_structure(
         return search.result(problem, [*given, *informed_starts(problem, seed, say)])
 
 
+def check_starts(where: str, starts: int) -> None:
+    """Whether that many random starts can be taken."""
+    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 0 <= starts <= 10000:
+        raise InputError(where, f"starts is {starts!r}", "a whole number from 0 to 10000")
+
+
 def _check(objective: str, limits: Sequence[Limit], starts: int) -> None:
     if objective not in ("hinf", "h2"):
         raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 0 <= starts <= 10000:
-        raise InputError(WHERE, f"starts is {starts!r}", "a whole number from 0 to 10000")
+    check_starts(WHERE, starts)
     for limit in limits:
         if not isinstance(limit, Limit):
             raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
@@ -361,12 +367,12 @@ def given_starts(law: Law, start: Any) -> list[AnyArray]:
     """Starts that were given, as parameters; what a start leaves out is the structure's own."""
     if start is None:
         return []
-    if isinstance(start, (FixedSynthesis, Mapping)):
+    if isinstance(start, Mapping) or not isinstance(start, Iterable):
         start = [start]
     names = [p.name for p in law.parameters]
     found: list[AnyArray] = []
     for item in start:
-        values = item.values if isinstance(item, FixedSynthesis) else item
+        values = item if isinstance(item, Mapping) else getattr(item, "values", None)
         if not isinstance(values, Mapping):
             raise InputError(f"{WHERE}: start", f"{type(item).__name__}", "values by parameter name")
         p = np.array([q.start for q in law.parameters], dtype=float)

@@ -27,6 +27,7 @@ from robustlab.synthesis.fixed.fixed_structure import (
     LimitValue,
     ParameterValue,
     bounded_law,
+    check_starts,
     given_starts,
     not_found,
     require_finite_h2,
@@ -222,6 +223,7 @@ def tune(
         raise InputError(f"{where}: goals", f"{other!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
     if not wanted:
         raise InputError(f"{where}: goals", "none", "at least one goal beside the limits")
+    check_starts(where, starts)
     budget = design_budget(where, TUNING.work, effort, time_limit)
     loops = [StandardLoop.of(g) for g in _plants(G)]
     with one_thread():

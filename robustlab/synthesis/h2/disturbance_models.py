@@ -145,6 +145,8 @@ def disturbance_model(
     known, signals = (g.input_names, g.inputs) if at == "input" else (g.output_names, g.outputs)
     places = signal_positions(known if channels is None else channels, known, f"lqg: {at}")
     n = len(places)
+    if not n:
+        raise InputError("lqg: channels", "none", f"at least one of {', '.join(known)}")
     if isinstance(given, str) and given == "constant":
         given = 0.0
     if isinstance(given, (int, float, np.number)) and not isinstance(given, bool):

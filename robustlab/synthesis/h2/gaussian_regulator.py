@@ -218,6 +218,8 @@ def lqg(
     require_definite("lqg: R", r, [f"control {name} costs nothing" for name in g.input_names])
     require_definite("lqg: V", v, [f"measurement {name} has no noise" for name in g.output_names])
     held = signal_positions(g.output_names if regulated is None else regulated, g.output_names, "lqg: output")
+    if disturbance is None and not (channels is None and regulated is None):
+        raise InputError("lqg", "channels or regulated outputs without a disturbance", "a disturbance beside them")
     known = None if disturbance is None else disturbance_model(g, disturbance, at, channels, disturbance_noise)
     whole, F, regulator_poles = _regulator(g, q, r, known, held)
     noise = np.zeros((whole.n_states,) * 2)

@@ -163,6 +163,9 @@ def lpv_gain(
     """
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
+    if not model.inputs or not model.outputs:
+        found = f"a model with {len(model.inputs)} inputs and {len(model.outputs)} outputs"
+        raise InputError("lpv_gain", found, "at least one of each")
     if not model.n_states:
         hint = "without states it is the largest singular value of D at the points"
         raise InputError("lpv_gain", "a model without states", "one with states", hint)

@@ -18,6 +18,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.matrix.certificate import EPS
+from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, PROVED, SAMPLED, LPVModel
 from robustlab.uncertainty.blocks import block_slices
@@ -129,8 +130,10 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
     p = block.parameter
     low, high = block.interval if p is None else (p.low, p.high)
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
-        return np.linspace(low, high, max(int(given), 2))
-    values = np.asarray(given, float)
+        if given < 2:
+            raise InputError(f"lpv_model: points of {block.name!r}", f"{given}", "2 or more")
+        return np.linspace(low, high, int(given))
+    values = real_array(f"points of {block.name!r}", given, 1, "lpv_model")
     if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():
         raise InputError(
             f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}"
@@ -188,7 +191,7 @@ def _of_function(
 ) -> LPVModel:
     if not points or any(isinstance(v, (int, np.integer)) for v in points.values()):
         raise InputError("lpv_model: points", f"{dict(points)!r}", "the values of each parameter of the function")
-    values = {name: np.asarray(v, float) for name, v in points.items()}
+    values = {name: real_array(f"points of {name!r}", v, 1, "lpv_model") for name, v in points.items()}
     models = [_called(source, dict(zip(values, at, strict=True))) for at in _every(list(values.values()))]
     plain = LPVModel(values, models, rates, units)
     cells, deviation = list(plain.cells()), np.array(plain.deviation)

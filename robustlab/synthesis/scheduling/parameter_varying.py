@@ -130,6 +130,9 @@ class LPVModel(Shown, Traced):
         known: str = EXACT,
     ) -> None:
         rates, units = rates or {}, units or {}
+        for word, given in (("points", points), ("rates", rates), ("units", units)):
+            if not isinstance(given, Mapping):
+                raise InputError(f"LPVModel: {word}", f"{given!r}", "parameter -> value, such as {'a': ...}")
         for name in (*rates, *units):
             if name not in points:
                 hint = did_you_mean(name, tuple(points))

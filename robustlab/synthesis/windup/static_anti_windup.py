@@ -37,6 +37,7 @@ from robustlab.norms import hinf_norm
 from robustlab.norms.level_set import well_scaled
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.signals import is_number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.lmi_synthesis import solve_conic
 from robustlab.synthesis.windup.back_calculation import back_calculation
@@ -215,9 +216,15 @@ def anti_windup(
     P, K = as_model(plant, "anti_windup: plant"), as_model(controller, "anti_windup: controller")
     if P.is_discrete or K.is_discrete:
         raise InputError("anti_windup", "a discrete model", "continuous ones", "rl.d2c makes one")
+    if not K.n_outputs or not P.n_states + K.n_states:
+        raise InputError(
+            "anti_windup", "no control, or a loop without states", "a dynamic loop whose controls saturate"
+        )
     pairs = _limits(limits, K.n_outputs)
     if not reach > 1:
         raise InputError("anti_windup: reach", f"{reach!r}", "more than 1, or inf")
+    if time is not None and not 0 < time < math.inf:
+        raise InputError("anti_windup: time", f"{time!r}", "a positive number of seconds")
     width = 1.0 if math.isinf(reach) else 1.0 - 1.0 / reach
     loop = _loop(P, K)
     linear = loop.closed(np.zeros((K.n_states + K.n_outputs, K.n_outputs)))
@@ -248,8 +255,9 @@ def anti_windup(
 
 
 def _limits(limits: Any, count: int) -> list[tuple[float, float]]:
-    given = np.asarray(limits, dtype=float)
-    pairs = np.broadcast_to(given, (count, 2)) if given.shape in ((2,), (count, 2)) else np.zeros((0, 2))
+    given = np.asarray(limits, dtype=object)
+    fits = given.shape in ((2,), (count, 2)) and all(is_number(x) for x in given.ravel())
+    pairs = np.broadcast_to(given.astype(float), (count, 2)) if fits else np.zeros((0, 2))
     if len(pairs) != count or not np.isfinite(pairs).all() or not ((pairs[:, 0] < 0) & (pairs[:, 1] > 0)).all():
         raise InputError("anti_windup: limits", f"{limits!r}", f"(low, high) with low < 0 < high, one or {count}")
     return [(float(low), float(high)) for low, high in pairs]

@@ -353,17 +353,21 @@ def _at(model: StateSpaceModel, s: Any) -> AnyArray:
 def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> AnyArray:
     """``E_i`` at complex s, (len(s), ., .)."""
     g, other = _at(centre, s), _at(model, s)
-    if form == "additive":
-        return other - g
-    if form == "input-multiplicative":
-        return np.linalg.solve(g, other - g)
-    if form == "output-multiplicative":
-        return _right_divided(other - g, g)
-    if form == "inverse-additive":
-        return np.linalg.solve(other, _right_divided(g - other, g))
-    if form == "inverse-input-multiplicative":
-        return np.linalg.solve(other, g - other)
-    return _right_divided(g - other, other)
+    try:
+        if form == "additive":
+            return other - g
+        if form == "input-multiplicative":
+            return np.linalg.solve(g, other - g)
+        if form == "output-multiplicative":
+            return _right_divided(other - g, g)
+        if form == "inverse-additive":
+            return np.linalg.solve(other, _right_divided(g - other, g))
+        if form == "inverse-input-multiplicative":
+            return np.linalg.solve(other, g - other)
+        return _right_divided(g - other, other)
+    except np.linalg.LinAlgError:
+        hint = "form additive or coprime inverts no model"
+        raise NoTrustworthyNumber(f"cover: form {form}", "a response without an inverse", None, hint) from None
 
 
 def _right_divided(a: AnyArray, b: AnyArray) -> AnyArray:
