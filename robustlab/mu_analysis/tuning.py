@@ -59,6 +59,8 @@ class MuTuning:
     narrow: float = 1e-7  # relative width below which a box is not cut again: rounding decides there
     inside: float = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
     proved: float = 0.9999  # a level below this proves the point
+    misses: int = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
+    near_miss: float = 0.01  # log width around a missed frequency in which no other is tried before the cut
     # --- intervals of the axis (intervals, stability, worst_gain) ---
     slack: float = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
     frequencies: int = 8  # at which D, G are sought together

@@ -37,11 +37,18 @@ class _AxisProblem:
         self.scale = typical_speed(model)
 
     def work(self, count: int) -> int:
-        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
-        return points_work(self.blocks, count) + count * (500 + extend_work(self.model))
+        """A D-G bound and an interval of each region, and the eigenvalues of a few members.
+
+        As measured: bounds that only have to stay below a level, or to show that they cannot, take a quarter.
+        """
+        return points_work(self.blocks, count) // 4 + count * (500 + extend_work(self.model))
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """One frequency of each region: proved with an interval around it, or the region has to be cut."""
+        """One frequency of each region: proved with an interval around it, or missed.
+
+        A region has to be cut where a few were missed in a row, or what is open lies close around those. Until then
+        what each half would have to prove is proved once for both.
+        """
         models = [box_model(self.model, self.blocks, r.box) for r in regions]
         places = [self._frequency(r) for r in regions]
         sound = {k: m for k, m in enumerate(models) if m is not None}
@@ -49,24 +56,39 @@ class _AxisProblem:
         if not sound:
             return result
         responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
-        bounds = points_below(responses, self.blocks, self.tuning.inside)
+        bounds = points_below(responses, self.blocks, self.tuning.inside, thorough=False)
         for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
-            region = regions[k]
+            region, result[k] = regions[k], None
             piece = extend(model, bound, 1.0, places[k]) if bound.beta < self.tuning.proved else None
-            if piece is None or not piece.low <= places[k] <= piece.high:
-                region.hot = places[k]
-                result[k] = block_weights(M, bound, self.blocks)
-                continue
-            cover = AxisCover(open=region.open)
-            cover.add(piece)
-            region.open, region.hot = cover.open, None
-            result[k] = None
+            if piece is not None and piece.low <= places[k] <= piece.high:
+                cover = AxisCover(open=region.open)
+                cover.add(piece)
+                region.open, region.in_a_row = cover.open, 0
+            else:
+                region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))
+                region.in_a_row += 1
+            if region.open and (region.in_a_row == self.tuning.misses or not self._worth_a_look(region)):
+                _, region.hot, result[k] = max(region.missed, key=lambda miss: miss[0])
         return result
 
+    def _worth_a_look(self, region: Region) -> list[tuple[float, float]]:
+        """What is open between the frequencies that were missed, where that is wide enough."""
+        cover = AxisCover(open=region.open)
+        for _, omega, _ in region.missed:
+            near = np.exp(self.tuning.near_miss)
+            cover.open = [
+                part
+                for low, high in cover.open
+                for part in ([(low, omega / near), (omega * near, high)] if low <= omega <= high else [(low, high)])
+                if part[0] < part[1]
+            ]
+        return cover.open
+
     def _frequency(self, region: Region) -> float:
-        if region.hot is not None and any(low <= region.hot <= high for low, high in region.open):
+        """Where the parent was missed, to begin with; then the middle of the widest part."""
+        if not region.missed and region.hot is not None and any(a <= region.hot <= b for a, b in region.open):
             return region.hot
-        return float(AxisCover(open=region.open).next_points(self.scale, 1)[0])
+        return float(AxisCover(open=self._worth_a_look(region)).next_points(self.scale, 1)[0])
 
 
 class MarginProblem(_AxisProblem):
