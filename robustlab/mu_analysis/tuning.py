@@ -82,9 +82,12 @@ class MuTuning:
     axis_rounds: int = 15  # of descent along the axis at most ...
     least_axis_descent: float = 1e-5  # ... each of which has to lower the norm by this share
     # --- modes driven to the axis inside a box (mode_ascent) ---
-    ascent_starts: int = 6  # in a row of each mode that lead to nothing smaller end the search
-    ascent_reach: float = 0.97  # box of the ascents, in sizes of the smallest member known
-    ascent_gain: float = 1e-3  # share by which a member has to be smaller for the search to begin anew
+    ascent_members: int = 100  # of the box, looked at for starts ...
+    ascent_modes: int = 5  # ... of so many least damped modes, and as many others ...
+    ascent_rounds: int = 16  # ... so often in a row without anything smaller
+    ascent_reaches: tuple[float, ...] = (0.97, 0.85, 0.97, 0.7)
+    # boxes of one round after the other, in sizes of the smallest member known: smaller ones hide less among more
+    ascent_gain: float = 1e-3  # share by which a member has to be smaller for the rounds to count anew
     ascent_first: float = 0.3  # share of the way to its own corner at which a nominal mode begins
     ascent_step: float = 0.05  # share by which the box shrinks around a mode that was led across the axis ...
     ascent_last_step: float = 0.01  # ... and at the end

@@ -3,9 +3,9 @@ r"""Smaller destabilising members, by driving one mode after the other to the ax
 .. math:: \max_{|\delta_i| \le s} \; \mathrm{Re} \, \lambda_k (A + B \Delta (I - D \Delta)^{-1} C)
 
 Where modes are lightly damped, two of them that meet somewhere inside the box may exchange their damping there, and
-nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here every mode is
-followed from several points of the box, by quasi-Newton steps with its exact derivative, in a box slightly smaller
-than the smallest member known. The mode is told by its frequency, for the one of largest real part is nearly always the
+nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here modes are followed
+from those of many members of a box that damp them least, by quasi-Newton steps with the exact derivative; the box is
+slightly smaller than the smallest member known. The mode is told by its frequency, for the one of largest real part is nearly always the
 slowest, whatever the others do. What is found is made smaller as far as that mode leads, and ends on the axis exactly.
 """
 
@@ -103,45 +103,70 @@ class _Search:
         self.frequencies = np.sort(nominal.imag[nominal.imag > 0])
 
     def run(self, seed: int) -> Destabilising:
-        """Mode by mode, until as many starts in a row as all modes have together lead to nothing smaller."""
+        """From each nominal mode, then from members that are lightly damped already, until these lead to nothing."""
         rng = np.random.default_rng(seed)
-        failed, k, modes = 0, 0, len(self.frequencies)
         if np.isfinite(self.best.pole):
             self._follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
-        while failed < self.tuning.ascent_starts * modes and self._may_go_on():
-            size = self.size * self.tuning.ascent_reach
-            mode, before = k % modes, self.size
-            found = self._ascended(self._start(rng, size, mode, k // modes), size, mode)
-            if found is not None:
-                self._follow(found)
-            k, failed = k + 1, 0 if self.size < before * (1 - self.tuning.ascent_gain) else failed + 1
+        reaches = self.tuning.ascent_reaches
+        self._ascend_from(self._nominal_modes(), reaches[0])
+        failed = 0
+        while failed < self.tuning.ascent_rounds and self._may_go_on():
+            reach = reaches[failed % len(reaches)]
+            failed = 0 if self._ascend_from(self._least_damped(rng, reach), reach) else failed + 1
         return self.best
 
     def _may_go_on(self) -> bool:
         """Work is left. That it may end here is no news, for the search ends somewhere; a clock that ended it is."""
         return self.budget.left > 0 and not (self.budget.seconds_left <= 0 and self.budget.over)
 
-    def _start(self, rng: np.random.Generator, size: float, mode: int, turn: int) -> Array:
-        """Where an ascent begins: on the nominal mode's own way out, then at random corners and points in turn."""
-        if turn == 0:
-            now = mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), 1j * self.frequencies[mode])
+    def _ascend_from(self, starts: list[tuple[Array, complex]], reach: float) -> bool:
+        """Ascents from points of the unit set, each of the mode next to an aim; whether any led to smaller members.
+
+        The box has the share ``reach`` of the smallest size known: a much smaller one hides less among more.
+        """
+        before = self.size
+        for point, aim in starts:
+            if not self._may_go_on():
+                break
+            size = self.size * reach
+            found = self._ascent(size * point, size, aim)
+            if found is not None:
+                self._follow(found)
+        return self.size < before * (1 - self.tuning.ascent_gain)
+
+    def _nominal_modes(self) -> list[tuple[Array, complex]]:
+        """Each mode of the nominal model, on its own way out."""
+        starts = []
+        for aim in 1j * self.frequencies:
+            now = mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
             slopes = np.zeros(len(self.blocks)) if now is None else now.slopes
-            return self.tuning.ascent_first * size * np.where(slopes < 0, self.low, 1.0)
-        share = rng.random(len(self.blocks))
-        share = np.round(share) if turn % 2 else share
-        return size * (self.low + (1 - self.low) * share)
+            starts.append((self.tuning.ascent_first * np.where(slopes < 0, self.low, 1.0), aim))
+        return starts
+
+    def _least_damped(self, rng: np.random.Generator, reach: float) -> list[tuple[Array, complex]]:
+        """Of random corners and points, for each mode the one that damps it least: the least damped, and some others.
+
+        Modes are told by their order in frequency.
+        """
+        size = self.size * reach
+        best: dict[int, tuple[float, Array, complex]] = {}
+        for turn in range(self.tuning.ascent_members):
+            share = rng.random(len(self.blocks))
+            point = self.low + (1 - self.low) * (np.round(share) if turn % 2 else share)
+            poles = self._poles(size * point)
+            poles = poles[poles.imag > 0]
+            for k, pole in enumerate(poles[np.argsort(poles.imag)]):
+                damping = float(-pole.real / abs(pole))
+                if k not in best or damping < best[k][0]:
+                    best[k] = damping, point, 1j * float(pole.imag)
+        met = [(point, aim) for _, point, aim in sorted(best.values(), key=lambda start: start[0])]
+        least, others = met[: self.tuning.ascent_modes], met[self.tuning.ascent_modes :]
+        picked = rng.permutation(len(others))[: self.tuning.ascent_modes]
+        return least + [others[k] for k in picked]
 
     def _inside(self, values: Array, size: float) -> Array:
         """The nearest point of the box of this size."""
         return np.clip(values, size * self.low, size)
-
-    def _ascended(self, start: Array, size: float, mode: int) -> Array | None:
-        """The member that an ascent of so manieth mode of the start ends at, where it is not stable."""
-        poles = self._poles(start)
-        upper = np.sort(poles.imag[poles.imag > 0]) if np.isfinite(poles).all() else np.zeros(0)
-        if not len(upper):
-            return None
-        return self._ascent(start, size, 1j * float(upper[min(mode, len(upper) - 1)]))
 
     def _ascent(self, start: Array, size: float, aim: complex) -> Array | None:
         """Quasi-Newton steps inside the box; the pole next to the imaginary aim is followed by its frequency."""
@@ -155,7 +180,7 @@ class _Search:
 
         def damping(point: Array) -> tuple[float, Array]:
             nonlocal place
-            self.budget.spend(dense(self.model.n_states))
+            self._count()
             now = mode_next_to(self.model, self.blocks, point * size, place)
             if now is None:  # as bad as it gets: the line search turns back
                 return 1e3, np.zeros(len(point))
@@ -210,6 +235,10 @@ class _Search:
 
     def _poles(self, values: Array) -> ComplexArray:
         """Poles of a member; one at infinity where it is ill-posed."""
-        self.budget.spend(dense(self.model.n_states))
+        self._count()
         a = np.real(perturbed_state_matrix(self.model, centre_matrix(self.blocks, values).astype(complex)))
         return np.linalg.eigvals(a).astype(complex) if np.isfinite(a).all() else np.array([complex(np.inf)])
+
+    def _count(self) -> None:
+        """The work of one member, as measured: eigenvalues with the vectors of one of them."""
+        self.budget.spend(dense(self.model.n_states) // 4)
