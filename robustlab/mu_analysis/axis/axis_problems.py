@@ -11,13 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.budget import Budget, dense
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
-from robustlab.mu_analysis.axis.mode_ascent import mode_next_to
-from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, real_blocks
+from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
 from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
@@ -41,7 +41,7 @@ class _AxisProblem:
 
         As measured: bounds that only have to stay below a level, or to show that they cannot, take a quarter.
         """
-        return points_work(self.blocks, count) // 4 + count * (500 + extend_work(self.model))
+        return points_work(self.blocks, count) // 4 + count * (dense(self.model.n_states) // 2 + extend_work(self.model))
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
         """One frequency of each region: proved with an interval around it, or missed.
@@ -94,47 +94,23 @@ class _AxisProblem:
 class MarginProblem(_AxisProblem):
     """The largest mu over the axis: levels are mu, the set has size ``1 / level``."""
 
+    size = 0.0
+
     def root(self, level: float) -> Region:
         """All Delta of size ``1 / level`` on the whole axis."""
+        self.size = 1 / level
         return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
 
     def attack(self, region: Region) -> Improved | None:
-        """From the centre to the corner that moves the pole next to the axis outwards, as long as that helps."""
-        centre, half = region.box.centre, region.box.half
-        values = centre
-        for _ in range(3):
-            if self._rightmost(values) >= 0:
-                return self._crossing(values)
-            mode = mode_next_to(self.model, self.blocks, values, 1j * (region.hot or 0.0))
-            if mode is None:
-                return None
-            corner = np.where(real_blocks(self.blocks), centre + half * np.sign(mode.slopes), 0.0)
-            if np.array_equal(corner, values):
-                return None
-            values = corner
-        return self._crossing(values) if self._rightmost(values) >= 0 else None
-
-    def _perturbed(self, values: Array) -> Array:
-        delta = centre_matrix(self.blocks, values).astype(complex)
-        return np.real(perturbed_state_matrix(self.model, delta))
-
-    def _rightmost(self, values: Array) -> float:
-        matrix = self._perturbed(values)
-        if not np.isfinite(matrix).all():
-            return float("inf")
-        return float(np.linalg.eigvals(matrix).real.max(initial=-np.inf))
-
-    def _crossing(self, values: Array) -> Improved | None:
-        """The smallest multiple of these entries, by bisection, at which a pole is on or right of the axis."""
-        stable, unstable = 0.0, 1.0
-        for _ in range(50):
-            middle = (stable + unstable) / 2
-            if self._rightmost(middle * values) >= 0:
-                unstable = middle
-            else:
-                stable = middle
-        size = gauge(self.blocks, unstable * values)
-        return Improved(1 / size, unstable * values) if size > 0 else None
+        """From the centre along the mode next to where the region was missed, inside the whole set."""
+        values, blocks = region.box.centre, self.blocks
+        if is_stable_member(self.model, blocks, values):
+            values, _ = ascended(self.model, blocks, values, self.size, 1j * (region.hot or 0.0), self.tuning)
+        if values is None:
+            return None
+        values = shrunk(self.model, blocks, values, Budget(), self.tuning)
+        size = gauge(blocks, values)
+        return Improved(1 / size, values) if size > 0 else None
 
 
 class GainProblem(_AxisProblem):

@@ -197,7 +197,7 @@ def _size(model: StateSpaceModel, omega: Array) -> float:
 def extend_work(model: StateSpaceModel) -> int:
     """Work of `extend`, as measured: the eigenvalues of H, and the signs at some of them and at the probes."""
     n, p = model.n_states, max(model.n_inputs, model.n_outputs)
-    return 600 + (2 * n) ** 3 // 60 + 3 * TUNING.probes * (2 + p**2 // 20 + p**3 // 400)
+    return 600 + (2 * n) ** 3 // 100 + 3 * TUNING.probes * (2 + p**2 // 20 + p**3 // 400)
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
@@ -234,7 +234,7 @@ def _segments_proved(
 ) -> tuple[int, bool]:
     """How many segments, each behind its end, have the right sign one after the other; and whether the last end has.
 
-    There is one end more than there are segments. A few are tested at a time: intervals are short where modes are light.
+    There is one end more than there are segments. A few are tested at a time: where modes are light, few are proved.
     """
     proved, count = 0, 2
     while proved < len(middles):

@@ -5,8 +5,9 @@ r"""Smaller destabilising members, by driving one mode after the other to the ax
 Where modes are lightly damped, two of them that meet somewhere inside the box may exchange their damping there, and
 nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here modes are followed
 from those of many members of a box that damp them least, by quasi-Newton steps with the exact derivative; the box is
-slightly smaller than the smallest member known. The mode is told by its frequency, for the one of largest real part is nearly always the
-slowest, whatever the others do. What is found is made smaller as far as that mode leads, and ends on the axis exactly.
+slightly smaller than the smallest member known. The mode is told by its frequency, for the one of largest real part is
+nearly always the slowest, whatever the others do. What is found is made smaller as far as that mode leads, and ends on
+the axis exactly. Branch and bound asks for the same from the centres of the regions that it cannot prove.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Mode", "mode_next_to", "smaller_destabilising"]
+__all__ = ["Mode", "ascended", "is_stable_member", "mode_next_to", "shrunk", "smaller_destabilising"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,56 @@ def mode_next_to(model: StateSpaceModel, blocks: Sequence[Block], values: Array,
         for b, (sw, sz) in zip(blocks, block_slices(blocks), strict=True)
     ]
     return Mode(complex(poles[k]), np.array(slopes))
+
+
+def _member_poles(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> ComplexArray:
+    """Poles of the member with these entries; one at infinity where it is ill-posed."""
+    a = np.real(perturbed_state_matrix(model, centre_matrix(blocks, values).astype(complex)))
+    return np.linalg.eigvals(a).astype(complex) if np.isfinite(a).all() else np.array([complex(np.inf)])
+
+
+def is_stable_member(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> bool:
+    """Whether the member with these entries (n_blocks,) has its poles left of the axis."""
+    return bool((_member_poles(model, blocks, values).real < 0).all())
+
+
+def ascended(
+    model: StateSpaceModel, blocks: Sequence[Block], start: Array, size: float, aim: complex, tuning: MuTuning = TUNING
+) -> tuple[Array | None, int]:
+    """The member of a box that quasi-Newton steps end at, None where it is stable; and how many they looked at.
+
+    The pole next to the imaginary aim is followed by its frequency, from the entries ``start`` (n_blocks,).
+    """
+    from scipy.optimize import minimize
+
+    first = mode_next_to(model, blocks, start, aim)
+    if first is None:
+        return None, 1
+    unit = max(abs(first.pole.real), 1e-9 * abs(first.pole))
+    place = aim
+
+    def damping(point: Array) -> tuple[float, Array]:
+        nonlocal place
+        now = mode_next_to(model, blocks, point * size, place)
+        if now is None:  # as bad as it gets: the line search turns back
+            return 1e3, np.zeros(len(point))
+        place = 1j * now.pole.imag
+        return -now.pole.real / unit, -now.slopes * size / unit
+
+    bounds = [(float(low), 1.0) for low in lowest(blocks)]
+    options = {"maxiter": tuning.ascents_of_mode}
+    found = minimize(damping, start / size, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return (found.x * size if found.fun < 0 else None), 1 + found.nfev
+
+
+def shrunk(
+    model: StateSpaceModel, blocks: Sequence[Block], values: Array, budget: Budget, tuning: MuTuning = TUNING
+) -> Array:
+    """Entries (n_blocks,) of the smallest member that the unstable mode of this one leads to, a pole on the axis."""
+    delta = centre_matrix(blocks, values).astype(complex)
+    search = _Search(model, tuple(blocks), Destabilising(gauge(blocks, values), delta, complex(np.inf)), budget, tuning)
+    search.follow(values)
+    return block_entries(blocks, search.best.delta)
 
 
 def smaller_destabilising(
@@ -98,7 +149,7 @@ class _Search:
     ) -> None:
         self.model, self.blocks, self.budget, self.tuning = model, blocks, budget, tuning
         self.best, self.low = worst, lowest(blocks)
-        self.size = gauge(blocks, block_entries(blocks, worst.delta))
+        self.size, self.all_real = gauge(blocks, block_entries(blocks, worst.delta)), all(b.interval for b in blocks)
         nominal = model.poles()
         self.frequencies = np.sort(nominal.imag[nominal.imag > 0])
 
@@ -106,7 +157,7 @@ class _Search:
         """From each nominal mode, then from members that are lightly damped already, until these lead to nothing."""
         rng = np.random.default_rng(seed)
         if np.isfinite(self.best.pole):
-            self._follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
+            self.follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
         reaches = self.tuning.ascent_reaches
         self._ascend_from(self._nominal_modes(), reaches[0])
         failed = 0
@@ -131,7 +182,7 @@ class _Search:
             size = self.size * reach
             found = self._ascent(size * point, size, aim)
             if found is not None:
-                self._follow(found)
+                self.follow(found)
         return self.size < before * (1 - self.tuning.ascent_gain)
 
     def _nominal_modes(self) -> list[tuple[Array, complex]]:
@@ -164,41 +215,13 @@ class _Search:
         picked = rng.permutation(len(others))[: self.tuning.ascent_modes]
         return least + [others[k] for k in picked]
 
-    def _inside(self, values: Array, size: float) -> Array:
-        """The nearest point of the box of this size."""
-        return np.clip(values, size * self.low, size)
-
     def _ascent(self, start: Array, size: float, aim: complex) -> Array | None:
-        """Quasi-Newton steps inside the box; the pole next to the imaginary aim is followed by its frequency."""
-        from scipy.optimize import minimize
+        """`ascended` inside the box of this size, counted."""
+        values, looks = ascended(self.model, self.blocks, start, size, aim, self.tuning)
+        self._count(looks)
+        return values
 
-        first = mode_next_to(self.model, self.blocks, start, aim)
-        if first is None:
-            return None
-        unit = max(abs(first.pole.real), 1e-9 * abs(first.pole))
-        place = aim
-
-        def damping(point: Array) -> tuple[float, Array]:
-            nonlocal place
-            self._count()
-            now = mode_next_to(self.model, self.blocks, point * size, place)
-            if now is None:  # as bad as it gets: the line search turns back
-                return 1e3, np.zeros(len(point))
-            place = 1j * now.pole.imag
-            return -now.pole.real / unit, -now.slopes * size / unit
-
-        bounds = [(float(low), 1.0) for low in self.low]
-        found = minimize(
-            damping,
-            start / size,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": self.tuning.ascents_of_mode},
-        )
-        return found.x * size if found.fun < 0 else None
-
-    def _follow(self, values: Array) -> None:
+    def follow(self, values: Array) -> None:
         """Ever smaller members along the mode that was led across the axis, then to the axis exactly."""
         step = self.tuning.ascent_step
         values = self._at_crossing(values)
@@ -207,7 +230,7 @@ class _Search:
             poles = self._poles(values)
             aim = 1j * abs(float(poles[poles.real.argmax()].imag))
             smaller = size * (1 - step)
-            found = self._ascent(self._inside(values, smaller), smaller, aim)
+            found = self._ascent(np.clip(values, smaller * self.low, smaller), smaller, aim)
             if found is not None:
                 values = self._at_crossing(found)
             elif step == self.tuning.ascent_step and size < self.size / (1 - step):
@@ -217,7 +240,8 @@ class _Search:
         if gauge(self.blocks, values) > self.size * (1 + self.tuning.ascent_last_step):
             return
         delta = centre_matrix(self.blocks, values).astype(complex)
-        for candidate in (descended(self.model, delta_layout(self.blocks), delta[None])[0], delta):
+        lower = [descended(self.model, delta_layout(self.blocks), delta[None])[0]] if self.all_real else []
+        for candidate in (*lower, delta):
             crossing = first_crossing(self.model, self.blocks, candidate)
             reached = np.inf if crossing is None else gauge(self.blocks, block_entries(self.blocks, crossing.delta))
             if crossing is not None and reached < self.size:
@@ -229,16 +253,15 @@ class _Search:
         stable, unstable = 0.0, 1.0
         for _ in range(self.tuning.ascent_halvings):
             middle = (stable + unstable) / 2
-            beyond = not (self._poles(middle * values).real < 0).all()
+            self._count()
+            beyond = not is_stable_member(self.model, self.blocks, middle * values)
             stable, unstable = (stable, middle) if beyond else (middle, unstable)
         return unstable * values
 
     def _poles(self, values: Array) -> ComplexArray:
-        """Poles of a member; one at infinity where it is ill-posed."""
         self._count()
-        a = np.real(perturbed_state_matrix(self.model, centre_matrix(self.blocks, values).astype(complex)))
-        return np.linalg.eigvals(a).astype(complex) if np.isfinite(a).all() else np.array([complex(np.inf)])
+        return _member_poles(self.model, self.blocks, values)
 
-    def _count(self) -> None:
-        """The work of one member, as measured: eigenvalues with the vectors of one of them."""
-        self.budget.spend(dense(self.model.n_states) // 4)
+    def _count(self, members: int = 1) -> None:
+        """The work of so many members, as measured: eigenvalues with the vectors of one of them."""
+        self.budget.spend(members * dense(self.model.n_states) // 4)

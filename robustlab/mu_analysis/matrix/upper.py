@@ -162,9 +162,7 @@ def points_work(blocks: Sequence[Block], count: int) -> int:
     return 800 + count * (200 + n**3 // 14 + size**2 // 3 + size**3 // 500)
 
 
-def points_below(
-    M: ComplexArray, blocks: Sequence[Block], target: float, *, thorough: bool = True
-) -> list[UpperBound]:
+def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, thorough: bool = True) -> list[UpperBound]:
     """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does.
 
     Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
