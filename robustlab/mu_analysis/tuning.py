@@ -85,7 +85,7 @@ class MuTuning:
     ascent_members: int = 100  # of the box, looked at for starts ...
     ascent_modes: int = 5  # ... of so many least damped modes, and as many others ...
     ascent_rounds: int = 16  # ... so often in a row without anything smaller
-    ascent_reaches: tuple[float, ...] = (0.97, 0.85, 0.97, 0.7)
+    ascent_reaches: tuple[float, ...] = (0.99, 0.85, 0.97, 0.7)
     # boxes of one round after the other, in sizes of the smallest member known: smaller ones hide less among more
     ascent_gain: float = 1e-3  # share by which a member has to be smaller for the rounds to count anew
     ascent_first: float = 0.3  # share of the way to its own corner at which a nominal mode begins

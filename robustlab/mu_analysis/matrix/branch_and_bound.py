@@ -139,7 +139,7 @@ def tighten(
     proof = Proof(lower, upper)
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         gap = min(proof.upper / proof.lower - 1, 2.0)
-        level = proof.lower * (1 + (tolerance if gap <= 4 * tolerance else gap / 2))
+        level = proof.lower * (1 + (tolerance if gap <= 3 * tolerance else gap / 2))
         regions, leaves = [problem.root(level)], []
         worse = _prove(problem, regions, level, budget, leaves, proof, tuning)
         if worse is not None:
