@@ -80,17 +80,38 @@ def chain(n: int, repeats: int, seed: int, damping: float = 0.005, spread: float
     through a lag at the middle frequency, at 40 % of the gain at which that loop becomes unstable. Modes that meet
     inside the set exchange what this loop does to their damping.
     """
-    rng = np.random.default_rng(seed)
-    eye, elongation = np.eye(n), np.eye(n) - np.eye(n, k=-1)
-    k, m = 10 ** rng.uniform(-0.5, 0.5, n), 10 ** rng.uniform(-0.3, 0.3, n)
+    return _pushed_masses(np.eye(n) - np.eye(n, k=-1), repeats, np.random.default_rng(seed), damping, spread)
+
+
+def spring_graph(n: int, springs: int, repeats: int, seed: int, damping: float = 0.005, spread: float = 0.3) -> Model:
+    """As `chain`, but each mass hangs on a random one before it (the first on ground), and more springs join others."""
+    rng = np.random.default_rng([seed, n, springs])
+    ends = [(i, int(rng.integers(i)) if i else -1) for i in range(n)]
+    ends += [tuple(int(i) for i in rng.choice(n, 2, replace=False)) for _ in range(springs - n)]
+    elongation = np.zeros((springs, n))
+    for row, (one, other) in zip(elongation, ends, strict=True):
+        row[one] = 1.0
+        if other >= 0:
+            row[other] = -1.0
+    return _pushed_masses(elongation, repeats, rng, damping, spread)
+
+
+def _pushed_masses(
+    elongation: np.ndarray, repeats: int, rng: np.random.Generator, damping: float, spread: float
+) -> Model:
+    """Masses on springs, which each row of ``elongation`` (springs, masses) tells, under the loop of `chain`."""
+    springs, n = elongation.shape
+    eye = np.eye(n)
+    k, m = 10 ** rng.uniform(-0.5, 0.5, springs), 10 ** rng.uniform(-0.3, 0.3, n)
     stiffness, root = elongation.T @ np.diag(k) @ elongation, np.sqrt(m)
     squares, modes = np.linalg.eigh(stiffness / root[:, None] / root)
     omega = np.sqrt(squares)
     damper = root[:, None] * (modes * (2 * damping * omega)) @ modes.T * root
-    order = rng.permutation(n)
+    order = rng.permutation(springs)
     A = np.block([[0 * eye, eye], [-stiffness / m[:, None], -damper / m[:, None]]])
-    B = np.vstack([0 * eye, -(elongation.T * (spread * k))[:, order] / m[:, None], np.zeros((1, n))])
-    C = np.hstack([elongation[order], np.zeros((n, n + 1))])
+    into = -(elongation.T * (spread * k))[:, order] / m[:, None]
+    B = np.vstack([np.zeros((n, springs)), into, np.zeros((1, springs))])
+    C = np.hstack([elongation[order], np.zeros((springs, n + 1))])
     push, speed, lag = np.eye(2 * n)[:, n : n + 1] / m[0], np.eye(2 * n)[2 * n - 1 :], 1 / np.median(omega)
 
     def closed(gain: float) -> np.ndarray:
@@ -101,8 +122,30 @@ def chain(n: int, repeats: int, seed: int, damping: float = 0.005, spread: float
         middle = (low + high) / 2
         stable = np.linalg.eigvals(closed(middle)).real.max() < 0
         low, high = (middle, high) if stable else (low, middle)
-    blocks = [RealScalar(f"k{i}", repeats) for i in range(n // repeats)]
-    return StateSpaceModel(closed(0.4 * low), B, C, np.zeros((n, n))), blocks
+    blocks: list[Block] = [RealScalar(f"k{i}", repeats) for i in range(springs // repeats)]
+    return StateSpaceModel(closed(0.4 * low), B, C, np.zeros((springs, springs))), blocks
+
+
+def platform_legs(tolerances: dict[str, float], p_low: float = 3000.0) -> Model:
+    """The thesis' platform at home under two layers of PID: a parameter of its six motors is one real, six times.
+
+    The torques that the lower layer reads are made of currents and speeds with the nominal Km and Kf. ``p_low`` is the
+    triple pole (1/s) that the torque loops were designed for: at 2086.632 their six modes have damping 0.001.
+    """
+    import robustlab as rl
+    from robustlab.dynamics.control.controllers import measured, two_layer
+
+    nominal = rl.plant("stewart-platform", motors=True)
+    ranges = {name: (nominal.values[name], tolerance) for name, tolerance in tolerances.items()}
+    members = rl.plant("stewart-platform", motors=True, **ranges).uncertain(at=[0, 0, 0.1262, 0, 0, 0])
+    M, blocks = members.M, list(members.blocks)
+    q, p = structure_size(blocks)
+    K, read = two_layer(nominal, 236.0, p_low).state_space(), measured(nominal)
+    direct, into = K.D[:, 6:] @ read, K.B[:, 6:] @ read
+    B, D = M.B[:, q:], M.D[:p, q:]
+    A = np.block([[M.A + B @ direct, B @ K.C], [into, K.A]])
+    B_w = np.vstack([M.B[:, :q], np.zeros((K.n_states, q))])
+    return StateSpaceModel(A, B_w, np.hstack([M.C[:p] + D @ direct, D @ K.C]), M.D[:p, :q]), blocks
 
 
 def two_mass() -> Model:

@@ -59,6 +59,8 @@ class MuTuning:
     narrow: float = 1e-7  # relative width below which a box is not cut again: rounding decides there
     inside: float = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
     proved: float = 0.9999  # a level below this proves the point
+    misses: int = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
+    near_miss: float = 0.01  # log width around a missed frequency in which no other is tried before the cut
     # --- intervals of the axis (intervals, stability, worst_gain) ---
     slack: float = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
     frequencies: int = 8  # at which D, G are sought together
@@ -80,9 +82,12 @@ class MuTuning:
     axis_rounds: int = 15  # of descent along the axis at most ...
     least_axis_descent: float = 1e-5  # ... each of which has to lower the norm by this share
     # --- modes driven to the axis inside a box (mode_ascent) ---
-    ascent_starts: int = 6  # in a row of each mode that lead to nothing smaller end the search
-    ascent_reach: float = 0.97  # box of the ascents, in sizes of the smallest member known
-    ascent_gain: float = 1e-3  # share by which a member has to be smaller for the search to begin anew
+    ascent_members: int = 100  # of the box, looked at for starts ...
+    ascent_modes: int = 5  # ... of so many least damped modes, and as many others ...
+    ascent_rounds: int = 16  # ... so often in a row without anything smaller
+    ascent_reaches: tuple[float, ...] = (0.99, 0.85, 0.97, 0.7)
+    # boxes of one round after the other, in sizes of the smallest member known: smaller ones hide less among more
+    ascent_gain: float = 1e-3  # share by which a member has to be smaller for the rounds to count anew
     ascent_first: float = 0.3  # share of the way to its own corner at which a nominal mode begins
     ascent_step: float = 0.05  # share by which the box shrinks around a mode that was led across the axis ...
     ascent_last_step: float = 0.01  # ... and at the end

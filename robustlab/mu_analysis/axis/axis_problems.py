@@ -11,13 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.budget import Budget, dense
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
-from robustlab.mu_analysis.axis.mode_ascent import mode_next_to
-from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, real_blocks
+from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
 from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
@@ -37,11 +37,18 @@ class _AxisProblem:
         self.scale = typical_speed(model)
 
     def work(self, count: int) -> int:
-        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
-        return points_work(self.blocks, count) + count * (500 + extend_work(self.model))
+        """A D-G bound and an interval of each region, and the eigenvalues of a few members.
+
+        As measured: bounds that only have to stay below a level, or to show that they cannot, take a quarter.
+        """
+        return points_work(self.blocks, count) // 4 + count * (dense(self.model.n_states) // 2 + extend_work(self.model))
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """One frequency of each region: proved with an interval around it, or the region has to be cut."""
+        """One frequency of each region: proved with an interval around it, or missed.
+
+        A region has to be cut where a few were missed in a row, or what is open lies close around those. Until then
+        what each half would have to prove is proved once for both.
+        """
         models = [box_model(self.model, self.blocks, r.box) for r in regions]
         places = [self._frequency(r) for r in regions]
         sound = {k: m for k, m in enumerate(models) if m is not None}
@@ -49,70 +56,61 @@ class _AxisProblem:
         if not sound:
             return result
         responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
-        bounds = points_below(responses, self.blocks, self.tuning.inside)
+        bounds = points_below(responses, self.blocks, self.tuning.inside, thorough=False)
         for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
-            region = regions[k]
+            region, result[k] = regions[k], None
             piece = extend(model, bound, 1.0, places[k]) if bound.beta < self.tuning.proved else None
-            if piece is None or not piece.low <= places[k] <= piece.high:
-                region.hot = places[k]
-                result[k] = block_weights(M, bound, self.blocks)
-                continue
-            cover = AxisCover(open=region.open)
-            cover.add(piece)
-            region.open, region.hot = cover.open, None
-            result[k] = None
+            if piece is not None and piece.low <= places[k] <= piece.high:
+                cover = AxisCover(open=region.open)
+                cover.add(piece)
+                region.open, region.in_a_row = cover.open, 0
+            else:
+                region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))
+                region.in_a_row += 1
+            if region.open and (region.in_a_row == self.tuning.misses or not self._worth_a_look(region)):
+                _, region.hot, result[k] = max(region.missed, key=lambda miss: miss[0])
         return result
 
+    def _worth_a_look(self, region: Region) -> list[tuple[float, float]]:
+        """What is open between the frequencies that were missed, where that is wide enough."""
+        cover = AxisCover(open=region.open)
+        for _, omega, _ in region.missed:
+            near = np.exp(self.tuning.near_miss)
+            cover.open = [
+                part
+                for low, high in cover.open
+                for part in ([(low, omega / near), (omega * near, high)] if low <= omega <= high else [(low, high)])
+                if part[0] < part[1]
+            ]
+        return cover.open
+
     def _frequency(self, region: Region) -> float:
-        if region.hot is not None and any(low <= region.hot <= high for low, high in region.open):
+        """Where the parent was missed, to begin with; then the middle of the widest part."""
+        if not region.missed and region.hot is not None and any(a <= region.hot <= b for a, b in region.open):
             return region.hot
-        return float(AxisCover(open=region.open).next_points(self.scale, 1)[0])
+        return float(AxisCover(open=self._worth_a_look(region)).next_points(self.scale, 1)[0])
 
 
 class MarginProblem(_AxisProblem):
     """The largest mu over the axis: levels are mu, the set has size ``1 / level``."""
 
+    size = 0.0
+
     def root(self, level: float) -> Region:
         """All Delta of size ``1 / level`` on the whole axis."""
+        self.size = 1 / level
         return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
 
     def attack(self, region: Region) -> Improved | None:
-        """From the centre to the corner that moves the pole next to the axis outwards, as long as that helps."""
-        centre, half = region.box.centre, region.box.half
-        values = centre
-        for _ in range(3):
-            if self._rightmost(values) >= 0:
-                return self._crossing(values)
-            mode = mode_next_to(self.model, self.blocks, values, 1j * (region.hot or 0.0))
-            if mode is None:
-                return None
-            corner = np.where(real_blocks(self.blocks), centre + half * np.sign(mode.slopes), 0.0)
-            if np.array_equal(corner, values):
-                return None
-            values = corner
-        return self._crossing(values) if self._rightmost(values) >= 0 else None
-
-    def _perturbed(self, values: Array) -> Array:
-        delta = centre_matrix(self.blocks, values).astype(complex)
-        return np.real(perturbed_state_matrix(self.model, delta))
-
-    def _rightmost(self, values: Array) -> float:
-        matrix = self._perturbed(values)
-        if not np.isfinite(matrix).all():
-            return float("inf")
-        return float(np.linalg.eigvals(matrix).real.max(initial=-np.inf))
-
-    def _crossing(self, values: Array) -> Improved | None:
-        """The smallest multiple of these entries, by bisection, at which a pole is on or right of the axis."""
-        stable, unstable = 0.0, 1.0
-        for _ in range(50):
-            middle = (stable + unstable) / 2
-            if self._rightmost(middle * values) >= 0:
-                unstable = middle
-            else:
-                stable = middle
-        size = gauge(self.blocks, unstable * values)
-        return Improved(1 / size, unstable * values) if size > 0 else None
+        """From the centre along the mode next to where the region was missed, inside the whole set."""
+        values, blocks = region.box.centre, self.blocks
+        if is_stable_member(self.model, blocks, values):
+            values, _ = ascended(self.model, blocks, values, self.size, 1j * (region.hot or 0.0), self.tuning)
+        if values is None:
+            return None
+        values = shrunk(self.model, blocks, values, Budget(), self.tuning)
+        size = gauge(blocks, values)
+        return Improved(1 / size, values) if size > 0 else None
 
 
 class GainProblem(_AxisProblem):

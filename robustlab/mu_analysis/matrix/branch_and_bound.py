@@ -58,11 +58,16 @@ class Improved:
 
 @dataclass
 class Region(Shown):
-    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved."""
+    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved.
+
+    ``missed`` are the frequencies at which it was not proved itself, with the level and each block's weight there.
+    """
 
     box: Box
     open: list[tuple[float, float]]
     hot: float | None = None
+    missed: list[tuple[float, float, Array]] = field(default_factory=list)
+    in_a_row: int = 0
 
 
 @dataclass

@@ -78,12 +78,14 @@ def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[
     return result
 
 
-def _minimise(M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None) -> list[UpperBound]:
-    """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
+def _minimise(
+    M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None, thorough: bool = True
+) -> list[UpperBound]:
+    """D and G by the primal-dual method; thorough: where that came to no end, the better ones of two methods."""
     space = scaling_space(tuple(blocks))
     x, settled = primal_dual(M, space, tol, target)
     bounds = _certified(M, *space.matrices(x))
-    rest = np.flatnonzero(~settled)
+    rest = np.flatnonzero(~settled & thorough)
     if len(rest):
         others = _certified(M[rest], *space.matrices(path_following(M[rest], space, tol, target)))
         for k, other in zip(rest, others, strict=True):
@@ -160,15 +162,16 @@ def points_work(blocks: Sequence[Block], count: int) -> int:
     return 800 + count * (200 + n**3 // 14 + size**2 // 3 + size**3 // 500)
 
 
-def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:
+def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, thorough: bool = True) -> list[UpperBound]:
     """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does.
 
     Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
+    Not thorough: a rare matrix at which the solver ends early gets no second one, a hundred times as slow.
     """
     exponents = np.stack([balancing_exponents(m, blocks) for m in M])
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]
-    found = _minimise(balanced, blocks, 1e-4, target if target > 0 else None)
+    found = _minimise(balanced, blocks, 1e-4, target if target > 0 else None, thorough)
     Dw = np.stack([b.Dw for b in found]) * w[:, :, None] * w[:, None, :]
     Dz = np.stack([b.Dz for b in found]) * z[:, :, None] * z[:, None, :]
     G = np.stack([b.G for b in found]) * w[:, :, None] * z[:, None, :]
