@@ -41,7 +41,8 @@ class _AxisProblem:
 
         As measured: bounds that only have to stay below a level, or to show that they cannot, take a quarter.
         """
-        return points_work(self.blocks, count) // 4 + count * (dense(self.model.n_states) // 2 + extend_work(self.model))
+        each = dense(self.model.n_states) // 2 + extend_work(self.model)
+        return points_work(self.blocks, count) // 4 + count * each
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
         """One frequency of each region: proved with an interval around it, or missed.
