@@ -210,7 +210,7 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     Examples
     --------
     >>> @told_as("outer")
-    ... def outer(level: "float" = 1.0):
+    ... def outer(level: float = 1.0):
     ...     raise InputError("care: R", "singular", "an invertible R")
     >>> for level in (1.0, "one"):
     ...     try:

@@ -209,11 +209,12 @@ def iqc_gain(
     with one_thread():
         lower, delta = problem.worst_member()
         best: tuple[float, IqcProof] | None = None
+        enough = lower * (1 + problem.tuning.close)
         for basis in problem.bases if np.isfinite(lower) else ():
-            found = problem.least_gain(basis, budget)
+            found = problem.least_gain(basis, budget, enough)
             if found is not None and (best is None or found[0] < best[0]):
                 best = found
-            if budget.over or (best is not None and best[0] <= lower * (1 + 1e-3)):
+            if budget.over or (best is not None and best[0] <= enough):
                 break
     status = Status.CERTIFIED if best is not None else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
     if not np.isfinite(lower):

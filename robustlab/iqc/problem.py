@@ -207,18 +207,40 @@ class Problem:
 
     # --- from above ---------------------------------------------------------------------------------------------------
 
-    def least_gain(self, basis: Basis, budget: Budget) -> tuple[float, IqcProof] | None:
-        """The least gain that is proved with these filters, and its proof; None where there is none."""
+    def least_gain(self, basis: Basis, budget: Budget, enough: float = 0.0) -> tuple[float, IqcProof] | None:
+        """The least gain that is proved with these filters, and its proof; None where there is none.
+
+        Below ``enough`` no smaller one is looked for.
+        """
         size = float(max(hinf_norm(self.middle.nominal).upper, 1e-12))
         if math.isinf(size):  # a pole that cannot be told from the axis
             return None
-        unit = 2.0 ** round(math.log2(size))
-        inequality, terms = self._inequality(basis, 1.0, unit)
-        if inequality is None:
-            return None
-        least = inequality.solve(budget)
-        if least is None or not least.square > 0:
-            return None
+        unit, states, best = 2.0 ** round(math.log2(size)), np.ones(self.middle.M.n_states), None
+        for _ in range(self.tuning.balancings):
+            found, states = self._least_gain(basis, budget, unit, states)
+            if found is None or (best is not None and not found[0] < self.tuning.better * best[0]):
+                best = found if best is None or (found is not None and found[0] < best[0]) else best
+                break
+            best = found
+            if found[0] <= enough or budget.over:
+                break
+        return best
+
+    def _least_gain(
+        self, basis: Basis, budget: Budget, unit: float, states: Array
+    ) -> tuple[tuple[float, IqcProof] | None, Array]:
+        """The same in states that are ``states`` times as large, and sizes in which P had a diagonal of ones.
+
+        Clarabel stops far above the least gain where P's entries are of very different sizes: what it found tells how
+        the states should have been measured.
+        """
+        inequality, terms = self._inequality(basis, 1.0, unit, states)
+        least = None if inequality is None else inequality.solve(budget)
+        if inequality is None or least is None or not least.square > 0:
+            return None, states
+        size = np.abs(np.diag(least.P))[: len(states)]
+        with np.errstate(divide="ignore"):
+            again = states * 2.0 ** np.where(size > 0, np.clip(np.rint(-0.5 * np.log2(size)), -20, 20), 0.0)
         for share in self.tuning.back_offs:
             point = inequality.solve(budget, least.square * (1 + share) ** 2)
             if point is None:
@@ -226,8 +248,8 @@ class Problem:
             judged = inequality.judged(point)
             if judged.proved:
                 gain = unit * math.sqrt(point.square) * (1 + 1e-15)
-                return gain, _proof(basis, inequality, terms, point, judged)
-        return None
+                return (gain, _proof(basis, inequality, terms, point, judged)), again
+        return None, again
 
     def proved_stable(self, size: float, budget: Budget, thorough: bool = True) -> IqcProof | None:
         """The proof that the set times ``size`` is stable, with any basis or the best so far; None: none was found."""
@@ -242,8 +264,13 @@ class Problem:
                 return _proof(basis, inequality, terms, point, judged)
         return None
 
-    def _inequality(self, basis: Basis, size: float, unit: float | None) -> tuple[Inequality | None, list[Term]]:
-        """In balanced states and in a time unit of its own; ``unit`` of the gain, None for stability alone."""
+    def _inequality(
+        self, basis: Basis, size: float, unit: float | None, states: Array | float = 1.0
+    ) -> tuple[Inequality | None, list[Term]]:
+        """In balanced states and in a time unit of its own; ``unit`` of the gain, None for stability alone.
+
+        ``states``: powers of two by which each state is measured in a larger unit still.
+        """
         M, q, p = self.middle.M, self.q, self.p
         n_w, n_z = (self.n_w, self.n_z) if unit is not None else (0, 0)
         into = np.concatenate([np.full(q, size), np.ones(n_w)])
@@ -253,6 +280,9 @@ class Problem:
         scaled, rate = StateSpaceModel(M.A, B, C, D), 1.0
         if scaled.n_states:
             scaled, rate = well_scaled(scaled)
+            t = np.broadcast_to(states, scaled.n_states)
+            A, B, C = scaled.A / t[:, None] * t, scaled.B / t[:, None], scaled.C * t
+            scaled = StateSpaceModel(A, B, C, scaled.D)
         balance = _channel_balance(self.middle.blocks, scaled)
         B, C, D = (part.copy() for part in (scaled.B, scaled.C, scaled.D))
         for d, (w, z) in zip(balance, block_slices(self.middle.blocks), strict=True):

@@ -18,10 +18,15 @@ class IqcTuning:
 
     work: float = 60 * MILLION  # the usual work of a proof at effort 1
     poles: tuple[float, ...] = (1.0, 4.0, 0.25)
+    # Times that a least gain is looked for at most, each in states measured by the P before; again while it falls below
+    # this share of the one before.
+    balancings: int = 4
+    better: float = 0.98
     # of the multipliers, in terms of the model's typical speed, tried in turn; more: closer bounds, more work
     back_offs: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)
     # shares above the solver's least gain at which the proof is tried in turn; smaller: closer, with less slack
-    close: float = 1e-3  # relative distance of a margin from a size that was not proved; smaller: more work
+    # relative distance of a margin from a size that was not proved, of a gain from one attained; smaller: more work
+    close: float = 1e-3
     near: float = 0.05  # the same, from which on only the best basis so far is tried; smaller: closer, more work
     least: float = 1e-3  # size of the set below which no margin is looked for
     largest: float = 64.0  # and beyond which

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps.h5"
 # Requirements that are not met, by what they judge. The recipes keep the bars, and the texts say what is missed: where
 # one is met one day, README and docs/discover.md (docs/from_data_to_controller.md) are to be put right with this.
-MISSED = {"naming.effects.coulomb-friction.Fc"}
+MISSED = {"naming.effects.coulomb-friction.Fc", "naming.gaps.q.updated"}
 FLAGSHIP_MISSED = {"story.mu.fall_percent", "story.error.ratio"}
 
 
@@ -41,9 +41,9 @@ def test_the_texts_say_what_is_not_met():
         " ".join((ROOT / name).read_text(encoding="utf-8").split())
         for name in ("README.md", "docs/discover.md", "docs/from_data_to_controller.md")
     )
-    assert len(MISSED) == 1
-    assert "`emps-discover` ends in 1: one of its eleven requirements is not met" in discover
-    assert "`emps-discover` and `chapter-11` end in exit code 1" in readme
+    assert len(MISSED) == 2
+    assert "`emps-discover` ends in 1: two of its eleven requirements are not met" in discover
+    assert "so do `emps-discover` and `rack-pinion`, each for two" in readme
     assert len(FLAGSHIP_MISSED) == 2
     assert "`flagship-emps` ends in 1: two of its seven requirements are not met" in story
     assert "It ends in exit code 1 all the same: μ falls by 24 %" in readme

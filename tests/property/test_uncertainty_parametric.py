@@ -274,7 +274,7 @@ def test_names_that_are_none():
     for name in ("1a", "a b", "", 3):
         with pytest.raises(InputError, match="parameter name"):
             gain([[1]], {name: (1.0, 0.1)})
-    with pytest.raises(InputError, match="dictionary"):
+    with pytest.raises(InputError, match="names with their values"):
         gain([[1]], [("a", 1.0)])  # pyright: ignore[reportArgumentType]
 
 

@@ -92,6 +92,16 @@ def test_zames_falb_proves_more_than_the_circle_and_odd_laws_more_than_others():
     assert found["any"] <= found["odd"] < largest_linear_gain(model)
 
 
+def test_more_filters_never_prove_a_larger_gain():
+    """A basis holds the smaller ones: where the bound rises with the order, the solver and not the theory ended it."""
+    axis = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
+    K = rl.StateSpaceModel([[-300.0]], [[1.0]], [[-90000.0]], [[320.0]])
+    found = [rl.effect_gain(axis, K, outputs=["q"], amplitude={"u": 40.0}, order=k).proved for k in (0, 1, 2)]
+    assert [f.status for f in found] == [Status.CERTIFIED] * 3
+    assert all(more.upper <= 1.01 * less.upper for less, more in pairwise(found))
+    assert found[-1].upper < 1.5 * found[-1].lower
+
+
 def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
     # x'' + c x' + (k + r delta(t)) x = 0 is quadratically stable iff r |1 / (s^2 + c s + k)|_inf < 1.
     k, c, r = 2.0, 0.3, 0.1

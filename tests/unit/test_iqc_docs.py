@@ -18,7 +18,7 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
     assert names["found"].upper == pytest.approx(6.6426, rel=1e-4)
     assert names["margin"].margin == pytest.approx(1.744, rel=2e-3)
     assert names["seen"].as_constants.upper == pytest.approx(0.0610, rel=2e-3)
-    assert names["seen"].proved.upper == pytest.approx(0.1315, rel=2e-3)
+    assert names["seen"].proved.upper == pytest.approx(0.0880, rel=2e-3)
     windup = names["windup"]
     assert windup.level == pytest.approx(3.1686, rel=1e-3)
     assert windup.back.upper == pytest.approx(4.0711, rel=1e-3)
