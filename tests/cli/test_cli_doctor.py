@@ -124,6 +124,18 @@ def test_what_warm_has_compiled_is_not_compiled_again(tmp_path):
     assert {path.name.partition(".")[0] for path in after_first} > {"primal_dual_kernels", "motion_kernels"}
     assert in_shell("doctor", "--warm", **place).returncode == 0
     built = tmp_path / "motors.h5"
-    in_shell("uncertain", "build", "--plant", "dc-motor", "--tolerance", "Km=5%", "--out", str(built), **place)
+    in_shell(
+        "uncertain",
+        "build",
+        "--plant",
+        "dc-motor",
+        "--outputs",
+        "omega",
+        "--tolerance",
+        "Km=5%",
+        "--out",
+        str(built),
+        **place,
+    )
     assert in_shell("mu", str(built), "--gain", **place).returncode == 0
     assert kept() == after_first

@@ -157,9 +157,10 @@ def restarted(problem: Problem, fit: Fit) -> Fit:
 
 
 def _sizes(problem: Problem, fit: Fit) -> Array:
-    """Root mean square of a fit's errors, (n_measured,)."""
-    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-    return np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
+    """Root mean square of a fit's errors, (n_measured,); 0 of an output that none of the windows has."""
+    errors = np.concatenate([e.reshape(-1, e.shape[2]) for e in problem.errors(fit.hypothesis, fit.z, fit.starts)])
+    known = np.isfinite(errors).sum(axis=0)
+    return np.asarray(np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(known, 1)))
 
 
 def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
