@@ -215,14 +215,16 @@ class Problem:
         size = float(max(hinf_norm(self.middle.nominal).upper, 1e-12))
         if math.isinf(size):  # a pole that cannot be told from the axis
             return None
-        unit, states, best = 2.0 ** round(math.log2(size)), np.ones(self.middle.M.n_states), None
+        unit, states = 2.0 ** round(math.log2(size)), np.ones(self.middle.M.n_states)
+        best: tuple[float, IqcProof] | None = None
         for _ in range(self.tuning.balancings):
             found, states = self._least_gain(basis, budget, unit, states)
-            if found is None or (best is not None and not found[0] < self.tuning.better * best[0]):
-                best = found if best is None or (found is not None and found[0] < best[0]) else best
+            if found is None:
                 break
-            best = found
-            if found[0] <= enough or budget.over:
+            settled = best is not None and found[0] >= self.tuning.better * best[0]
+            if best is None or found[0] < best[0]:
+                best = found
+            if settled or best[0] <= enough or budget.over:
                 break
         return best
 
