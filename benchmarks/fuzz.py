@@ -6,8 +6,8 @@ Mutants are read in processes forked from one that has loaded everything, under 
 without a second isolation; what crashes or runs in circles there is read again through the public reader, which must
 name it ("contained"), and so is every hundredth, for the same answer.
 Counted as faults: any exception but a `RobustlabError` ("traceback"), more than 5 s of processor time ("hang"), more
-than 1 GB ("memory"), numbers that differ although the file's hash is called verified ("silent"), an error of more than
-one line of 4000 characters ("unclear").
+than 1 GB on top of what the process had ("memory"), numbers that differ although the file's hash is called verified
+("silent"), an error of more than one line of 4000 characters ("unclear").
 """
 
 from __future__ import annotations
@@ -507,7 +507,7 @@ def judge(reader: Reader, path: Path, truths: set[str], isolate: bool) -> tuple[
         clear = len(error.line) <= 4000 and all(ch.isprintable() or ch == "\n" for ch in text)
         return ("refused" if clear else "unclear"), text[:300]
     except MemoryError:
-        return "traceback", "MemoryError"
+        return "memory", "MemoryError"
     except Exception as error:  # noqa: BLE001  that is what is looked for
         import traceback
 
@@ -530,7 +530,7 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
     _, status, usage = os.wait4(pid, 0)
     found = [tuple(json.loads(answer)) for answer in answers.split(b"\n") if answer]
     if len(found) < len(paths):
-        memory = usage.ru_maxrss * 1024
+        memory = max(0, usage.ru_maxrss * 1024 - _resident())
         # The library crashed, or ran in circles: the public reader has a process of its own for that.
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         outcome, text = judge(reader, paths[len(found)], truths, True)
@@ -542,7 +542,9 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
 
 
 def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
+    # Limits are for what reading takes, whatever the process that forks has grown to.
+    most, had = _mapped() + ADDRESS_SPACE, _resident()
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
     faulthandler.disable()  # a crash of a library is an outcome here, and told as one
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
@@ -551,12 +553,22 @@ def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> Non
         signal.setitimer(signal.ITIMER_PROF, SECONDS)  # of processor time; its signal ends the process
         begun = time.process_time()
         outcome, text = judge(reader, path, truths, False)
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        memory = max(0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - had)
         answer = ("memory" if memory > MEMORY else outcome, text, time.process_time() - begun, memory)
         os.write(end, json.dumps(answer).encode() + b"\n")
         if memory > MEMORY:
             break  # the next one starts afresh
     os._exit(0)
+
+
+def _mapped() -> int:
+    """Bytes of address space of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+
+
+def _resident() -> int:
+    """Bytes of memory that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def attack(reader: Reader, count: int, seed: int, folder: Path, isolated_every: int = 0) -> Found:
