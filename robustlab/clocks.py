@@ -54,21 +54,13 @@ def clock_step(t: Array) -> float:
 
 @dataclass(frozen=True)
 class ClockSummary:
-    """What a clock is like.
+    """What a clock is like."""
 
-    Attributes
-    ----------
-    n, step
-        Number of samples; sample time in s (`clock_step`).
-    jitter
-        Standard deviation in s of the steps that are no gaps.
-    longest, at
-        Longest step in s, and the stamp before it.
-    """
-
+    # n, step: number of samples; sample time in s (`clock_step`)
     n: int
     step: float
-    jitter: float
+    jitter: float  # standard deviation in s of the steps that are no gaps
+    # longest, at: longest step in s, and the stamp before it
     longest: float
     at: float
 

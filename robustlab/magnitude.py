@@ -78,22 +78,14 @@ def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True, eq=False)
 class Moderated:
-    """A model of ordinary entries and what leads back from it.
+    """A model of ordinary entries and what leads back from it."""
 
-    Attributes
-    ----------
-    model
-        ``G'(s) = 2^gain G(2^rate s)``; a discrete model keeps its steps, and its sample time is ``2^rate`` times.
-    rate, gain
-        Exponents; both 0 for a model that was ordinary as given.
-    states
-        Exponents of the states, ``x = 2^states x'``, shape (n_x,).
-    """
-
+    # `G'(s) = 2^gain G(2^rate s)`; a discrete model keeps its steps, and its sample time is `2^rate` times.
     model: StateSpaceModel
+    # rate, gain: exponents; both 0 for a model that was ordinary as given
     rate: int
     gain: int
-    states: AnyArray
+    states: AnyArray  # exponents of the states, `x = 2^states x'`, shape (n_x,)
 
     def value(self, size: float, where: str, rate_power: float = 0.0) -> float:
         """``size * 2^-gain * 2^(rate * rate_power)``: a norm of the model as given.

@@ -170,43 +170,27 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Replay:
-    """One sample computed again in this process.
+    """One sample computed again in this process."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED where both paths agree with each other and with the store; INACCURATE else.
-    index, kind, metric, unit
-        Which sample of what.
-    stored, reason
-        Its value in the store (NaN where lost or not there yet), and why it was lost.
-    value
-        Its value now, computed as the campaign does it.
-    again, at, location
-        Its value through the second path, and where it is attained.
-    identical
-        Whether ``value`` has the bits of ``stored``.
-    delta, physical
-        Its normalised Delta, and its parameters as (value, unit).
-    seconds
-        Time it took.
-    """
-
-    status: Status
+    status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else
+    # index, kind, metric, unit: which sample of what
     index: int
     kind: str
     metric: str
     unit: str
+    # stored, reason: its value in the store (NaN where lost or not there yet), and why it was lost
     stored: float
     reason: str
-    value: float
+    value: float  # its value now, computed as the campaign does it
+    # again, at, location: its value through the second path, and where it is attained
     again: float
     at: float
     location: str
-    identical: bool
+    identical: bool  # whether `value` has the bits of `stored`
+    # delta, physical: its normalised Delta, and its parameters as (value, unit)
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
-    seconds: float
+    seconds: float  # time it took
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""

@@ -117,21 +117,11 @@ class CampaignSettings:
 
 @dataclass(frozen=True)
 class Identity:
-    """What the samples of a store belong to; two campaigns with equal identities have equal samples.
+    """What the samples of a store belong to; two campaigns with equal identities have equal samples."""
 
-    Attributes
-    ----------
-    model
-        SHA-256 of the uncertain model's content.
-    settings
-        What is computed.
-    code
-        Versions and source hash of the code that computes it; see `code_identity`.
-    """
-
-    model: str
-    settings: CampaignSettings
-    code: Mapping[str, str]
+    model: str  # SHA-256 of the uncertain model's content
+    settings: CampaignSettings  # what is computed
+    code: Mapping[str, str]  # versions and source hash of the code that computes it; see `code_identity`
 
     @classmethod
     def of(cls, uncertain: UncertainModel, settings: CampaignSettings) -> Identity:

@@ -36,8 +36,6 @@ from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, inverse, parallel, product
 from robustlab.uncertainty.upper_lft import upper_lft
 
-__all__ = ["DelayedModel", "as_delayed", "delay", "uncertain_delays", "with_delays"]
-
 # Samples of delay of a discrete model; each is a state.
 MOST_SAMPLES = 2000
 # How far from a whole number of samples a discrete delay may be, relative to one sample.

@@ -28,8 +28,6 @@ from math import factorial
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, series
 
-__all__ = ["PROOFS", "covers_delay", "neglected_delay", "neglected_lag", "positive_between"]
-
 Polynomial = Sequence[Fraction]  # constant first
 
 # Where the error is bounded by 4 instead of Taylor's sum: below pi^2.

@@ -34,8 +34,6 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, series
 
-__all__ = ["HIGHEST_ORDER", "ErrorWeight", "error_bound", "error_weight", "pade", "phase_bound", "phase_error"]
-
 # Above this order |Q_n| leaves double precision at the frequencies where the error is large.
 HIGHEST_ORDER = 40
 # Gain of the weight at high frequencies; the error itself reaches 2. Nearer to 2, the weight is larger below.

@@ -29,8 +29,6 @@ from robustlab.arrays import Array, Indices, Mask
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = ["Answer", "checked_rtol", "delayed_response"]
-
 DEGREE = 7  # of the polynomials in a cell
 PASSES = 7  # through delays after which a jump is smoother than what a polynomial of that degree sees
 MOST_CELLS = 60_000

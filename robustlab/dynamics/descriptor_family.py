@@ -47,8 +47,6 @@ from robustlab.uncertainty.decomposition_tree import Exponents, MatrixPolynomial
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["TrimmedDescriptor", "uncertain_family"]
-
 Values = Mapping[str, float]
 
 # Of the natural magnitude of an entry: what two values of the same thing may differ by, what counts as zero, and what

@@ -43,8 +43,6 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = ["DryFriction", "FrictionEvent", "StickSlip", "simulate_with_friction"]
-
 
 @dataclass(frozen=True)
 class DryFriction:

@@ -28,9 +28,6 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal
 
-__all__ = ["held_descriptor"]
-
-
 Values = Mapping[str, float]
 # A state or input below it, in its unit, counts as zero where the size of a rate's terms is taken.
 NONE = 1e-6

@@ -33,8 +33,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["AffineEquations", "Descriptor", "LinearPlant", "tied_plant"]
-
 
 @dataclass(frozen=True)
 class Descriptor:

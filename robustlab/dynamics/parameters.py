@@ -11,8 +11,6 @@ from robustlab.errors import InputError, unknown_name
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
-__all__ = ["Parameter", "Role", "overridden", "parameter_ranges", "tolerance_of"]
-
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain",
     "centre-of-mass", "gravity-direction",

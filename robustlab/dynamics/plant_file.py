@@ -31,19 +31,6 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 
-__all__ = [
-    "BY_UNIT",
-    "PLANT",
-    "TEMPLATE",
-    "code_of",
-    "plant_from_file",
-    "plant_reference",
-    "plants_in_file",
-    "unit_reference",
-    "write_template",
-]
-
-
 MADE_BY, BY_UNIT = "plant file", "functional mock-up unit"
 # In the globals of a plant file: what messages call it.
 MARK = "__plant_file__"

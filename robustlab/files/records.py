@@ -124,45 +124,30 @@ SAME_RATE = 1e-6
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is taken of a file, and how it is understood.
+    """What is taken of a file, and how it is understood."""
 
-    Attributes
-    ----------
-    group
-        HDF5 group, MATLAB struct or topic of a bag that holds the signals.
-    inputs, outputs
-        Names of the signals to take; ``"u=SIGNAL"`` takes SIGNAL and calls it u. With neither given, all signals are
-        outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only, all others
-        are outputs. Of a bag the outputs are to be named, or its topic.
-    dt
-        Sample time in s; wins over what the file says. Without it and without a clock, the attribute ``Ts`` (or ``dt``,
-        in s, or ``fs`` in Hz) of the signals, else of their group, else of the file is used. Signals of several clocks
-        are brought on one of this sample time, or on the coarsest of theirs.
-    clock
-        Name of the signal with the times; ``t`` or ``time`` where left out. A unit of ms, us, ns or min is converted to
-        s. Of a bag: ``stamp`` or ``log``.
-    units
-        Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
-        rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
-        not named keep the numbers and the unit of the file.
-    delimiter, decimal
-        For text files; see `robustlab.files.text_table.read_table`.
-    allow_gaps
-        Accept a clock with missing samples.
-    no_verify
-        Accept a format 1 record whose content hash does not match.
-    """
-
-    group: str | None = None
+    group: str | None = None  # HDF5 group, MATLAB struct or topic of a bag that holds the signals
+    # inputs, outputs: names of the signals to take; `"u=SIGNAL"` takes SIGNAL and calls it u. With neither given, all
+    # signals are outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only,
+    # all others are outputs. Of a bag the outputs are to be named, or its topic.
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
+    # Sample time in s; wins over what the file says. Without it and without a clock, the attribute `Ts` (or `dt`, in
+    # s, or `fs` in Hz) of the signals, else of their group, else of the file is used. Signals of several clocks are
+    # brought on one of this sample time, or on the coarsest of theirs.
     dt: float | None = None
+    # Name of the signal with the times; `t` or `time` where left out. A unit of ms, us, ns or min is converted to s.
+    # Of a bag: `stamp` or `log`.
     clock: str | None = None
+    # Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
+    # rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
+    # not named keep the numbers and the unit of the file.
     units: Mapping[str, str] | None = None
+    # delimiter, decimal: for text files; see `robustlab.files.text_table.read_table`
     delimiter: str | None = None
     decimal: str = "."
-    allow_gaps: bool = False
-    no_verify: bool = False
+    allow_gaps: bool = False  # accept a clock with missing samples
+    no_verify: bool = False  # accept a format 1 record whose content hash does not match
 
 
 def read_record(

@@ -14,8 +14,6 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.files.text_table import read_table
 from robustlab.units import factor_between
 
-__all__ = ["read_response"]
-
 PARTS = ("real", "imag", "magnitude", "phase", "radius")
 # How the columns of a channel begin, and the one channel of a table that does not say.
 CHANNEL, ONLY = "OUTPUT from INPUT", "y1 from u1"

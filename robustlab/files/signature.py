@@ -37,30 +37,18 @@ _FORMATS = "HDF5, MATLAB (.mat), Parquet, MCAP or text (.csv, .txt)"
 
 @dataclass(frozen=True)
 class Limits:
-    """What is read at most; everything is checked against the declared sizes before any of it is read.
+    """What is read at most; everything is checked against the declared sizes before any of it is read."""
 
-    Attributes
-    ----------
-    file, dataset, total
-        Bytes of the file, of one dataset in memory, of all datasets in memory.
-    document
-        Bytes of a document of JSON.
-    objects, depth
-        Number of groups and datasets, and how deep groups may be nested.
-    name
-        Characters of a name.
-    seconds
-        Time the reader process may take.
-    """
-
+    # file, dataset, total: bytes of the file, of one dataset in memory, of all datasets in memory
     file: int = 2048 * MIB
     dataset: int = 256 * MIB
     total: int = 512 * MIB
-    document: int = 32 * MIB
+    document: int = 32 * MIB  # bytes of a document of JSON
+    # objects, depth: number of groups and datasets, and how deep groups may be nested
     objects: int = 10_000
     depth: int = 16
-    name: int = 200
-    seconds: float = 30.0
+    name: int = 200  # characters of a name
+    seconds: float = 30.0  # time the reader process may take
 
 
 def size_text(n: int) -> str:

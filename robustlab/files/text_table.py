@@ -22,24 +22,12 @@ WHITESPACE = " "
 
 @dataclass(frozen=True)
 class TextTable:
-    """Columns of a text file.
+    """Columns of a text file."""
 
-    Attributes
-    ----------
-    names
-        From the header; ``c1, c2, ...`` without one.
-    units
-        Empty where not stated.
-    values
-        Shape (n, columns).
-    has_header
-        True where the names come from the file.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
-    has_header: bool
+    names: tuple[str, ...]  # from the header; `c1, c2, ...` without one
+    units: tuple[str, ...]  # empty where not stated
+    values: Array  # shape (n, columns)
+    has_header: bool  # True where the names come from the file
 
 
 def read_table(

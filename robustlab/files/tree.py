@@ -30,18 +30,10 @@ ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 @dataclass(frozen=True)
 class Unread:
-    """Stands for the values of a dataset that was not read, because of its type or because nobody asked for it.
+    """Stands for the values of a dataset that was not read, because of its type or because nobody asked for it."""
 
-    Attributes
-    ----------
-    dtype
-        Name of the type, for messages.
-    shape
-        Shape as the file states it.
-    """
-
-    dtype: str
-    shape: tuple[int, ...]
+    dtype: str  # name of the type, for messages
+    shape: tuple[int, ...]  # shape as the file states it
 
 
 @dataclass
@@ -54,25 +46,14 @@ class Dataset:
 
 @dataclass
 class Tree:
-    """One group of a file.
+    """One group of a file."""
 
-    Attributes
-    ----------
-    attrs
-        Name -> text, number, or array.
-    groups, datasets
-        Name -> what is in it.
-    path
-        Where the group lies in the file; ``/`` is the root.
-    file
-        What messages call the file.
-    """
-
-    attrs: dict[str, Any] = field(default_factory=dict)
+    attrs: dict[str, Any] = field(default_factory=dict)  # name -> text, number, or array
+    # groups, datasets: name -> what is in it
     groups: dict[str, Tree] = field(default_factory=dict)
     datasets: dict[str, Dataset] = field(default_factory=dict)
-    path: str = "/"
-    file: str = "file"
+    path: str = "/"  # where the group lies in the file; `/` is the root
+    file: str = "file"  # what messages call the file
 
     def child_path(self, name: str) -> str:
         """Path of the named child."""

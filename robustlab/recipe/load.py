@@ -40,24 +40,12 @@ _REFUSED = {
 
 @dataclass(frozen=True)
 class LoadedRecipe:
-    """A recipe with where it came from.
+    """A recipe with where it came from."""
 
-    Attributes
-    ----------
-    recipe
-        The checked recipe, with ``--set`` applied.
-    path
-        Its file.
-    text
-        The file's text as read.
-    overrides
-        Dotted key -> text of the value, as given with ``--set``.
-    """
-
-    recipe: Recipe
-    path: Path
-    text: str
-    overrides: dict[str, str]
+    recipe: Recipe  # the checked recipe, with `--set` applied
+    path: Path  # its file
+    text: str  # the file's text as read
+    overrides: dict[str, str]  # dotted key -> text of the value, as given with `--set`
 
 
 def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool = True) -> LoadedRecipe:

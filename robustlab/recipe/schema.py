@@ -125,24 +125,12 @@ def json_schema() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A requirement and what became of it.
+    """A requirement and what became of it."""
 
-    Attributes
-    ----------
-    requirement
-        The requirement.
-    value
-        What was found; None where the step gave no numbers.
-    met
-        True where it was found and fulfils the condition.
-    why_not
-        Why no value could be judged; empty where one was.
-    """
-
-    requirement: Requirement
-    value: Any
-    met: bool
-    why_not: str = ""
+    requirement: Requirement  # the requirement
+    value: Any  # what was found; None where the step gave no numbers
+    met: bool  # True where it was found and fulfils the condition
+    why_not: str = ""  # why no value could be judged; empty where one was
 
     def to_json(self) -> dict[str, Any]:
         """Plain types."""

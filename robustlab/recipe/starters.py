@@ -64,31 +64,16 @@ INPUT_UNITS = ("V",)
 
 @dataclass(frozen=True)
 class Channels:
-    """Which channels of a file a recipe takes, and what was only guessed.
+    """Which channels of a file a recipe takes, and what was only guessed."""
 
-    Attributes
-    ----------
-    record
-        The record as it is read with them.
-    inputs, outputs
-        As a record step takes them: names, or ``"u=SIGNAL"``.
-    clock
-        Channel with the times where it had to be guessed; None where the file says it.
-    units
-        Name -> unit that the file states and the plant does not use: converted when read.
-    unstated
-        Names whose unit neither the file nor anybody states.
-    guessed
-        What was guessed, a line each.
-    """
-
-    record: Record
+    record: Record  # the record as it is read with them
+    # inputs, outputs: as a record step takes them: names, or `"u=SIGNAL"`
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    clock: str | None
-    units: dict[str, str]
-    unstated: tuple[str, ...]
-    guessed: tuple[str, ...]
+    clock: str | None  # channel with the times where it had to be guessed; None where the file says it
+    units: dict[str, str]  # name -> unit that the file states and the plant does not use: converted when read
+    unstated: tuple[str, ...]  # names whose unit neither the file nor anybody states
+    guessed: tuple[str, ...]  # what was guessed, a line each
 
 
 def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float | None = None) -> Channels:

@@ -41,30 +41,17 @@ else:
 
 @dataclass(frozen=True)
 class Loaded:
-    """An object from a file, with what is known about the file.
+    """An object from a file, with what is known about the file."""
 
-    Attributes
-    ----------
-    object
-        StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, LPVModel, Controller, LPVController,
-        Record, Result, Plant; for
-        ``kind = "pair"`` (nominal, perturbed).
-    kind
-        Kind of format 1, or ``"pair"``.
-    verified
-        True where the content hash was there and matched.
-    warnings
-        What a reader should know; empty where all is well.
-    provenance
-        Where the file says it comes from; its note says so where no content hash verified the file. The object carries
-        the same (`robustlab.provenance.Traced`).
-    """
-
+    # StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, LPVModel, Controller, LPVController,
+    # Record, Result, Plant; for `kind = "pair"` (nominal, perturbed).
     object: Any
-    kind: str
+    kind: str  # kind of format 1, or `"pair"`
     path: str
-    verified: bool
-    warnings: tuple[str, ...] = ()
+    verified: bool  # True where the content hash was there and matched
+    warnings: tuple[str, ...] = ()  # what a reader should know; empty where all is well
+    # Where the file says it comes from; its note says so where no content hash verified the file. The object carries
+    # the same (`robustlab.provenance.Traced`).
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:

@@ -24,24 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass
 class Problems:
-    """Findings about one file, in the order in which they were met.
+    """Findings about one file, in the order in which they were met."""
 
-    Attributes
-    ----------
-    file
-        What messages call the file.
-    lines
-        One finding each, beginning with the path in the file.
-    hint
-        What to do; the first hint given stays.
-    notes
-        What a reader should know of a file that is right.
-    """
-
-    file: str
-    lines: list[str] = field(default_factory=list)
-    hint: str | None = None
-    notes: list[str] = field(default_factory=list)
+    file: str  # what messages call the file
+    lines: list[str] = field(default_factory=list)  # one finding each, beginning with the path in the file
+    hint: str | None = None  # what to do; the first hint given stays
+    notes: list[str] = field(default_factory=list)  # what a reader should know of a file that is right
 
     def add(self, line: str, hint: str | None = None) -> None:
         """Note a finding."""

@@ -439,21 +439,13 @@ def _differences(side: str, a: Signal, b: Signal) -> list[str]:
 
 @dataclass(frozen=True)
 class Change:
-    """One entry of A, B, C or D that differs.
+    """One entry of A, B, C or D that differs."""
 
-    Attributes
-    ----------
-    matrix
-        ``"A"``, ``"B"``, ``"C"`` or ``"D"``.
-    row, column
-        Names of the signals: the entry says how ``column`` acts on ``row`` (on its derivative, in A and B).
-    first, second
-        The two values.
-    """
-
-    matrix: str
+    matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
+    # row, column: names of the signals: the entry says how `column` acts on `row` (on its derivative, in A and B)
     row: str
     column: str
+    # first, second: the two values
     first: float
     second: float
 

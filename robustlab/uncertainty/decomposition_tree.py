@@ -268,18 +268,10 @@ Exponents = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class MatrixPolynomial:
-    """A matrix polynomial.
+    """A matrix polynomial."""
 
-    Attributes
-    ----------
-    names
-        The variables.
-    terms
-        Exponents -> coefficient (m, n); the constant one is always there.
-    """
-
-    names: tuple[str, ...]
-    terms: Mapping[Exponents, Array]
+    names: tuple[str, ...]  # the variables
+    terms: Mapping[Exponents, Array]  # exponents -> coefficient (m, n); the constant one is always there
 
     def __call__(self, t: Array) -> Array:
         """The matrix (m, n) at t, shape (number of names,)."""

@@ -152,17 +152,10 @@ def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None
 
 @dataclass(frozen=True)
 class EndpointResidual:
-    """How far the ends of a set are from the two models it was made of.
+    """How far the ends of a set are from the two models it was made of."""
 
-    Attributes
-    ----------
-    absolute
-        For each of A, B, C, D the largest ``|F_u(M, I) - perturbed|``.
-    relative
-        The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
-    """
-
-    absolute: dict[str, float]
+    absolute: dict[str, float]  # for each of A, B, C, D the largest `|F_u(M, I) - perturbed|`
+    # The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
     relative: dict[str, float]
 
     @property

@@ -143,27 +143,17 @@ def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """k members of an uncertain model; real, or complex where a Delta is.
+    """k members of an uncertain model; real, or complex where a Delta is."""
 
-    Attributes
-    ----------
-    A, B, C, D
-        Shapes (k, n_x, n_x), (k, n_x, n_u), (k, n_y, n_x), (k, n_y, n_u).
-    dt
-        Sample time in s.
-    ill_posed
-        Shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
-    scale
-        Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
-        member's response does not depend on which others are computed with it.
-    """
-
+    # A, B, C, D: shapes (k, n_x, n_x), (k, n_x, n_u), (k, n_y, n_x), (k, n_y, n_u)
     A: NDArray[Any]
     B: NDArray[Any]
     C: NDArray[Any]
     D: NDArray[Any]
-    dt: float
-    ill_posed: Mask
+    dt: float  # sample time in s
+    ill_posed: Mask  # shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
+    # Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
+    # member's response does not depend on which others are computed with it.
     scale: Array
 
     def __len__(self) -> int:
@@ -336,24 +326,17 @@ def transitions(
 
 
 class Lanes(NamedTuple):
-    """Members and what drives them, as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`.
+    """Members and what drives them, as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
 
-    Attributes
-    ----------
-    phi, gamma, c, d
-        Matrices of the recursion, shapes (n_groups, rows, columns, LANES).
-    c_entries, d_entries
-        Places (i, j) of C and D that are not zero in every member.
-    u, v, x0
-        Inputs of the outputs (n_t, n_used) and of the states (n_t - 1, ...), and the initial state (n_x,).
-    """
-
+    # phi, gamma, c, d: matrices of the recursion, shapes (n_groups, rows, columns, LANES)
     phi: Array
     gamma: Array
     c: Array
     d: Array
+    # c_entries, d_entries: places (i, j) of C and D that are not zero in every member
     c_entries: NDArray[np.int64]
     d_entries: NDArray[np.int64]
+    # u, v, x0: inputs of the outputs (n_t, n_used) and of the states (n_t - 1, ...), and the initial state (n_x,)
     u: Array
     v: Array
     x0: Array

@@ -48,8 +48,6 @@ from robustlab.errors import InputError, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["ControlledNonlinearPlant", "actuator_cascade", "controlled_nonlinear", "controlled_plant", "driver_in_loop"]
-
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
     """The plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs).

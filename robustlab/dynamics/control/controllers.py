@@ -42,16 +42,6 @@ from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
-__all__ = [
-    "LayeredController",
-    "TorqueGains",
-    "TwoLayerController",
-    "closed_loop",
-    "measured",
-    "torque_gains",
-    "two_layer",
-]
-
 # Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
 ROTOR = 7.2e-6
 NUMBERS = range(1, 7)

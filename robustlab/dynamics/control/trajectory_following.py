@@ -35,8 +35,6 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = ["MotorLimits", "SineTrajectory", "TrajectoryFollowing", "follow", "follow_with_torques", "torque_loop"]
-
 
 @dataclass(frozen=True, eq=False)
 class SineTrajectory:

@@ -24,9 +24,6 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.statespace import real_array
 
-__all__ = ["AttachedEffect", "attach", "holding_force", "is_set_valued", "rest_band", "slopes", "steady_force"]
-
-
 ANY_TIME = math.inf
 
 

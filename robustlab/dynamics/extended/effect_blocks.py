@@ -58,8 +58,6 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
-__all__ = ["EffectBlocks", "effect_blocks", "with_forces"]
-
 
 @dataclass(frozen=True, eq=False)
 class EffectBlocks(Shown):

@@ -36,8 +36,6 @@ from robustlab.record import Record
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EffectLoads", "effect_loads", "loaded_model", "resting_start"]
-
 
 @dataclass(frozen=True, eq=False)
 class EffectLoads:

@@ -37,17 +37,6 @@ from robustlab.dynamics.ports.port_model import Port
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
 
-__all__ = [
-    "Amplitude",
-    "Dry",
-    "ForceSector",
-    "NoiseInput",
-    "check_amplitudes",
-    "force_columns",
-    "force_parts",
-    "free_names",
-]
-
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
 

@@ -49,9 +49,6 @@ from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
 
-__all__ = ["Hold", "SampledInput", "Simulator", "Windows", "rising", "stepping"]
-
-
 Hold = Literal["zoh", "linear", "smooth"]
 DEGREE = 5
 

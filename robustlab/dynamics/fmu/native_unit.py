@@ -18,8 +18,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.fmu.description import MODEL_EXCHANGE
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = ["NativeUnit"]
-
 DISCARD = 2  # status of a point that the unit cannot evaluate: a shorter step may be possible
 MOST_EVENT_ITERATIONS = 1000  # of one event; more is a unit that never settles
 

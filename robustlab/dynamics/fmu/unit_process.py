@@ -33,9 +33,6 @@ from robustlab.errors import (
 )
 from robustlab.provenance import file_sha256
 
-__all__ = ["UnitProcess", "error_header", "receive", "send"]
-
-
 LARGEST_HEADER = 1 << 28  # bytes; a description of 200 000 variables has a third of it
 LARGEST_ARRAY = 1 << 33
 

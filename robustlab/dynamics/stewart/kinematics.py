@@ -51,32 +51,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import real_array
 
-__all__ = [
-    "ConditionMap",
-    "DirectPoses",
-    "LIMIT",
-    "SINGULAR",
-    "SLACK",
-    "acceleration_bias",
-    "assembly_poses",
-    "check_pose",
-    "condition_map",
-    "direct_kinematics",
-    "inside",
-    "inverse_kinematics",
-    "kernels",
-    "motion_kernels",
-    "nut_angles",
-    "poses_array",
-    "real_array_of_one",
-    "rotation",
-    "singularity",
-    "twist",
-    "velocity_jacobian",
-    "workspace_grid",
-]
-
-
 HERE = Path(__file__).parent
 TEXT = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
 

@@ -53,16 +53,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import real_array
 
-__all__ = [
-    "bias_torque",
-    "friction_torques",
-    "kinetic_energy",
-    "mass_matrix",
-    "potential_energy",
-    "simulate_platform_with_friction",
-    "trim_torque",
-]
-
 
 def nut_to_twist(plant: StewartPlatform, pose: ArrayLike) -> Array:
     """J^-1 of ``V = J^-1 dphi/dt``, shape (6, 6).

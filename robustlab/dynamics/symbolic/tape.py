@@ -20,8 +20,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.errors import InputError
 
-__all__ = ["OPERATIONS", "Tape", "tape_kernels", "tape_of"]
-
 # Name of each operation; its place is its number on a tape, in files too: new ones go to the end. The names are those
 # of CasADi without OP_.
 OPERATIONS = (

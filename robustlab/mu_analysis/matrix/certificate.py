@@ -28,21 +28,6 @@ from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = [
-    "EPS",
-    "certified_level",
-    "certified_levels",
-    "delta_norm",
-    "has_structure",
-    "level",
-    "positive_definite",
-    "project",
-    "proves",
-    "singularity",
-    "certified_in_balls",
-]
-
-
 EPS = float(np.finfo(float).eps)
 
 

@@ -33,8 +33,6 @@ from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian, relative, supply
 from robustlab.mu_analysis.tuning import TUNING
 
-__all__ = ["path_following", "primal_dual"]
-
 
 def primal_dual(
     M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 40

@@ -40,8 +40,6 @@ from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.uncertainty.blocks import Block, structure_size
 
-__all__ = ["lower_bound", "lower_bounds"]
-
 Found = tuple[float, ComplexArray | None]
 
 # Share of its upper bound by which a lower one may be below it and still be the answer.

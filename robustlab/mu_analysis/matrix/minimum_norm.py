@@ -15,19 +15,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout
 from robustlab.mu_analysis.tuning import TUNING
 
-__all__ = [
-    "descended",
-    "first_steps",
-    "minimum_norm_paths",
-    "null_directions",
-    "restored",
-    "rows",
-    "sharpened",
-    "smallest_step",
-    "unit_rows",
-]
-
-
 # Shares of the way to the smallest step that descent tries.
 FRACTIONS = 0.5 ** np.arange(7)
 

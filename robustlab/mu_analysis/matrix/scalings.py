@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["ScalingSpace", "hermitian", "relative", "scaling_space", "supply"]
-
 
 def hermitian(X: NDArray) -> NDArray:
     """Conjugate transpose over the last two axes."""

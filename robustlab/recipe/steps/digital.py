@@ -47,7 +47,6 @@ class DiscretiseStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """The digital controller with the proved norm of the sampled loop, and mu of its uncertain one."""
         from robustlab.statespace import as_model
 
         K = as_model(work.values[self.of], self.of)
@@ -75,7 +74,6 @@ class ExportStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """The files of a controller, with its provenance."""
         from robustlab.provenance import file_sha256
         from robustlab.statespace import as_model
 

@@ -40,8 +40,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generaliz
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
-__all__ = ["dk", "structure_with_performance"]
-
 
 @told_as("synth dk")
 def dk(

@@ -29,25 +29,16 @@ from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
 
-__all__ = ["MuFloor", "mu_floor", "why_not_less"]
-
 # Closer than this to a limit, or to what the search began with, counts as there.
 NEAR = 0.01
 
 
 @dataclass(frozen=True)
 class MuFloor:
-    """A proved bound for every controller, and where H-infinity synthesis alone stands for the same channels.
+    """A proved bound for every controller, and where H-infinity synthesis alone stands for the same channels."""
 
-    Attributes
-    ----------
-    bound
-        No stabilising controller has a smaller peak of mu.
-    channels
-        The plant with the channels of that block and member alone; None where nothing bounds mu.
-    """
-
-    bound: GammaBound
+    bound: GammaBound  # no stabilising controller has a smaller peak of mu
+    # The plant with the channels of that block and member alone; None where nothing bounds mu.
     channels: PlantMatrices | None
 
     def nominal_level(self, budget: Budget, tuning: DKTuning = TUNING) -> float:

@@ -36,8 +36,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
-__all__ = ["Iterate", "RobustProblem", "nominal_start"]
-
 
 def nominal_start(
     plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget, tuning: DKTuning = TUNING
@@ -76,27 +74,13 @@ def _effort(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, K: StateSpaceMod
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A controller with what its scalings prove.
+    """A controller with what its scalings prove."""
 
-    Attributes
-    ----------
-    K
-        In the units and the time domain of the plant as given, D22 included.
-    loop
-        The closed loop rebuilt with it, mapped to continuous time where the plant is discrete.
-    scalings
-        D, G whose scaled loop proves ``level``.
-    level
-        mu of the loop is at most this, at all frequencies.
-    p
-        Parameters of a controller of given structure.
-    """
-
-    K: StateSpaceModel
-    loop: StateSpaceModel
-    scalings: DynamicScalings
-    level: float
-    p: AnyArray | None = None
+    K: StateSpaceModel  # in the units and the time domain of the plant as given, D22 included
+    loop: StateSpaceModel  # the closed loop rebuilt with it, mapped to continuous time where the plant is discrete
+    scalings: DynamicScalings  # D, G whose scaled loop proves `level`
+    level: float  # mu of the loop is at most this, at all frequencies
+    p: AnyArray | None = None  # parameters of a controller of given structure
 
     @property
     def pace(self) -> float:

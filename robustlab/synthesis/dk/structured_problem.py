@@ -22,8 +22,6 @@ from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_s
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
 
-__all__ = ["StructuredProblem"]
-
 
 class StructuredProblem(RobustProblem):
     """See `RobustProblem`; an `Iterate` has the parameters of its controller, too.

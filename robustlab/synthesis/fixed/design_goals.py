@@ -22,36 +22,16 @@ from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.specifications.weight_design import performance_weight
 
-__all__ = [
-    "GainGoal",
-    "Goal",
-    "MarginGoal",
-    "OvershootGoal",
-    "SensitivityGoal",
-    "StandardLoop",
-    "TrackingGoal",
-    "VarianceGoal",
-    "goal_in_words",
-]
-
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")
 
 
 @dataclass(frozen=True, eq=False)
 class StandardLoop:
-    """A plant in the loop ``u = K (r - y)``, before K closes it.
+    """A plant in the loop ``u = K (r - y)``, before K closes it."""
 
-    Attributes
-    ----------
-    g
-        The plant.
-    model
-        From (r, d, n, u) to (y, u, u + d, r - y, and what K takes, r - y - n).
-    """
-
-    g: StateSpaceModel
-    model: StateSpaceModel
+    g: StateSpaceModel  # the plant
+    model: StateSpaceModel  # from (r, d, n, u) to (y, u, u + d, r - y, and what K takes, r - y - n)
 
     @classmethod
     def of(cls, g: StateSpaceModel) -> StandardLoop:

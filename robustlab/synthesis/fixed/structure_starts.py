@@ -24,8 +24,6 @@ from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_sta
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 
-__all__ = ["informed_starts"]
-
 
 def informed_starts(
     problem: DesignProblem, seed: int, progress: Callable[[str], None], tuning: FixedTuning = TUNING

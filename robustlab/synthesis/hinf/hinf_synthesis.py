@@ -37,8 +37,6 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
-__all__ = ["descend_from", "hinf", "is_poor", "stabilise", "synthesize"]
-
 
 @told_as("synth hinf")
 def hinf(

@@ -28,9 +28,6 @@ from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = ["LmiOutcome", "Outer", "Slopes", "lmi_controllers", "projection", "reconstructed", "shared", "solve_conic"]
-
-
 # Singular values below it, relative to the largest, span a null space.
 NULL = 1e-10
 

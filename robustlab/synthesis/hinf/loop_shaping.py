@@ -38,8 +38,6 @@ from robustlab.uncertainty.distances.coprime import (
     four_block,
 )
 
-__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_default_performance"]
-
 
 @dataclass(frozen=True, eq=False)
 class ObserverForm:

@@ -19,9 +19,6 @@ from robustlab.matrix_equations import care, hamiltonian_riccati
 from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
-__all__ = ["RiccatiPair", "TwoRiccatiProblem"]
-
-
 # Smallest singular value of D12 or D21, relative to the largest, that is none.
 RANK = 1e-13
 LARGEST = 1e150  # direct term whose square, of many channels, is still a number

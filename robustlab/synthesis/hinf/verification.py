@@ -20,8 +20,6 @@ from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voic
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
 
-__all__ = ["Verified", "Verifier"]
-
 
 @dataclass(frozen=True, eq=False)
 class Verified:

@@ -19,8 +19,6 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 
-__all__ = ["Descent", "Function", "Piece", "bfgs", "sequential_linear"]
-
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
 Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
 

@@ -17,8 +17,6 @@ from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
 
-__all__ = ["DesignProblem"]
-
 
 @dataclass(frozen=True)
 class _Coordinate:

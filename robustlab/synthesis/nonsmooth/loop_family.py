@@ -29,9 +29,6 @@ from robustlab.synthesis.nonsmooth.objectives import (
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
-__all__ = ["LoopFamily", "Pole"]
-
-
 # An I - D22 Theta with a larger condition number is no loop to look at.
 ILL_POSED = 1e10
 # Poles whose distance is below this share of the largest one get their derivatives from a perturbed A.

@@ -22,8 +22,6 @@ from robustlab.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import Realisation
 
-__all__ = ["Entropy", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "entropy", "resolvent_point"]
-
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
 

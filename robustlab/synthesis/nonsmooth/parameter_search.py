@@ -26,32 +26,17 @@ from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = ["Start", "central_path", "descend", "law_around", "multi_start", "polished", "stabilised"]
-
 
 @dataclass(frozen=True)
 class Start:
-    """What became of one start.
+    """What became of one start."""
 
-    Attributes
-    ----------
-    kind
-        ``"given"``, ``"static"``, ``"reduced"``, ``"structure"`` (its own start) or ``"random"``.
-    instability
-        Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
-    gamma
-        Norm at its end, in the plant's units, before verification; inf where it was never stable.
-    p
-        Its parameters.
-    values
-        Norms on the way.
-    """
-
-    kind: str
+    kind: str  # `"given"`, `"static"`, `"reduced"`, `"structure"` (its own start) or `"random"`
+    # Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     instability: float
-    gamma: float
-    p: AnyArray
-    values: tuple[float, ...]
+    gamma: float  # norm at its end, in the plant's units, before verification; inf where it was never stable
+    p: AnyArray  # its parameters
+    values: tuple[float, ...]  # norms on the way
 
     def to_json(self) -> dict[str, Any]:
         """All but the parameters."""

@@ -12,8 +12,6 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 
-__all__ = ["broken_assumptions", "require_stabilisable"]
-
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
 # order one).
 PBH_TOLERANCE = 1e-11

@@ -19,15 +19,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = [
-    "Controller",
-    "HinfSynthesis",
-    "Synthesis",
-    "design_budget",
-    "limiting_channels",
-    "told",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Controller(Shown, Traced):

@@ -25,9 +25,6 @@ from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
-__all__ = ["GammaBound", "point_in_words", "pointwise_bound"]
-
-
 # Taken off every bound for rounding; an error of eps over CONDITION is far below it.
 MARGIN = 1e-7
 # In the plant's own time unit, a point nearer to zero than this is called zero.
@@ -38,21 +35,11 @@ CONDITION = 1e-7
 
 @dataclass(frozen=True)
 class GammaBound:
-    """A lower bound of gamma and how it is known.
+    """A lower bound of gamma and how it is known."""
 
-    Attributes
-    ----------
-    value
-        No stabilising controller reaches a closed-loop norm below it; 0 where nothing was found.
-    known
-        One sentence: proved at which point, or estimated how.
-    proved
-        False for an estimate.
-    """
-
-    value: float
-    known: str
-    proved: bool
+    value: float  # no stabilising controller reaches a closed-loop norm below it; 0 where nothing was found
+    known: str  # one sentence: proved at which point, or estimated how
+    proved: bool  # False for an estimate
 
     def to_json(self) -> dict[str, object]:
         """All fields."""

@@ -20,16 +20,6 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "GeneralizedPlant",
-    "PlantMatrices",
-    "Realisation",
-    "as_generalized_plant",
-    "generalized_plant",
-    "require_performance",
-    "signal_positions",
-]
-
 
 class Realisation(NamedTuple):
     """Bare matrices of a loop or a controller inside a search."""

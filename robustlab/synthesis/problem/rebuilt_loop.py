@@ -19,18 +19,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 
-__all__ = [
-    "balanced_states",
-    "moderate_states",
-    "named_controller",
-    "rebuilt_loop",
-    "separated_modes",
-    "surely_stable",
-    "with_direct_term",
-    "well_posed_neighbours",
-]
-
-
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
 # Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.

@@ -18,9 +18,6 @@ from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_po
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
-__all__ = ["Scaling", "by_magnitude", "common_scaling", "equilibrated", "in_ordinary_units", "paths_first"]
-
-
 # Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
 FASTER, LIMIT = 40, 1000
 

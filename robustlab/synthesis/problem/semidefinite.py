@@ -11,8 +11,6 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
 
-__all__ = ["SemidefiniteAnswer", "solve_semidefinite", "triangle"]
-
 # Endings whose numbers are worth a look; whoever asked checks them outside of the solver.
 ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 

@@ -19,9 +19,6 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import lyapunov
 
-__all__ = ["proved_stable"]
-
-
 EPS = float(np.finfo(float).eps)
 EXTENDED = float(np.finfo(np.longdouble).eps)
 # Backward error of the QR algorithm in units of eps |A|.

@@ -26,8 +26,6 @@ from robustlab.errors import InputError
 from robustlab.signals import Signal
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["held_delays"]
-
 # A delay this near to a whole number of samples, relative to one, is one: what a decimal number rounds to.
 WHOLE = 1e-9
 

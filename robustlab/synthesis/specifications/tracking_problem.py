@@ -33,39 +33,27 @@ from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lowe
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["TrackingProblem", "tracking_problem"]
-
 Sizes = float | Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingProblem:
-    """A weighted tracking problem.
+    """A weighted tracking problem."""
 
-    Attributes
-    ----------
-    uncertain
-        From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
-        controller sees.
-    signals
-        The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
-    controlled, measured
-        Outputs that are to follow the references, and those that the controller sees beside the references.
-    weights
-        Weight of one channel, by name ``"W1"``, ``"W2"``, ``"W3"``; those that were given.
-    shape
-        F, what the references do over frequency; 1 where they have no bandwidth.
-    reference, disturbance, noise, loads
-        Sizes of these signals, by name of the output or input they belong to; empty where there is none. Loads are
-        inputs of the plant that are no controls.
-    """
-
+    # From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
+    # controller sees.
     uncertain: UncertainModel
+    # The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
     signals: UncertainModel
+    # controlled, measured: outputs that are to follow the references, and those that the controller sees beside the
+    # references
     controlled: tuple[Signal, ...]
     measured: tuple[Signal, ...]
+    # Weight of one channel, by name `"W1"`, `"W2"`, `"W3"`; those that were given.
     weights: Mapping[str, StateSpaceModel]
-    shape: StateSpaceModel
+    shape: StateSpaceModel  # F, what the references do over frequency; 1 where they have no bandwidth
+    # reference, disturbance, noise, loads: sizes of these signals, by name of the output or input they belong to;
+    # empty where there is none. Loads are inputs of the plant that are no controls.
     reference: Mapping[str, float]
     disturbance: Mapping[str, float]
     noise: Mapping[str, float]

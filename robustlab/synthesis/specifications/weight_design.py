@@ -25,20 +25,6 @@ from robustlab.statespace import StateSpaceModel, append, as_model, real_array, 
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
 
-__all__ = [
-    "Conflict",
-    "DesignWeights",
-    "check_weights",
-    "complementary_weight",
-    "control_weight",
-    "design_weights",
-    "error_weight",
-    "makeweight",
-    "noise_weight",
-    "performance_weight",
-    "smallest_gain",
-]
-
 SLACK = 1e-9  # a weight may ask for this much more than the check allows before it is called a conflict
 POINTS = 600  # frequencies of the check between those of the models
 

@@ -22,8 +22,6 @@ from robustlab.errors import InputError
 from robustlab.matrix_equations import lyapunov
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["back_calculation"]
-
 # Modes are mirrored at exp(-MIRROR dt / T): a little inside of where a mode counts as slow, so that none lies on it.
 MIRROR = 1.5
 

@@ -161,34 +161,19 @@ class Block(ABC):
     identity, no G), which a kind with more structure replaces by sharper ones.
 
     A *value* is what users give and get for a block: a number for a scalar kind, else a matrix of `value_shape`.
-
-    Attributes
-    ----------
-    name
-        Unique within a structure.
-    rows, cols
-        Entries of w and of z.
-    origin
-        Where the block comes from, in words.
-    parameter
-        The physical range that a real delta stands for.
-    is_real
-        Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
-    is_scalar
-        Whether members are one number times the identity.
-    stored_as
-        The kind's word in files; empty: it cannot be stored.
     """
 
-    name: str
+    name: str  # unique within a structure
+    # rows, cols: entries of w and of z
     rows: int
     cols: int
-    origin: str = ""
-    parameter: ParameterRange | None = None
+    origin: str = ""  # where the block comes from, in words
+    parameter: ParameterRange | None = None  # the physical range that a real delta stands for
 
+    # Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
     is_real: ClassVar[bool]
-    is_scalar: ClassVar[bool]
-    stored_as: ClassVar[str] = ""
+    is_scalar: ClassVar[bool]  # whether members are one number times the identity
+    stored_as: ClassVar[str] = ""  # the kind's word in files; empty: it cannot be stored
 
     @property
     def is_sampled(self) -> bool:

@@ -42,25 +42,16 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ParametricCover:
-    """A set of real parameters around a set of models.
+    """A set of real parameters around a set of models."""
 
-    Attributes
-    ----------
-    model
-        The uncertain model.
-    deltas
-        For each model the normalised value of every block: the proof that it is a member.
-    misses
-        For each model the largest relative difference between the member at its delta and the model itself, an entry
-        against its matrix's largest.
-    spread
-        Reach of the cloud along each direction of ``pca`` or ``ellipsoid``, longest first, in magnitudes of the
-        entries (see ``tolerance``), also of those that were left out; empty for ``elements``.
-    """
-
-    model: UncertainModel
+    model: UncertainModel  # the uncertain model
+    # For each model the normalised value of every block: the proof that it is a member.
     deltas: tuple[dict[str, float], ...]
+    # For each model the largest relative difference between the member at its delta and the model itself, an entry
+    # against its matrix's largest.
     misses: tuple[float, ...]
+    # Reach of the cloud along each direction of `pca` or `ellipsoid`, longest first, in magnitudes of the entries
+    # (see `tolerance`), also of those that were left out; empty for `elements`.
     spread: tuple[float, ...]
 
 

@@ -121,34 +121,19 @@ LIFT = 1.001
 
 @dataclass(frozen=True, eq=False)
 class UnstructuredCover:
-    """An unstructured set around a set of models.
+    """An unstructured set around a set of models."""
 
-    Attributes
-    ----------
-    model
-        The uncertain model.
-    nominal
-        Number of the model that is the nominal one, counted from 1; 0: the middle of the matrices; None: the given one.
-    fit
-        The weight and the bound that it lies above.
-    sizes
-        For each model the largest gain of its Delta: at most 1.
-    proved
-        True where no size passes 1 at any frequency: as an H-infinity norm, or because the error crosses the weight
-        nowhere (`axis_proof`); False where it was evaluated on the grid of ``fit`` only.
-    deltas
-        For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
-    radius
-        Largest ratio of the bound to the models' own size (relative forms: the largest bound).
-    """
-
-    model: UncertainModel
+    model: UncertainModel  # the uncertain model
+    # Number of the model that is the nominal one, counted from 1; 0: the middle of the matrices; None: the given one.
     nominal: int | None
-    fit: Overbound
-    sizes: tuple[float, ...]
+    fit: Overbound  # the weight and the bound that it lies above
+    sizes: tuple[float, ...]  # for each model the largest gain of its Delta: at most 1
+    # True where no size passes 1 at any frequency: as an H-infinity norm, or because the error crosses the weight
+    # nowhere (`axis_proof`); False where it was evaluated on the grid of `fit` only.
     proved: bool
+    # For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
     deltas: tuple[StateSpaceModel, ...]
-    radius: float
+    radius: float  # largest ratio of the bound to the models' own size (relative forms: the largest bound)
 
 
 def unstructured_cover(

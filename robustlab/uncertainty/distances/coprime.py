@@ -33,21 +33,11 @@ INNER = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class CoprimeFactors:
-    """Normalised coprime factors of a continuous model with p outputs and m inputs.
+    """Normalised coprime factors of a continuous model with p outputs and m inputs."""
 
-    Attributes
-    ----------
-    right
-        ``[N; M]`` (p + m outputs, m inputs), stable and inner.
-    left
-        ``[N~, M~]`` (p outputs, m + p inputs), stable and co-inner.
-    best_margin
-        The largest `coprime_margin` that any controller reaches, ``(1 + rho(X Z))^(-1/2)``.
-    """
-
-    right: StateSpaceModel
-    left: StateSpaceModel
-    best_margin: float
+    right: StateSpaceModel  # `[N; M]` (p + m outputs, m inputs), stable and inner
+    left: StateSpaceModel  # `[N~, M~]` (p outputs, m + p inputs), stable and co-inner
+    best_margin: float  # the largest `coprime_margin` that any controller reaches, `(1 + rho(X Z))^(-1/2)`
 
 
 def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
@@ -85,23 +75,12 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
 @dataclass(frozen=True, eq=False)
 class CoprimeRiccati:
-    """The two Riccati equations of normalised coprime factors, in balanced states and the time unit ``1/rate``.
+    """The two Riccati equations of normalised coprime factors, in balanced states and the time unit ``1/rate``."""
 
-    Attributes
-    ----------
-    model
-        The model's transfer function of ``s / rate``, in balanced states.
-    rate
-        In rad/s.
-    states
-        Factors of the balancing: state ``i`` of the model as given is ``states[i]`` times that of ``model``.
-    control, filtering
-        X with its gain ``F = -R^-1 (B^T X + D^T C)``, and Z with ``H^T``.
-    """
-
-    model: StateSpaceModel
-    rate: float
-    states: Array
+    model: StateSpaceModel  # the model's transfer function of `s / rate`, in balanced states
+    rate: float  # in rad/s
+    states: Array  # factors of the balancing: state `i` of the model as given is `states[i]` times that of `model`
+    # control, filtering: X with its gain `F = -R^-1 (B^T X + D^T C)`, and Z with `H^T`
     control: RiccatiSolution
     filtering: RiccatiSolution
 
