@@ -42,7 +42,6 @@ class ProgressOptions:
     progress: Annotated[
         str,
         typer.Option(
-            "--progress",
             help="auto: a bar on terminals; json: JSON lines on stderr; none.",
             metavar="MODE",
             autocompletion=one_of(*MODES),

@@ -10,33 +10,25 @@ import robustlab as rl
 from robustlab.cli.options import OutputOptions, assignments, grouped, load_model
 from robustlab.errors import UsageError
 
-ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
+ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE")]
 
 
 IntegralOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--integral",
-        help="Output that is to follow, with the weight on its integrated error: NAME=VALUE; repeatable.",
-        show_default=False,
+        "--integral", help="Output that is to follow, with the weight on its integrated error: NAME=VALUE; repeatable."
     ),
 ]
-StateOption = Annotated[
-    list[str] | None, typer.Option("--state", help="Weight on a state: NAME=VALUE; repeatable.", show_default=False)
-]
+StateOption = Annotated[list[str] | None, typer.Option("--state", help="Weight on a state: NAME=VALUE; repeatable.")]
 ControlOption = Annotated[
-    list[str] | None,
-    typer.Option("--control", help="Weight on a control: NAME=VALUE; repeatable. Else 1.", show_default=False),
+    list[str] | None, typer.Option("--control", help="Weight on a control: NAME=VALUE; repeatable. Else 1.")
 ]
 ProcessOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--process", help="Intensity of the noise on a state or input: NAME=VALUE; repeatable.", show_default=False
-    ),
+    typer.Option("--process", help="Intensity of the noise on a state or input: NAME=VALUE; repeatable."),
 ]
 MeasurementOption = Annotated[
-    list[str] | None,
-    typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.", show_default=False),
+    list[str] | None, typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.")
 ]
 
 
@@ -89,11 +81,7 @@ def lqi(
 
 @grouped
 def kalman(
-    *,
-    file: ModelArgument,
-    process: ProcessOption = None,
-    measurement: MeasurementOption = None,
-    output: OutputOptions,
+    *, file: ModelArgument, process: ProcessOption = None, measurement: MeasurementOption = None, output: OutputOptions
 ) -> None:
     """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
 

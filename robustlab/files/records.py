@@ -317,12 +317,7 @@ def _same_clock(clocks: list[Array | None]) -> bool:
 
 
 def _on_one_clock(
-    source: Source,
-    arrays: dict[str, Array],
-    ins: set[str],
-    keys: list[str],
-    clock: str | None,
-    options: RecordOptions,
+    source: Source, arrays: dict[str, Array], ins: set[str], keys: list[str], clock: str | None, options: RecordOptions
 ) -> tuple[Array, dict[str, Array]]:
     """Signals of several clocks on one: inputs held, outputs interpolated; what was done goes to the notes."""
     clocks: dict[str, Array] = {}
@@ -380,11 +375,7 @@ def _refuse_backwards(where: str, label: str, t: Array) -> None:
 
 
 def _convert(
-    where: str,
-    inputs: dict[str, Array],
-    outputs: dict[str, Array],
-    stated: dict[str, str],
-    given: Mapping[str, str],
+    where: str, inputs: dict[str, Array], outputs: dict[str, Array], stated: dict[str, str], given: Mapping[str, str]
 ) -> None:
     """Bring the named signals from the unit given for their numbers to SI; changes the first three tables."""
     for name, unit in given.items():

@@ -256,8 +256,7 @@ def _elements(d: _Difference) -> list[_Part]:
     rows, cols = d.E.shape
     found = [(m, i, j) for m in "ABCD" for i, j in _nonzeros(d, m)]
     names = _unique(
-        [f"{m}[{d.row_names[i]},{d.col_names[j]}]" for m, i, j in found],
-        [f"{m}[{i},{j}]" for m, i, j in found],
+        [f"{m}[{d.row_names[i]},{d.col_names[j]}]" for m, i, j in found], [f"{m}[{i},{j}]" for m, i, j in found]
     )
     return [
         _Part(name, d.E[i, j] * _unit(rows, i)[:, None], _unit(cols, j)[None])

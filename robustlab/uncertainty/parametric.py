@@ -409,10 +409,7 @@ def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[Signa
 
 
 def _first_exact(
-    candidates: Sequence[UncertainModel],
-    table: Table,
-    ranges: Mapping[str, ParameterRange],
-    exact: Mapping[str, float],
+    candidates: Sequence[UncertainModel], table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
 ) -> UncertainModel:
     """The first candidate that gives the texts back, computed in floats at random values and at vertices.
 

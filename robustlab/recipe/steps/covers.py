@@ -144,9 +144,7 @@ class StoryStep(Step):
             "mu": {"before": mu[0], "after": mu[1], "fall_percent": fall_percent(*mu)},
             "error": {"before": errors[0], "after": errors[1], "ratio": _ratio(*errors)},
         }
-        facts = [
-            Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}"),
-        ]
+        facts = [Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}")]
         gap = None
         if self.record is not None and self.plants is not None:
             gap = _simulated(self, work)

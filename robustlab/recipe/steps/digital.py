@@ -12,14 +12,7 @@ import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, step
 from robustlab.recipe.steps.design import designed
-from robustlab.recipe.steps.vocabulary import (
-    GUARD,
-    Effort,
-    Positive,
-    TimeLimit,
-    ToController,
-    ToDesignable,
-)
+from robustlab.recipe.steps.vocabulary import GUARD, Effort, Positive, TimeLimit, ToController, ToDesignable
 
 FORMATS = (".c", ".json", ".mat", ".h5")
 

@@ -223,10 +223,7 @@ class ZerosStep(Step):
             "values": found.values, "kinds": list(found.kinds), "normal_rank": found.normal_rank, "count": len(found),
             "not_minimum_phase": int(outside.sum()),
         }  # fmt: skip
-        facts = (
-            *facts_of(found),
-            Fact("On the boundary or beyond", str(int(outside.sum()))),
-        )
+        facts = (*facts_of(found), Fact("On the boundary or beyond", str(int(outside.sum()))))
         return Outcome(None, f"Zeros of {self.of}.", numbers, facts, found.status)
 
 

@@ -11,14 +11,7 @@ from pydantic_core import PydanticCustomError
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.steps.vocabulary import (
-    Positive,
-    PriorTolerance,
-    Text,
-    ToModel,
-    ToOneModel,
-    ToRecord,
-)
+from robustlab.recipe.steps.vocabulary import Positive, PriorTolerance, Text, ToModel, ToOneModel, ToRecord
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.comparison_result import Comparison

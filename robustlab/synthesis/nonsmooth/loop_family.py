@@ -19,13 +19,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.matrix_equations import lapack
-from robustlab.synthesis.nonsmooth.objectives import (
-    PeakFinder,
-    bilinear,
-    bilinear_pullback,
-    entropy,
-    resolvent_point,
-)
+from robustlab.synthesis.nonsmooth.objectives import PeakFinder, bilinear, bilinear_pullback, entropy, resolvent_point
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
@@ -74,12 +68,7 @@ class LoopFamily:
     """
 
     def __init__(
-        self,
-        plant: PlantMatrices,
-        D22: AnyArray,
-        order: int,
-        discrete: bool,
-        tuning: NonsmoothTuning = TUNING,
+        self, plant: PlantMatrices, D22: AnyArray, order: int, discrete: bool, tuning: NonsmoothTuning = TUNING
     ) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
         k = order

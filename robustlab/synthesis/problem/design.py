@@ -47,11 +47,7 @@ class Controller(Shown, Traced):
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        return [
-            ("gamma", number(self.gamma, digits=6)),
-            ("method", self.method),
-            *self.K.facts(),
-        ]
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
         """K and what was verified, as plain types."""

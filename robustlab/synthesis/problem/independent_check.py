@@ -178,11 +178,7 @@ def _between(omega: AnyArray, gain: AnyArray, tuning: ProblemTuning) -> AnyArray
 
 
 def h2_voice(
-    plant: GeneralizedPlant,
-    K: StateSpaceModel,
-    loop: StateSpaceModel,
-    claimed: float,
-    tuning: ProblemTuning = TUNING,
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, claimed: float, tuning: ProblemTuning = TUNING
 ) -> SecondVoice:
     r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles (`axis_integral`).
 
