@@ -30,9 +30,8 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     unit_scalings,
 )
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
-from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, StructuredProblem, nominal_start
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
-from robustlab.synthesis.dk.structured_problem import StructuredProblem
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
