@@ -154,10 +154,7 @@ class Budget:
 def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
     """The budget of a public function: ``effort`` times its usual work, under the user's time limit.
 
-    Raises
-    ------
-    InputError
-        An effort that is not a positive number, or a negative time limit.
+    Raises InputError: an effort that is not a positive number, or a negative time limit.
     """
     if not 0 < effort < inf:
         raise InputError(where, f"effort is {effort}", "a positive number (1 is the usual work)")

@@ -129,6 +129,8 @@ def compute_missing(
 ) -> None:
     """Compute what the store lacks.
 
+    Raises NoTrustworthyNumber: more than 1 % of the samples are lost.
+
     Parameters
     ----------
     limit
@@ -137,11 +139,6 @@ def compute_missing(
         Called with the number of samples that were just stored.
     tuning
         How the work is cut.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        More than 1 % of the samples are lost.
     """
     n = evaluator.settings.n
     pace = _Pace(evaluator.tile, tuning)

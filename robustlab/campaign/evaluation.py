@@ -83,10 +83,7 @@ class Rows:
     def from_bytes(cls, data: bytes) -> Rows:
         """Inverse of `to_bytes`.
 
-        Raises
-        ------
-        ValueError
-            The bytes are something else.
+        Raises ValueError: the bytes are something else.
         """
         head, _, body = data.partition(b"\n")
         content = json.loads(head)

@@ -81,6 +81,10 @@ def run_campaign(
     The same model, settings and code give the same samples, whatever the workers and however often a run is killed.
     A sample whose worker crashes or hangs is lost alone and stays in the store with its Delta and the reason.
 
+    Raises InputError: the store belongs to another campaign (what changed is said), is damaged, or is none.
+    NoTrustworthyNumber: more than 1 % of the samples are lost; an unstable nominal model. EnvironmentFault: the store
+    cannot be written or is locked by another process; workers cannot be started or reached.
+
     Parameters
     ----------
     uncertain
@@ -105,15 +109,6 @@ def run_campaign(
     -------
     CampaignResult
         What the store holds at the end.
-
-    Raises
-    ------
-    InputError
-        The store belongs to another campaign (what changed is said), is damaged, or is none.
-    NoTrustworthyNumber
-        More than 1 % of the samples are lost; an unstable nominal model.
-    EnvironmentFault
-        The store cannot be written or is locked by another process; workers cannot be started or reached.
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
@@ -200,10 +195,7 @@ class Replay:
 def replay_sample(store: str | Path, index: int) -> Replay:
     """Compute one sample again in the foreground, without time limit: a crash shows itself here.
 
-    Raises
-    ------
-    InputError
-        No such sample.
+    Raises InputError: no such sample.
     """
     opened = Store.open(Path(store))
     try:

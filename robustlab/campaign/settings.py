@@ -192,10 +192,7 @@ def model_to_bytes(uncertain: UncertainModel) -> bytes:
 def model_from_bytes(data: bytes, where: str) -> UncertainModel:
     """Inverse of `model_to_bytes`.
 
-    Raises
-    ------
-    InputError
-        The bytes are no uncertain model.
+    Raises InputError: the bytes are no uncertain model.
     """
     try:
         return decode_uncertain(receive(data, where), Problems(where))

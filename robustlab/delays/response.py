@@ -54,10 +54,8 @@ def delayed_response(
 ) -> Answer:
     """Response to samples u (n, n_u) at the times t, from the state x0 of H, with nothing in the delays.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        More cells are needed than can be afforded, or halving them does not bring the error below ``rtol``.
+    Raises NoTrustworthyNumber: more cells are needed than can be afforded, or halving them does not bring the error
+    below ``rtol``.
     """
     inside = _inside(model)
     points = _mesh(model, t, inside)

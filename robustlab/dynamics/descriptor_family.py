@@ -77,6 +77,9 @@ def uncertain_family(
 ) -> UncertainModel:
     """The uncertain model of all linear models with parameters in their ranges.
 
+    Raises NoTrustworthyNumber: no linear model at a value within the ranges; a set that does not give the plant's own
+    models back.
+
     Parameters
     ----------
     where
@@ -93,11 +96,6 @@ def uncertain_family(
     UncertainModel
         One `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
         values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        No linear model at a value within the ranges; a set that does not give the plant's own models back.
     """
     if not ranges:
         return UncertainModel(nominal, [], nominal.operating_point)

@@ -132,6 +132,10 @@ def simulate_with_friction(
 ) -> StickSlip:
     """Response of a linear plant with dry friction on some of its velocities, exact at the samples.
 
+    Raises InputError: a name that is no state, two frictions on one velocity, a discrete model, samples so coarse that
+    the plant's fastest mode passes thousands of time constants between two; NoTrustworthyNumber: the response outgrows
+    double precision.
+
     Parameters
     ----------
     plant
@@ -143,14 +147,6 @@ def simulate_with_friction(
         As in `robustlab.dynamics.simulate`; ``hold`` is "zoh" or "foh".
     tuning
         How finely changes are located.
-
-    Raises
-    ------
-    InputError
-        A name that is no state, two frictions on one velocity, a discrete model, samples so coarse that the plant's
-        fastest mode passes thousands of time constants between two.
-    NoTrustworthyNumber
-        The response outgrows double precision.
 
     Examples
     --------

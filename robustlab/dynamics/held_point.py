@@ -62,6 +62,9 @@ def held_descriptor(
 ) -> TrimmedDescriptor:
     """The plant's descriptor form about (x, u) as a function of its parameters.
 
+    Raises InputError: a name that is no state or input. NoTrustworthyNumber: no rest at one of the tried values; from
+    the function: at the values it is given.
+
     Parameters
     ----------
     x, u
@@ -72,13 +75,6 @@ def held_descriptor(
         the positions of the joints, the inputs.
     tried
         Values of all parameters by what messages call them.
-
-    Raises
-    ------
-    InputError
-        A name that is no state or input.
-    NoTrustworthyNumber
-        No rest at one of the tried values; from the function: at the values it is given.
     """
     states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
     places = plant.port_places

@@ -116,10 +116,7 @@ class Parameter:
     def check_ends(self, low: float, high: float) -> None:
         """Refuse a range that leaves the sign that physics asks for.
 
-        Raises
-        ------
-        InputError
-            An end that is no value of the parameter, or zero within a range that must not hold it.
+        Raises InputError: an end that is no value of the parameter, or zero within a range that must not hold it.
         """
         for end in (low, high):
             replace(self, value=end, tolerance=0.0)
@@ -145,6 +142,8 @@ class Parameter:
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:
     """The default parameters with the given ones put in their places.
 
+    Raises InputError: unknown names (with the closest known one), and everything that `Parameter` refuses.
+
     Parameters
     ----------
     given
@@ -153,11 +152,6 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
         measures the same.
     where
         What messages call the plant.
-
-    Raises
-    ------
-    InputError
-        Unknown names (with the closest known one), and everything that `Parameter` refuses.
 
     Examples
     --------

@@ -61,6 +61,10 @@ def unit_reference(text: str) -> bool:
 def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
     """The plant that ``file.py:name`` means, with these parameters in the places of its own.
 
+    Raises InputError: no such file or name (with the closest one), no Python, code that raises or ends the program,
+    anything that is no plant, and all that a plant refuses; with file and line. DependencyMissing: the file imports an
+    optional package that is not installed.
+
     Parameters
     ----------
     parameters
@@ -73,14 +77,6 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
     -------
     Plant
         Its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
-
-    Raises
-    ------
-    InputError
-        No such file or name (with the closest one), no Python, code that raises or ends the program, anything that is
-        no plant, and all that a plant refuses; with file and line.
-    DependencyMissing
-        The file imports an optional package that is not installed.
     """
     file, name = plant_reference(reference) or ("", "")
     if not file:

@@ -75,12 +75,9 @@ def read_hdf5(
 
     ``allow`` is called with the bytes in memory of each dataset before it is read.
 
-    Raises
-    ------
-    InputError
-        With all problems of the file, one line each: links out of the tree, external or virtual storage, unknown
-        filters, sizes beyond the limits, checksums that do not match, texts that are not UTF-8, a truncated or damaged
-        file.
+    Raises InputError: with all problems of the file, one line each: links out of the tree, external or virtual storage,
+    unknown filters, sizes beyond the limits, checksums that do not match, texts that are not UTF-8, a truncated or
+    damaged file.
     """
     where = shown or path
     try:
@@ -397,6 +394,8 @@ MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 Ki
 def read_tree(path: str | Path, group: str | None = None, limits: Limits | None = None, isolate: bool = True) -> Tree:
     """Read an HDF5 or MATLAB (5, 7.3) file from outside.
 
+    Raises InputError: anything that is wrong with the file.
+
     Parameters
     ----------
     path
@@ -407,11 +406,6 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
         Sizes that are accepted.
     isolate
         False reads in this process, with the same checks; for tests, and for files this process has just written.
-
-    Raises
-    ------
-    InputError
-        Anything that is wrong with the file.
     """
     limits = limits or Limits()
     kind = content_of(path, limits)
@@ -432,12 +426,8 @@ def write_tree(path: str | Path, tree: Tree) -> Path:
 
     The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed library.
 
-    Raises
-    ------
-    InputError
-        Values that HDF5 or format 1 cannot hold.
-    EnvironmentFault
-        The file cannot be written; the previous one is kept.
+    Raises InputError: values that HDF5 or format 1 cannot hold. EnvironmentFault: the file cannot be written; the
+    previous one is kept.
     """
     image = _image(tree)
     return atomic_write(path, lambda temporary: temporary.write_bytes(image))

@@ -55,10 +55,7 @@ def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
 def decode_record(node: Tree, where: str) -> dict[str, Any]:
     """Inverse of `encode_record`.
 
-    Raises
-    ------
-    InputError
-        All of: missing ``t``, datasets that are not columns of finite real numbers, lengths that differ.
+    Raises InputError: all of: missing ``t``, datasets that are not columns of finite real numbers, lengths that differ.
     """
     problems: list[str] = []
     keywords: dict[str, Any] = {"name": str(node.attrs.get("name", "")) or "record", "units": {}, "meaning": {}}
@@ -155,6 +152,10 @@ def read_record(
 ) -> dict[str, Any]:
     """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
 
+    Raises InputError: signals that are missing (all of them, with the nearest names), are not columns of numbers,
+    differ in length; no clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than
+    the file states. DependencyMissing: the package that reads such files is not installed.
+
     Parameters
     ----------
     path
@@ -163,14 +164,6 @@ def read_record(
         What to take of it.
     limits, isolate
         See `robustlab.files.hdf5.read_tree`.
-
-    Raises
-    ------
-    InputError
-        Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no
-        clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than the file states.
-    DependencyMissing
-        The package that reads such files is not installed.
     """
     group, content = options.group, content_of(path, limits)
     if content == "text":

@@ -72,10 +72,7 @@ def size_text(n: int) -> str:
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit.
 
-    Raises
-    ------
-    InputError
-        In all other cases; a missing file is compared with its neighbours.
+    Raises InputError: in all other cases; a missing file is compared with its neighbours.
     """
     path = Path(path)
     where = str(path)
@@ -121,10 +118,7 @@ def _missing(path: Path) -> InputError:
 def content_of(path: str | Path, limits: Limits | None = None) -> Content:
     """Kind of the file, by content and not by name.
 
-    Raises
-    ------
-    InputError
-        It is none of the kinds that robustlab reads, or one that it refuses for a stated reason.
+    Raises InputError: it is none of the kinds that robustlab reads, or one that it refuses for a stated reason.
     """
     path = Path(path)
     where = str(path)

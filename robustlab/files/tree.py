@@ -103,10 +103,8 @@ def type_name(values: AnyArray | Unread) -> str:
 def canonical(values: Any, where: str) -> AnyArray:
     """``values`` as a C-ordered array of float64, int64, bool, complex128, or text: the types format 1 knows.
 
-    Raises
-    ------
-    InputError
-        Any other type, whole numbers beyond 64 bits, text that cannot be stored (NUL, half a surrogate pair).
+    Raises InputError: any other type, whole numbers beyond 64 bits, text that cannot be stored (NUL, half a surrogate
+    pair).
     """
     array = np.asarray(values)
     kind = array.dtype.kind
@@ -133,10 +131,7 @@ def content_sha256(tree: Tree) -> str:
     Everything counts but the root attribute ``content_sha256`` and the root group ``provenance``. The bytes that are
     hashed are described in ``docs/hdf5-format.md``.
 
-    Raises
-    ------
-    InputError
-        A dataset has a type that format 1 does not know.
+    Raises InputError: a dataset has a type that format 1 does not know.
     """
     digest = hashlib.sha256()
     objects = sorted(tree.walk(), key=lambda item: item[0].encode())
@@ -243,10 +238,7 @@ def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
 
     A file without a hash is accepted with a warning; one with a wrong hash with ``no_verify`` only.
 
-    Raises
-    ------
-    InputError
-        A newer major version, an unknown kind, a hash that does not match.
+    Raises InputError: a newer major version, an unknown kind, a hash that does not match.
     """
     where, attrs = tree.file, tree.attrs
     if text_attr(attrs, "format") != FORMAT:

@@ -59,12 +59,7 @@ class CrossCheck:
 def cross_check(uncertain: UncertainModel, result: Margin | WorstCaseGain) -> CrossCheck:
     """Ask SLICOT about a margin of stability, or about a worst-case gain.
 
-    Raises
-    ------
-    DependencyMissing
-        slycot is not installed.
-    NoTrustworthyNumber
-        The routine crashed or did not end.
+    Raises DependencyMissing: slycot is not installed; NoTrustworthyNumber: the routine crashed or did not end.
     """
     return _margin(uncertain, result) if isinstance(result, Margin) else _gain(uncertain, result)
 

@@ -150,17 +150,14 @@ class Judgement:
 def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> Judgement:
     """Judge one requirement.
 
+    Raises InputError: the step is done, but has no number of that name.
+
     Parameters
     ----------
     numbers
         Step name -> its numbers.
     missing
         Step name -> why it has none.
-
-    Raises
-    ------
-    InputError
-        The step is done, but has no number of that name.
     """
     step = requirement.that.split(".")[0]
     if step in missing:
@@ -172,10 +169,7 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
     """The value at a dotted path through tables and lists, for example ``gap.outputs.q.fit`` or ``loop.poles.0``.
 
-    Raises
-    ------
-    InputError
-        There is nothing at that path, or a whole table; a whole list, unless ``lists`` asks for one.
+    Raises InputError: there is nothing at that path, or a whole table; a whole list, unless ``lists`` asks for one.
     """
     here: Any = numbers
     done: list[str] = []

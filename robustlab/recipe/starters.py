@@ -79,6 +79,8 @@ class Channels:
 def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float | None = None) -> Channels:
     """Times, inputs and outputs of a record, found by names and units; with a plant, its signals are looked for.
 
+    Raises InputError: what the reader refuses; no clock; a plant's input or all its outputs without a channel.
+
     Parameters
     ----------
     path
@@ -87,11 +89,6 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
         What knows its ``inputs`` and ``outputs``, or None.
     clock, dt
         As for `robustlab.Record.read`, where the user says them.
-
-    Raises
-    ------
-    InputError
-        What the reader refuses; no clock; a plant's input or all its outputs without a channel.
     """
     clock_given, guessed = clock, []
     if clock is None and dt is None:
@@ -284,12 +281,8 @@ def _texts(texts: Sequence[str]) -> str:
 def write_starter(name: str, text: str = "", force: bool = False) -> Path:
     """Write ``NAME.toml`` in the working directory, or in the folder before the name: the example, or ``text``.
 
-    Raises
-    ------
-    UsageError
-        A name that a recipe cannot have.
-    EnvironmentFault
-        The file exists already, and ``force`` is not given; there is no such folder.
+    Raises UsageError: a name that a recipe cannot have. EnvironmentFault: the file exists already, and ``force`` is not
+    given; there is no such folder.
     """
     path = Path(os.path.dirname(name), f"{stem_of(name)}.toml")  # noqa: PTH120  a slash at the end is no name
     if path.exists() and not force:

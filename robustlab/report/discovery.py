@@ -160,10 +160,7 @@ def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
 def posterior_figure(discovery: Discovery) -> Figure:
     """Bars of the probability of the best sets of effects, with their log evidence behind the first.
 
-    Raises
-    ------
-    InputError
-        No sets were weighed.
+    Raises InputError: no sets were weighed.
     """
     if not discovery.posterior:
         raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
@@ -436,10 +433,7 @@ def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None, 
 def force_of(discovery: Discovery) -> Figure:
     """The missing force over speed, position, time and input, before and after.
 
-    Raises
-    ------
-    InputError
-        No force is known.
+    Raises InputError: no force is known.
     """
     if discovery.residual_force is None or not discovery.residual_force.curves:
         raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")

@@ -174,10 +174,7 @@ def replay_figure(replay: Replay, shown: int = 4) -> Figure:
 def margin_shares(margin: Margin) -> Figure:
     """Shares of a margin's blocks.
 
-    Raises
-    ------
-    InputError
-        The margin has none: its critical pole is not simple, or the loop is ill-posed there.
+    Raises InputError: the margin has none: its critical pole is not simple, or the loop is ill-posed there.
     """
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
@@ -386,10 +383,7 @@ def exceedance_figure(
 def violation_influence(found: ViolationProbability) -> Figure:
     """Which parameters matter for a limited metric.
 
-    Raises
-    ------
-    InputError
-        Too few samples to tell, or blocks that are not real scalars.
+    Raises InputError: too few samples to tell, or blocks that are not real scalars.
     """
     if found.influence is None:
         raise InputError("plot('influence')", "no influences", "32 samples at least, and real scalar blocks")

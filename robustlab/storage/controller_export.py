@@ -53,10 +53,7 @@ CHECKED = 3
 def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tuple[tuple[float, float], ...] | None:
     """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none.
 
-    Raises
-    ------
-    InputError
-        Unknown or missing outputs, limits that are no two numbers with ``low < high``.
+    Raises InputError: unknown or missing outputs, limits that are no two numbers with ``low < high``.
     """
     if saturation is None:
         return None
@@ -107,6 +104,9 @@ def c_source(
 ) -> str:
     """The C99 source of a discrete model.
 
+    Raises InputError: a continuous model, one in deviations from an operating point, one without inputs or outputs, a
+    prefix that is no identifier.
+
     Parameters
     ----------
     model
@@ -122,12 +122,6 @@ def c_source(
         Time T in s: during saturation modes that are slower are made to decay within it. Ten samples where left out;
         inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for`` adds to
         the states. Of no effect without limits.
-
-    Raises
-    ------
-    InputError
-        A continuous model, one in deviations from an operating point, one without inputs or outputs, a prefix that is
-        no identifier.
 
     Examples
     --------

@@ -39,6 +39,8 @@ def controller_to_json(
 ) -> dict[str, Any]:
     """A controller as plain types (schema ``robustlab.controller/1``).
 
+    Raises InputError: a controller without inputs or outputs.
+
     Parameters
     ----------
     controller
@@ -47,11 +49,6 @@ def controller_to_json(
         ``(low, high)`` of each output, or None.
     origin
         Where it comes from.
-
-    Raises
-    ------
-    InputError
-        A controller without inputs or outputs.
     """
     k = controller.K
     if not k.n_inputs * k.n_outputs:
@@ -87,6 +84,9 @@ def is_json(path: str | Path) -> bool:
 def read_controller_json(path: str | Path, limits: Limits | None = None, isolate: bool = True) -> LoadedController:
     """The controller in a JSON file, exactly as it was written.
 
+    Raises InputError: not JSON, another schema or version, keys that are missing, unknown or written twice, NaN, wrong
+    shapes.
+
     Parameters
     ----------
     path
@@ -95,11 +95,6 @@ def read_controller_json(path: str | Path, limits: Limits | None = None, isolate
         Its ``document`` is the largest size of the file.
     isolate
         False parses the text in this process, with the same checks.
-
-    Raises
-    ------
-    InputError
-        Not JSON, another schema or version, keys that are missing, unknown or written twice, NaN, wrong shapes.
     """
     where, limits = str(path), limits or Limits()
     size = Path(path).stat().st_size

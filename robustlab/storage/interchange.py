@@ -137,10 +137,7 @@ def load_pair(
 ) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each.
 
-    Raises
-    ------
-    InputError
-        Anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
+    Raises InputError: anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
     """
     tree = _tree(path, None, limits, isolate)
     return decode_pair(tree, Problems(str(path)), transpose)
@@ -154,10 +151,7 @@ def is_plant_file(name: str) -> bool:
 def load_plant(path: str) -> Any:
     """The plant in a file.
 
-    Raises
-    ------
-    InputError
-        The file holds something else.
+    Raises InputError: the file holds something else.
     """
     from robustlab.dynamics.plant_contract import Plant
 
@@ -487,10 +481,7 @@ def _is_rectangular(items: list[Any]) -> bool:
 def decode_result(tree: Tree) -> Result:
     """Inverse of `encode_result`; lists of numbers come back as arrays.
 
-    Raises
-    ------
-    InputError
-        No group ``data``, an unknown status.
+    Raises InputError: no group ``data``, an unknown status.
     """
     text = str(np.asarray(tree.attrs.get("status", "")))
     if text not in [status.value for status in Status]:

@@ -420,10 +420,7 @@ def check_pair(
 ) -> None:
     """Whether two models have the same sizes, sample time, signals and units; ``first``, ``second`` are their names.
 
-    Raises
-    ------
-    InputError, UnitMismatch
-        They have not.
+    Raises InputError, UnitMismatch: they have not.
     """
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
     wrong = [

@@ -211,10 +211,7 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
     """One matrix entry, a number or a text, in normal form.
 
-    Raises
-    ------
-    InputError
-        NaN, complex numbers, anything but ``+ - * / **``, parentheses, numbers and parameter names.
+    Raises InputError: NaN, complex numbers, anything but ``+ - * / **``, parentheses, numbers and parameter names.
 
     Examples
     --------

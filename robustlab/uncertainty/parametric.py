@@ -105,10 +105,7 @@ def parametric(
 def as_range(name: str, given: Any) -> ParameterRange | float:
     """A parameter's range from what users write; a plain number, or a range without width, is an exact value.
 
-    Raises
-    ------
-    InputError
-        Not a range: NaN, ``low >= high``, a nominal value outside, a relative tolerance of the value 0.
+    Raises InputError: not a range: NaN, ``low >= high``, a nominal value outside, a relative tolerance of the value 0.
 
     Examples
     --------

@@ -177,10 +177,7 @@ class RealSet:
     def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
         """The members at some of the samples.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            One of them is ill-posed.
+        Raises NoTrustworthyNumber: one of them is ill-posed.
         """
         ensemble = self.members(deltas.numbers(part))
         if ensemble.ill_posed.any():

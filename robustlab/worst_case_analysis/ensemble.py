@@ -48,6 +48,8 @@ def excitation(
 ) -> Excitation:
     """The clock and the inputs as arrays.
 
+    Raises InputError: a clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
+
     Parameters
     ----------
     inputs, dt
@@ -57,11 +59,6 @@ def excitation(
     u
         Name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or
         (n_t, n_u); None for a unit step on the only input.
-
-    Raises
-    ------
-    InputError
-        A clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
     """
     clock = real_array("t", t, 1, where)
     if len(clock) < 2:
@@ -115,10 +112,7 @@ def _column(where: str, value: Any, n: int) -> Array:
 def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
     """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
 
-    Raises
-    ------
-    InputError
-        The model is unstable: how long to look is the user's to say.
+    Raises InputError: the model is unstable: how long to look is the user's to say.
     """
     poles = model.poles()
     if model.is_discrete:

@@ -52,6 +52,8 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
     """The plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs).
 
+    Raises InputError: unknown outputs, a controller of other sizes or a discrete one, a plant with a direct term.
+
     Parameters
     ----------
     plant
@@ -67,11 +69,6 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
     LinearPlant
         Inputs ``<name>_ref``; outputs those of the plant and its inputs; states those of the plant, then
         ``controller_1`` ...
-
-    Raises
-    ------
-    InputError
-        Unknown outputs, a controller of other sizes or a discrete one, a plant with a direct term.
 
     Examples
     --------
@@ -138,6 +135,8 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     with :math:`K_p, K_d, K_i = (3 p^2, 3 p, p^3)\, J_t` for the whole inertia :math:`J_t` at the motor's shaft and the
     lower layer's gains for a motor that turns its rotor alone (`robustlab.dynamics.control.controllers.torque_gains`).
 
+    Raises InputError: another plant, poles that are not positive, no rotor inertia.
+
     Parameters
     ----------
     plant
@@ -149,11 +148,6 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     -------
     StateSpaceModel
         Inputs phi_ref [rad], phi [rad], omega [rad/s], i [A]; output u [V]; three states.
-
-    Raises
-    ------
-    InputError
-        Another plant, poles that are not positive, no rotor inertia.
 
     References
     ----------
@@ -192,6 +186,9 @@ def controlled_nonlinear(
 ) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
     """The plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs).
 
+    Raises InputError: unknown outputs, a controller of other sizes or a discrete one; an effect on an input or output,
+    or one that splits a joint: these act inside the loop, between controller and plant.
+
     Parameters
     ----------
     plant
@@ -209,12 +206,6 @@ def controlled_nonlinear(
     ControlledNonlinearPlant or ExtendedNonlinearPlant
         Inputs ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
         ``controller_1`` ...; the latter where the plant has effects.
-
-    Raises
-    ------
-    InputError
-        Unknown outputs, a controller of other sizes or a discrete one; an effect on an input or output, or one that
-        splits a joint: these act inside the loop, between controller and plant.
     """
     model, c, m = loop_parts(plant, K, controlled, measured)
     base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())

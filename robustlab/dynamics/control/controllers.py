@@ -154,6 +154,8 @@ def two_layer(
 ) -> TwoLayerController:
     """Two-layer controller of a Stewart platform with motors.
 
+    Raises InputError: a plant without motors, poles or an inertia that are not positive.
+
     Parameters
     ----------
     plant
@@ -164,11 +166,6 @@ def two_layer(
         Trim to design at; home where left out.
     rotor_J
         Rotor inertia in kg m2 with which the lower layer is designed.
-
-    Raises
-    ------
-    InputError
-        A plant without motors, poles or an inertia that are not positive.
     """
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')

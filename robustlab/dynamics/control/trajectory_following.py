@@ -189,6 +189,9 @@ def follow(
     Radau IIA of order 5 with the exact Jacobian, restarted where the trajectory is not smooth: the torque loops' poles
     of some 1000 /s would hold an explicit method to steps of less than a millisecond.
 
+    Raises InputError: a trajectory that leaves the workspace, with the time. NoTrustworthyNumber: the loop is unstable
+    or leaves the poses that exist; the message names the time.
+
     Parameters
     ----------
     t
@@ -197,13 +200,6 @@ def follow(
         Only compared with; nothing is clipped. The thesis' motor where left out.
     rtol
         Relative local error.
-
-    Raises
-    ------
-    InputError
-        A trajectory that leaves the workspace, with the time.
-    NoTrustworthyNumber
-        The loop is unstable or leaves the poses that exist; the message names the time.
     """
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
@@ -238,6 +234,9 @@ def follow_with_torques(
     Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
     stands (`robustlab.dynamics.extended.extended_plant`).
 
+    Raises InputError: a machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with
+    the time. NoTrustworthyNumber: the loop is unstable or leaves the poses that exist; the message names the time.
+
     Parameters
     ----------
     plant
@@ -251,13 +250,6 @@ def follow_with_torques(
         Trim of the machine, at which it rests at the first time.
     limits
         Only compared with; nothing is clipped. The thesis' motor where left out.
-
-    Raises
-    ------
-    InputError
-        A machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with the time.
-    NoTrustworthyNumber
-        The loop is unstable or leaves the poses that exist; the message names the time.
     """
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or machine.motors:

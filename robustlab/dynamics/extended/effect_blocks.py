@@ -127,6 +127,9 @@ def effect_blocks(
 ) -> EffectBlocks:
     """The uncertain model of a plant with or without effects.
 
+    Raises InputError: an effect with a sector at a place without an amplitude; an amplitude at a place without an
+    effect; no plant. NoTrustworthyNumber: the blocks do not give back the plant's own linear model.
+
     Parameters
     ----------
     plant
@@ -150,13 +153,6 @@ def effect_blocks(
         Bound and origin of a force at the first joint that nothing explains; none where left out.
     tied
         Groups of parameters that move together, as `robustlab.dynamics.linear_plant.tied_plant` takes them.
-
-    Raises
-    ------
-    InputError
-        An effect with a sector at a place without an amplitude; an amplitude at a place without an effect; no plant.
-    NoTrustworthyNumber
-        The blocks do not give back the plant's own linear model.
     """
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     if width < 0:

@@ -186,6 +186,9 @@ def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[A
 def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
     """A plant with effects as its linear part with bounded loads.
 
+    Raises InputError: an effect that is neither linear nor bounded (backlash, saturation, a delay): for those
+    `effect_blocks` has sectors and weights. A force without a bound and without records.
+
     Parameters
     ----------
     plant
@@ -198,12 +201,6 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
         its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
     margin
         That largest value counts so many times: another record may move a little faster.
-
-    Raises
-    ------
-    InputError
-        An effect that is neither linear nor bounded (backlash, saturation, a delay): for those `effect_blocks` has
-        sectors and weights. A force without a bound and without records.
 
     Examples
     --------
@@ -243,6 +240,8 @@ def loaded_model(
 ) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
     """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads.
 
+    Raises InputError: an effect that is neither linear nor bounded whatever the motion.
+
     Parameters
     ----------
     at
@@ -255,11 +254,6 @@ def loaded_model(
     StateSpaceModel
         The linear model at the rest (`robustlab.linearise`); its inputs are the loads, each over its bound, so that
         they are at most one, then the plant's.
-
-    Raises
-    ------
-    InputError
-        An effect that is neither linear nor bounded whatever the motion.
     """
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
     loads, columns = [], []

@@ -116,6 +116,8 @@ def force_parts(
 ) -> ForceParts:
     """Choose for every force law what stands in for it.
 
+    Raises InputError: a law that needs an amplitude has none.
+
     Parameters
     ----------
     amplitude
@@ -125,11 +127,6 @@ def force_parts(
         a law that sees a position is ``load``.
     width
         Half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
-
-    Raises
-    ------
-    InputError
-        A law that needs an amplitude has none.
     """
     sectors: list[ForceSector] = []
     bounded: list[tuple[NoiseInput, Port]] = []

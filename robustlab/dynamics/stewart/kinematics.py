@@ -189,6 +189,8 @@ class DirectPoses:
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
     """Poses at which the actuators have these lengths.
 
+    Raises InputError: wrong shapes, NaN, a length that is not positive.
+
     Parameters
     ----------
     lengths
@@ -200,11 +202,6 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     -------
     DirectPoses
         Where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no other.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, NaN, a length that is not positive.
     """
     target, _ = poses_array(lengths, "lengths")
     if (target <= 0).any():

@@ -146,6 +146,9 @@ def simulate_platform_with_friction(
 ) -> StickSlip:
     """Response of the platform, driven by torques, with dry friction at some of its nuts.
 
+    Raises InputError: a plant with motors, a velocity that is no nut rate, two frictions on one nut, a moving surface.
+    NoTrustworthyNumber: the platform leaves its workspace; the message names the time.
+
     Parameters
     ----------
     plant
@@ -165,13 +168,6 @@ def simulate_platform_with_friction(
     -------
     StickSlip
         Events carry the end of the step in which they happened.
-
-    Raises
-    ------
-    InputError
-        A plant with motors, a velocity that is no nut rate, two frictions on one nut, a moving surface.
-    NoTrustworthyNumber
-        The platform leaves its workspace; the message names the time.
     """
     where = "simulate_platform_with_friction"
     if plant.motors:

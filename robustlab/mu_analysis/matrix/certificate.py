@@ -224,6 +224,9 @@ def certified_in_balls(M: ArrayLike, D: ArrayLike, G: ArrayLike, beta: float, D_
     Proved by the pivots of an LDL factorisation in ball arithmetic, all of whose balls lie right of zero. Together with
     the structure of D and G (`certificate.has_structure`) this proves ``mu(M) <= beta``.
 
+    Raises InputError: shapes that do not fit, D not Hermitian to the last bit, NaN or Inf; DependencyMissing:
+    python-flint is not installed.
+
     Parameters
     ----------
     M
@@ -234,13 +237,6 @@ def certified_in_balls(M: ArrayLike, D: ArrayLike, G: ArrayLike, beta: float, D_
         Scaling (q, p).
     beta
         The bound.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, D not Hermitian to the last bit, NaN or Inf.
-    DependencyMissing
-        python-flint is not installed.
 
     Examples
     --------

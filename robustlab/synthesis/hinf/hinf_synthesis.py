@@ -153,10 +153,7 @@ class Verifier:
     def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
         """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            There is none; the message says how slow the slowest is.
+        Raises NoTrustworthyNumber: there is none; the message says how slow the slowest is.
         """
         limit = gamma_rel * best.gamma
         allowed = [c for c in candidates if c.gamma <= limit]

@@ -161,10 +161,7 @@ class TwoRiccatiProblem:
     def central_controller(self, pair: RiccatiPair) -> Realisation:
         """The central controller of a pair, (19) to (27) without its free parameter, from y to u of the plant given.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            A factor of it is singular: gamma is too close to its limit.
+        Raises NoTrustworthyNumber: a factor of it is singular: gamma is too close to its limit.
         """
         a, b, g2 = self.a, self.b, pair.gamma**2
         D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]

@@ -432,6 +432,8 @@ GAINS = ("full", "diagonal", "scalar")
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it.
 
+    Raises InputError: an unknown word, a number that is none.
+
     Parameters
     ----------
     text
@@ -440,11 +442,6 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
         ``decentralised:WORD``, the same structure for every channel by itself.
     plant
         Its channels, and its time scale for the filters of derivatives.
-
-    Raises
-    ------
-    InputError
-        An unknown word, a number that is none.
 
     Examples
     --------

@@ -30,18 +30,15 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
 
     .. math:: \mathrm{rank}\,[A - \lambda I,\ B_2] = n, \qquad \mathrm{rank}\,[A - \lambda I;\ C_2] = n
 
+    Raises NoTrustworthyNumber: a mode fails; the message says which, whether the controls cannot move it or the
+    measurements do not see it, and the state that takes part in it most.
+
     Parameters
     ----------
     p
         Scaled plant; its time unit is ``1/rate`` s.
     states
         Names of its states, for the message.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        A mode fails; the message says which, whether the controls cannot move it or the measurements do not see it, and
-        the state that takes part in it most.
     """
     if not p.A.size:
         return

@@ -213,10 +213,7 @@ class HinfSynthesis(Synthesis):
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
     """The budget of a design; a time limit of zero is refused, because there is no design without a search.
 
-    Raises
-    ------
-    InputError
-        An effort or a time limit that is not a positive number.
+    Raises InputError: an effort or a time limit that is not a positive number.
     """
     if time_limit is not None and not time_limit > 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")

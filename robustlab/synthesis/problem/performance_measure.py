@@ -82,10 +82,7 @@ class PerformanceMeasure:
     def certified(self, K: StateSpaceModel) -> Performance:
         """The measure of the loop with K, proved; infinite where the loop is not stable.
 
-        Raises
-        ------
-        InputError
-            The loop is not well posed.
+        Raises InputError: the loop is not well posed.
         """
         if self.name == "mu" and self.scaled is None:
             return self._margin(self.plant.close(K), K)

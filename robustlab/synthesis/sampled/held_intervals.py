@@ -76,6 +76,9 @@ def held_interval(
 ) -> HeldInterval:
     """The interval of a continuous model.
 
+    Raises NoTrustworthyNumber: ``e^(A t)`` overflows within the interval, modes too fast for it, or energies that do
+    not agree.
+
     Parameters
     ----------
     model
@@ -88,11 +91,6 @@ def held_interval(
         h in s.
     degree
         m, number of polynomials.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        ``e^(A t)`` overflows within the interval, modes too fast for it, or energies that do not agree.
     """
     free = np.concatenate([g.w for g in groups])
     nodes = _Nodes.of(model.poles(), length)

@@ -69,6 +69,9 @@ def sample_uncertain_plant(
 ) -> SampledUncertainPlant:
     """The plant with its controls held from ``k dt + delay`` on.
 
+    Raises InputError: a dynamic block that reaches the sampler directly: samples of its output have no bound;
+    NoTrustworthyNumber: see `held_interval`.
+
     Parameters
     ----------
     plant
@@ -81,13 +84,6 @@ def sample_uncertain_plant(
         Time in s from the sample to the change of the control, of any number of periods.
     size
         Norm of Delta for which the cover of the rests is tightest; it holds for every norm.
-
-    Raises
-    ------
-    InputError
-        A dynamic block that reaches the sampler directly: samples of its output have no bound.
-    NoTrustworthyNumber
-        See `held_interval`.
     """
     channels = _Channels.of(plant)
     period = _Period(plant, channels, dt, degree, delay)

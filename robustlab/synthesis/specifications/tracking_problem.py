@@ -98,12 +98,8 @@ class TrackingProblem:
     def close(self, K: Any) -> UncertainModel:
         """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z.
 
-        Raises
-        ------
-        InputError
-            K has other numbers of inputs and outputs, or another sample time.
-        NoTrustworthyNumber
-            The loop is not well posed.
+        Raises InputError: K has other numbers of inputs and outputs, or another sample time; NoTrustworthyNumber: the
+        loop is not well posed.
         """
         return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
 
@@ -155,6 +151,9 @@ def tracking_problem(
 ) -> TrackingProblem:
     """The weighted tracking problem of a plant; see this module for the signals.
 
+    Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
+    channels.
+
     Parameters
     ----------
     G
@@ -176,11 +175,6 @@ def tracking_problem(
         ``<name>_ref``); none where left out.
     loads
         Inputs of G that are no controls, with their sizes: forces that act on the plant.
-
-    Raises
-    ------
-    InputError
-        Unknown names, sizes that are not positive, no weight, a weight that is not stable or has several channels.
 
     Examples
     --------

@@ -33,6 +33,8 @@ def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
     the least in the sense of :math:`\sum |v - y|^2`, each output counted in halves of its range; all others stay where
     they are. A controller without slow modes has L = 0.
 
+    Raises InputError: a time below the sample time; a slow mode that does not show in the outputs.
+
     Parameters
     ----------
     model
@@ -46,11 +48,6 @@ def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
     -------
     Array
         L in states per unit of the output, (n, p).
-
-    Raises
-    ------
-    InputError
-        A time below the sample time; a slow mode that does not show in the outputs.
 
     References
     ----------

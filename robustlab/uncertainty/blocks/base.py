@@ -226,10 +226,7 @@ class Block(ABC):
     def matrix_of(self, value: NDArray[Any]) -> NDArray[Any]:
         """The block (rows, cols) of a value.
 
-        Raises
-        ------
-        InputError
-            A wrong shape, a complex value for a real block, a matrix that is no multiple of a member.
+        Raises InputError: a wrong shape, a complex value for a real block, a matrix that is no multiple of a member.
         """
         value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
         if value.shape != self.value_shape:
@@ -339,10 +336,7 @@ class Block(ABC):
     def resized(self, rows: int, cols: int) -> Self:
         """The same block with another size.
 
-        Raises
-        ------
-        InputError
-            The kind has no block of that size.
+        Raises InputError: the kind has no block of that size.
         """
         if (rows, cols) == (self.rows, self.cols):
             return self
@@ -351,10 +345,7 @@ class Block(ABC):
     def merged(self, others: Sequence[Any], where: str) -> Block:
         """One block for the same uncertainty in several operands; ``others`` are of the same kind and name.
 
-        Raises
-        ------
-        InputError
-            No block of this library has that structure.
+        Raises InputError: no block of this library has that structure.
         """
         raise InputError(
             where,
@@ -392,10 +383,7 @@ def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
 def check_name_and_size(name: str, size: int) -> None:
     """Refuse a block without a name or a size.
 
-    Raises
-    ------
-    InputError
-        Not a text of 1 to 200 characters, or not a positive whole number.
+    Raises InputError: not a text of 1 to 200 characters, or not a positive whole number.
     """
     if not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")

@@ -64,6 +64,9 @@ def parametric_cover(
 ) -> ParametricCover:
     """The cover of models that have the same states.
 
+    Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
+    another form.
+
     Parameters
     ----------
     models
@@ -76,11 +79,6 @@ def parametric_cover(
         where that is less): differences below it count as none, and as many directions are kept as it asks for.
     directions
         Number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
-
-    Raises
-    ------
-    InputError
-        A tolerance outside [0, 1), a number of directions that is not positive, a nominal model for another form.
     """
     if not 0 <= tolerance < 1:
         raise InputError("cover: tolerance", f"{tolerance}", "a number in [0, 1)")

@@ -58,12 +58,8 @@ from robustlab.uncertainty.unstructured import Form, unstructured
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
     """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too.
 
-    Raises
-    ------
-    InputError
-        Fewer than two models, something that is no model, sizes, sample times or signal names that differ.
-    UnitMismatch
-        A signal carries different units in two of the models.
+    Raises InputError: fewer than two models, something that is no model, sizes, sample times or signal names that
+    differ; UnitMismatch: a signal carries different units in two of the models.
     """
     if isinstance(models, (StateSpaceModel, str, bytes)) or not isinstance(models, Iterable):
         raise InputError(where, f"{type(models).__name__}", "a list of at least two models")
@@ -146,6 +142,9 @@ def unstructured_cover(
 ) -> UnstructuredCover:
     """The cover of models with the same signals; their states may differ.
 
+    Raises InputError: a model that is not square, for all forms but ``additive``. NoTrustworthyNumber: for no nominal
+    model all errors are stable; the model, and the pole that stays, are named.
+
     Parameters
     ----------
     models
@@ -156,13 +155,6 @@ def unstructured_cover(
         Largest order of the weight, and the excess over the bound at which a lower one is good enough.
     points
         Points of the frequency grid of the fit, besides those at resonances.
-
-    Raises
-    ------
-    InputError
-        A model that is not square, for all forms but ``additive``.
-    NoTrustworthyNumber
-        For no nominal model all errors are stable; the model, and the pole that stays, are named.
     """
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
         found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
@@ -267,10 +259,7 @@ def _require_bounded(
 ) -> None:
     """The error does not grow on and on beyond the grid.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        It does: no proper weight holds it.
+    Raises NoTrustworthyNumber: it does: no proper weight holds it.
     """
     beyond = _beyond(omega, centre.dt)
     outside = _bound(models, centre, form, beyond)
@@ -366,10 +355,7 @@ def _sigma(matrices: AnyArray) -> Array:
 def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
     r"""``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        An error that is not finite at one of the frequencies.
+    Raises NoTrustworthyNumber: an error that is not finite at one of the frequencies.
     """
     s = _circle(omega, centre.dt)
     with np.errstate(all="ignore"):
@@ -424,10 +410,7 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
     """Every error is analytic in the closed unstable region.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The first that is not, with its pole.
+    Raises NoTrustworthyNumber: the first that is not, with its pole.
     """
     inverse = form.startswith("inverse")
     for i, model in enumerate(models, 1):

@@ -47,15 +47,13 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
     and its dual for Z.
 
+    Raises NoTrustworthyNumber: an unstable or marginal mode is hidden from the inputs or the outputs, or digits were
+    lost.
+
     Parameters
     ----------
     model
         Continuous model, stable or not, that is stabilisable and detectable.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        An unstable or marginal mode is hidden from the inputs or the outputs, or digits were lost.
     """
     equations = coprime_riccati(model)
     m, rate, control, filtering = equations.model, equations.rate, equations.control, equations.filtering
@@ -239,12 +237,7 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
 
     Where one has a pole at z = -1, or very close to it, -z takes the place of z.
 
-    Raises
-    ------
-    InputError
-        Different sample times.
-    NoTrustworthyNumber
-        Poles at z = 1 and z = -1.
+    Raises InputError: different sample times; NoTrustworthyNumber: poles at z = 1 and z = -1.
     """
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
@@ -292,10 +285,7 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
 def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        That unit overflows, or the direct term does when it is squared.
+    Raises NoTrustworthyNumber: that unit overflows, or the direct term does when it is squared.
     """
     t = balancing_exponents(model.A, model.B, model.C)
     (a, b, c, d), exponent = (model.A, model.B, model.C, model.D), {}
