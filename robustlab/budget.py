@@ -64,12 +64,8 @@ def dense(n: int, times: int = 1) -> int:
 class Budget:
     """Work that may still be done, and perhaps a time limit; asked between steps.
 
-    Parameters
-    ----------
-    work
-        Units of work (see `MILLION`); inf for a search that ends by itself.
-    time_limit
-        Seconds from now after which it counts as used up; None for no limit.
+    ``work``: units of work (see `MILLION`); inf for a search that ends by itself.
+    ``time_limit``: seconds from now after which it counts as used up; None for no limit.
 
     Examples
     --------

@@ -107,16 +107,9 @@ def clock_drift(stamps: Array, reference: Array) -> Drift | None:
 
     .. math:: r_k - s_k = d + \rho\,(r_k - r_0) + e_k, \qquad s \text{ gains } -\rho \text{ on } r
 
-    Parameters
-    ----------
-    stamps, reference
-        The same events on both clocks in s, shape (n,).
-
-    Returns
-    -------
-    Drift or None
-        ``rate`` is -rho (positive: the stamps run fast), ``deviation`` its standard deviation for white e; ``delay``
-        the median of r - s in s, ``scatter`` the standard deviation of e. None of fewer than 10 events.
+    ``stamps``, ``reference``: the same events on both clocks in s, shape (n,).
+    Returns: ``rate`` is -rho (positive: the stamps run fast), ``deviation`` its standard deviation for white e;
+    ``delay`` the median of r - s in s, ``scatter`` the standard deviation of e. None of fewer than 10 events.
 
     Examples
     --------

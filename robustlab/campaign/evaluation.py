@@ -129,12 +129,8 @@ def decode_delta(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 class Evaluator:
     """Computes the samples of one campaign.
 
-    Parameters
-    ----------
-    uncertain
-        The set of models.
-    settings
-        What to compute.
+    ``uncertain``: the set of models.
+    ``settings``: what to compute.
 
     Raises
     ------

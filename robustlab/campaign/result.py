@@ -254,12 +254,8 @@ class CampaignResult(Tabular, Shown):
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
     """Read a store once through.
 
+    ``limit``: count how often the metric is worse than it.
     Raises InputError: the rows of a finished campaign are not what they were when it ended.
-
-    Parameters
-    ----------
-    limit
-        Count how often the metric is worse than it.
     """
     settings, blocks = evaluator.settings, evaluator.uncertain.blocks
     counts, facts, worst = store.counts(), store.facts(), store.worst(evaluator.sense)

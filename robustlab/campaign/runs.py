@@ -81,34 +81,19 @@ def run_campaign(
     The same model, settings and code give the same samples, whatever the workers and however often a run is killed.
     A sample whose worker crashes or hangs is lost alone and stays in the store with its Delta and the reason.
 
+    ``uncertain``: the set of models.
+    ``settings``: what to compute.
+    ``store``: SQLite file; one that belongs to the same campaign is gone on with.
+    ``crew``: who computes: worker processes on this machine or on others, and how long one sample may take.
+    ``existing``: what to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it,
+    ``"fork"`` leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
+    ``retry_lost``: compute lost samples of an earlier run again.
+    ``limit``: count how often the metric is worse than it.
+    ``progress``: called with the number of samples that were just stored, once at the start with those that were there.
+    Returns: what the store holds at the end.
     Raises InputError: the store belongs to another campaign (what changed is said), is damaged, or is none.
     NoTrustworthyNumber: more than 1 % of the samples are lost; an unstable nominal model. EnvironmentFault: the store
     cannot be written or is locked by another process; workers cannot be started or reached.
-
-    Parameters
-    ----------
-    uncertain
-        The set of models.
-    settings
-        What to compute.
-    store
-        SQLite file; one that belongs to the same campaign is gone on with.
-    crew
-        Who computes: worker processes on this machine or on others, and how long one sample may take.
-    existing
-        What to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it, ``"fork"``
-        leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
-    retry_lost
-        Compute lost samples of an earlier run again.
-    limit
-        Count how often the metric is worse than it.
-    progress
-        Called with the number of samples that were just stored, once at the start with those that were there.
-
-    Returns
-    -------
-    CampaignResult
-        What the store holds at the end.
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)

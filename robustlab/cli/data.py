@@ -112,14 +112,9 @@ class DiscoveryFiles:
     ) -> list[str]:
         """Write what was asked for, with a note for each file; the paths.
 
-        Parameters
-        ----------
-        result
-            What ``--json`` prints, for ``result.json``.
-        sources
-            What was read; names that are no files, such as a plant's, are left out of the provenance.
-        code
-            Files of code that made the plant, with their hashes.
+        ``result``: what ``--json`` prints, for ``result.json``.
+        ``sources``: what was read; names that are no files, such as a plant's, are left out of the provenance.
+        ``code``: files of code that made the plant, with their hashes.
         """
         provenance = _provenance("data discover", sources, code)
         files: list[str] = []

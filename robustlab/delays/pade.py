@@ -138,14 +138,9 @@ def pade(delay: float, order: int) -> StateSpaceModel:
     A lossless ladder: :math:`A + A^T = -B B^T` and :math:`C = \mp B^T`. Both Gramians are the identity, so it is
     balanced, and its modulus is one at every frequency by its structure, whatever the order.
 
+    ``delay``: in s, positive.
+    ``order``: 1 to 40; 0 is the gain 1.
     Raises InputError: another delay or order.
-
-    Parameters
-    ----------
-    delay
-        In s, positive.
-    order
-        1 to 40; 0 is the gain 1.
     """
     if not 0 < delay < np.inf:
         raise InputError("pade", f"a delay of {delay!r} s", "a positive number of seconds")

@@ -77,25 +77,14 @@ def uncertain_family(
 ) -> UncertainModel:
     """The uncertain model of all linear models with parameters in their ranges.
 
+    ``where``: the plant's name, for messages.
+    ``nominal``: its linear model with all parameters at ``values``.
+    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `TUNING`.
+    ``outputs``: names of the outputs to keep, all where left out.
+    Returns: one `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
+    values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
     Raises NoTrustworthyNumber: no linear model at a value within the ranges; a set that does not give the plant's own
     models back.
-
-    Parameters
-    ----------
-    where
-        The plant's name, for messages.
-    nominal
-        Its linear model with all parameters at ``values``.
-    ranges
-        The parameters that are uncertain; of several thousand models each takes part in, see `TUNING`.
-    outputs
-        Names of the outputs to keep, all where left out.
-
-    Returns
-    -------
-    UncertainModel
-        One `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
-        values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
     """
     if not ranges:
         return UncertainModel(nominal, [], nominal.operating_point)

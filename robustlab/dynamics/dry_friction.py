@@ -132,21 +132,14 @@ def simulate_with_friction(
 ) -> StickSlip:
     """Response of a linear plant with dry friction on some of its velocities, exact at the samples.
 
+    ``plant``: a linear plant: the force enters the equation of the named velocity, divided by its inertia through E. Or
+    a continuous model whose state is the velocity; then every `DryFriction` needs an inertia.
+    ``friction``: one for each joint that has any.
+    ``t``, ``u``, ``x0``, ``hold``, ``name``: as in `robustlab.dynamics.simulate`; ``hold`` is "zoh" or "foh".
+    ``tuning``: how finely changes are located.
     Raises InputError: a name that is no state, two frictions on one velocity, a discrete model, samples so coarse that
     the plant's fastest mode passes thousands of time constants between two; NoTrustworthyNumber: the response outgrows
     double precision.
-
-    Parameters
-    ----------
-    plant
-        A linear plant: the force enters the equation of the named velocity, divided by its inertia through E. Or a
-        continuous model whose state is the velocity; then every `DryFriction` needs an inertia.
-    friction
-        One for each joint that has any.
-    t, u, x0, hold, name
-        As in `robustlab.dynamics.simulate`; ``hold`` is "zoh" or "foh".
-    tuning
-        How finely changes are located.
 
     Examples
     --------

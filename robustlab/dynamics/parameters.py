@@ -142,16 +142,11 @@ class Parameter:
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:
     """The default parameters with the given ones put in their places.
 
+    ``given``: name -> value (the default's tolerance stays; that of the value 0 is none), or name -> ``(value,
+    tolerance)``, the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit,
+    or one that measures the same.
+    ``where``: what messages call the plant.
     Raises InputError: unknown names (with the closest known one), and everything that `Parameter` refuses.
-
-    Parameters
-    ----------
-    given
-        Name -> value (the default's tolerance stays; that of the value 0 is none), or name -> ``(value, tolerance)``,
-        the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit, or one that
-        measures the same.
-    where
-        What messages call the plant.
 
     Examples
     --------

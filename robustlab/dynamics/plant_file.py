@@ -61,22 +61,13 @@ def unit_reference(text: str) -> bool:
 def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
     """The plant that ``file.py:name`` means, with these parameters in the places of its own.
 
+    ``parameters``: handed to the function; those that it does not name, and all of a plant that is no function, go to
+    the plant's ``with_parameters``.
+    ``path``: where the file was found, if not at the place that the reference says.
+    Returns: its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
     Raises InputError: no such file or name (with the closest one), no Python, code that raises or ends the program,
     anything that is no plant, and all that a plant refuses; with file and line. DependencyMissing: the file imports an
     optional package that is not installed.
-
-    Parameters
-    ----------
-    parameters
-        Handed to the function; those that it does not name, and all of a plant that is no function, go to the plant's
-        ``with_parameters``.
-    path
-        Where the file was found, if not at the place that the reference says.
-
-    Returns
-    -------
-    Plant
-        Its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
     """
     file, name = plant_reference(reference) or ("", "")
     if not file:

@@ -23,17 +23,11 @@ WORD = {"json": "JSON", "toml": "TOML"}
 def read_document(kind: Kind, raw: bytes, where: str, limits: Limits | None = None) -> Any:
     """The document in the bytes of a file, parsed in the reader process.
 
+    ``kind``: ``json`` or ``toml``.
+    ``raw``: the bytes of the file, UTF-8.
+    ``where``: what messages call the file.
     Raises InputError: as `parse_document`; more than ``limits.document`` bytes; a parser that crashed, hung or ran out
     of memory. EnvironmentFault: the reader process could not be started.
-
-    Parameters
-    ----------
-    kind
-        ``json`` or ``toml``.
-    raw
-        The bytes of the file, UTF-8.
-    where
-        What messages call the file.
     """
     from robustlab.files.isolation import document_isolated  # not needed where the child parses
 

@@ -394,18 +394,12 @@ MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 Ki
 def read_tree(path: str | Path, group: str | None = None, limits: Limits | None = None, isolate: bool = True) -> Tree:
     """Read an HDF5 or MATLAB (5, 7.3) file from outside.
 
+    ``path``: the file; its kind is told by its content.
+    ``group``: read the values below this group (and in the root) only.
+    ``limits``: sizes that are accepted.
+    ``isolate``: False reads in this process, with the same checks; for tests, and for files this process has just
+    written.
     Raises InputError: anything that is wrong with the file.
-
-    Parameters
-    ----------
-    path
-        The file; its kind is told by its content.
-    group
-        Read the values below this group (and in the root) only.
-    limits
-        Sizes that are accepted.
-    isolate
-        False reads in this process, with the same checks; for tests, and for files this process has just written.
     """
     limits = limits or Limits()
     kind = content_of(path, limits)

@@ -152,18 +152,12 @@ def read_record(
 ) -> dict[str, Any]:
     """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
 
+    ``path``: HDF5 (format 1 or plain), MATLAB 5 or 7.3, Parquet, MCAP (ROS 2), or a text file; told by content.
+    ``options``: what to take of it.
+    ``limits``, ``isolate``: see `robustlab.files.hdf5.read_tree`.
     Raises InputError: signals that are missing (all of them, with the nearest names), are not columns of numbers,
     differ in length; no clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than
     the file states. DependencyMissing: the package that reads such files is not installed.
-
-    Parameters
-    ----------
-    path
-        HDF5 (format 1 or plain), MATLAB 5 or 7.3, Parquet, MCAP (ROS 2), or a text file; told by content.
-    options
-        What to take of it.
-    limits, isolate
-        See `robustlab.files.hdf5.read_tree`.
     """
     group, content = options.group, content_of(path, limits)
     if content == "text":

@@ -51,17 +51,11 @@ class LoadedRecipe:
 def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool = True) -> LoadedRecipe:
     """Read and check a recipe file.
 
+    ``path``: a ``.toml`` file of at most 1 MiB.
+    ``overrides``: ``"a.b=value"`` items: a is a top-level key or a step's name.
+    ``isolate``: False parses the text in this process, with the same checks.
     Raises InputError: the file is missing, too large, not TOML, or not a recipe; all faults are listed. UsageError: an
     override that has no ``=`` or names no step.
-
-    Parameters
-    ----------
-    path
-        A ``.toml`` file of at most 1 MiB.
-    overrides
-        ``"a.b=value"`` items: a is a top-level key or a step's name.
-    isolate
-        False parses the text in this process, with the same checks.
     """
     file = Path(path)
     if file.suffix.lower() in _REFUSED:

@@ -156,16 +156,11 @@ def run_recipe(
     Files appear in ``out`` only when the run is through, ``result.json`` last: an interrupted run leaves the previous
     one as it was.
 
+    ``out``: the folder; files in it that are no result of an earlier run stay.
+    ``report``: called with name and kind of each step before it runs.
     Raises InputError, UsageError, EnvironmentFault: a step cannot be done as the recipe says; the step is named. (A
     step that is done, but ends without a trustworthy number, is no error: the run goes on with the steps that do not
     need it, and says so.).
-
-    Parameters
-    ----------
-    out
-        The folder; files in it that are no result of an earlier run stay.
-    report
-        Called with name and kind of each step before it runs.
     """
     started = time.monotonic()
     sources = find_files(loaded)

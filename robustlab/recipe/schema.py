@@ -150,14 +150,9 @@ class Judgement:
 def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> Judgement:
     """Judge one requirement.
 
+    ``numbers``: step name -> its numbers.
+    ``missing``: step name -> why it has none.
     Raises InputError: the step is done, but has no number of that name.
-
-    Parameters
-    ----------
-    numbers
-        Step name -> its numbers.
-    missing
-        Step name -> why it has none.
     """
     step = requirement.that.split(".")[0]
     if step in missing:

@@ -79,16 +79,10 @@ class Channels:
 def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float | None = None) -> Channels:
     """Times, inputs and outputs of a record, found by names and units; with a plant, its signals are looked for.
 
+    ``path``: the file.
+    ``plant``: what knows its ``inputs`` and ``outputs``, or None.
+    ``clock``, ``dt``: as for `robustlab.Record.read`, where the user says them.
     Raises InputError: what the reader refuses; no clock; a plant's input or all its outputs without a channel.
-
-    Parameters
-    ----------
-    path
-        The file.
-    plant
-        What knows its ``inputs`` and ``outputs``, or None.
-    clock, dt
-        As for `robustlab.Record.read`, where the user says them.
     """
     clock_given, guessed = clock, []
     if clock is None and dt is None:
@@ -176,18 +170,11 @@ def _of_plant(
 def record_recipe(name: str, path: str, channels: Channels, plant: str = "", dt: float | None = None) -> str:
     """The text of a recipe that reads a record and, with a plant, compares the two, for ``robustlab run`` as it is.
 
-    Parameters
-    ----------
-    name
-        Of the recipe.
-    path
-        The record's file, as the recipe is to name it.
-    channels
-        What was recognised in it.
-    plant
-        Name of a plant, or ``file.py:name``; empty for none.
-    dt
-        Sample time in s where the user gave it.
+    ``name``: of the recipe.
+    ``path``: the record's file, as the recipe is to name it.
+    ``channels``: what was recognised in it.
+    ``plant``: name of a plant, or ``file.py:name``; empty for none.
+    ``dt``: sample time in s where the user gave it.
     """
     record = channels.record
     lines = [

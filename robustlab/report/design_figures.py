@@ -113,18 +113,11 @@ def loop_figure(
 ) -> Figure:
     """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
 
-    Parameters
-    ----------
-    closed_loop
-        Singular values, shape (n_omega, k).
-    peak
-        Frequency in rad/s and gamma.
-    controller
-        Largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
-    level
-        What the marked level is.
-    heading
-        Of the closed loop's panel.
+    ``closed_loop``: singular values, shape (n_omega, k).
+    ``peak``: frequency in rad/s and gamma.
+    ``controller``: largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
+    ``level``: what the marked level is.
+    ``heading``: of the closed loop's panel.
     """
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
@@ -251,10 +244,7 @@ def tracking_panels(
 ) -> list[FunctionPanel]:
     """S, K S and T of the nominal loop of a tracking problem under each controller.
 
-    Parameters
-    ----------
-    gamma
-        Verified gamma of the only controller: what it proves is drawn too.
+    ``gamma``: verified gamma of the only controller: what it proves is drawn too.
     """
     gains = {name: problem.gains(K, omega) for name, K in controllers.items()}
     allowed = problem.bounds(omega)

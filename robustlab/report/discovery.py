@@ -194,16 +194,10 @@ def residual_force_figure(
 ) -> Figure:
     """Residual force over each coordinate; below it, what share of it each explains.
 
-    Parameters
-    ----------
-    residual
-        Curves and shares.
-    unnamed
-        The map fitted to it, drawn over the same coordinates where it has a component that is no dry pair.
-    name
-        What the force is called on the axes.
-    before
-        The force before the named effects were in the model, drawn behind it.
+    ``residual``: curves and shares.
+    ``unnamed``: the map fitted to it, drawn over the same coordinates where it has a component that is no dry pair.
+    ``name``: what the force is called on the axes.
+    ``before``: the force before the named effects were in the model, drawn behind it.
     """
     curves = sorted(residual.curves.values(), key=_place)
     earlier = before.curves if before is not None else {}

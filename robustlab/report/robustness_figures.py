@@ -203,20 +203,12 @@ def response_figure(
 ) -> Figure:
     """All responses of one output: the whole time on the left, the end of it enlarged on the right.
 
-    Parameters
-    ----------
-    t
-        Times in s, shape (n_t,).
-    samples
-        Responses of the members, shape (n_samples, n_t).
-    nominal
-        Nominal response, shape (n_t,).
-    envelope
-        Smallest and largest value of all members at each time, each of shape (n_t,).
-    output
-        Name and unit.
-    references
-        Known values and what they are, drawn as lines.
+    ``t``: times in s, shape (n_t,).
+    ``samples``: responses of the members, shape (n_samples, n_t).
+    ``nominal``: nominal response, shape (n_t,).
+    ``envelope``: smallest and largest value of all members at each time, each of shape (n_t,).
+    ``output``: name and unit.
+    ``references``: known values and what they are, drawn as lines.
     """
     figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
     with house_style():
@@ -350,18 +342,11 @@ def exceedance_figure(
 ) -> Figure:
     """Share of the samples worse than each value, with its upper confidence bound; the logarithmic axis shows the tail.
 
-    Parameters
-    ----------
-    values
-        Values of the metric from the best to the worst, shape (m,).
-    share
-        Share of the samples worse than each, shape (m,).
-    upper
-        One-sided 95 % bound of the probability that a member is worse than each, shape (m,).
-    metric
-        Its name and unit.
-    limit
-        A value to mark.
+    ``values``: values of the metric from the best to the worst, shape (m,).
+    ``share``: share of the samples worse than each, shape (m,).
+    ``upper``: one-sided 95 % bound of the probability that a member is worse than each, shape (m,).
+    ``metric``: its name and unit.
+    ``limit``: a value to mark.
     """
     figure, (axes,) = new_figure(height=3.4)
     seen = share > 0

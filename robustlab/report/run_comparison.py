@@ -57,12 +57,8 @@ def compare_runs(first: Mapping[str, Any], second: Mapping[str, Any], tolerance:
     ``tolerance`` times the larger of both numbers, or where a requirement that was met is no longer stated. A step got
     worse where its number can no longer be vouched for.
 
-    Parameters
-    ----------
-    first, second
-        Content of ``result.json``, see `robustlab.recipe.run`.
-    tolerance
-        Relative change below which two numbers count as the same.
+    ``first``, ``second``: content of ``result.json``, see `robustlab.recipe.run`.
+    ``tolerance``: relative change below which two numbers count as the same.
     """
     old, new = (dict(_numbers(run)) for run in (first, second))
     changes = [_number(path, old.get(path), new.get(path), tolerance) for path in {**new, **old}]

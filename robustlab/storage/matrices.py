@@ -91,15 +91,10 @@ def decode_model(
 ) -> StateSpaceModel | None:
     """The model in ``node``, or None with the reasons in ``problems``; a descriptor form (with E) is noted there.
 
-    Parameters
-    ----------
-    transpose
-        The file was written column by column: swap the two axes of A, B, C, D and E.
-    like
-        A model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this one
-        has none.
-    dt
-        Sample time where ``node`` states none.
+    ``transpose``: the file was written column by column: swap the two axes of A, B, C, D and E.
+    ``like``: a model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this
+    one has none.
+    ``dt``: sample time where ``node`` states none.
     """
     found = len(problems.lines)
     matrices = _matrices(node, problems, transpose)

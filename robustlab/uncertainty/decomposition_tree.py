@@ -95,12 +95,8 @@ class Plan:
 def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], shape: tuple[int, int]) -> list[Plan]:
     """Ways to decompose a matrix, the smallest first.
 
-    Parameters
-    ----------
-    weight
-        Repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
-    shape
-        Rows and columns of the matrix (either may be 0).
+    ``weight``: repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
+    ``shape``: rows and columns of the matrix (either may be 0).
     """
     terms: Terms = {}
     for i, row in enumerate(matrix):
@@ -282,12 +278,8 @@ class MatrixPolynomial:
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
     """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give.
 
-    Parameters
-    ----------
-    scale
-        Natural magnitude of each entry, an outer product ``rows cols^T`` of positive numbers, (m, n).
-    tolerance
-        What is below this share of the natural magnitude is rounding, where ranks are taken.
+    ``scale``: natural magnitude of each entry, an outer product ``rows cols^T`` of positive numbers, (m, n).
+    ``tolerance``: what is below this share of the natural magnitude is rounding, where ranks are taken.
 
     Examples
     --------

@@ -48,17 +48,11 @@ def excitation(
 ) -> Excitation:
     """The clock and the inputs as arrays.
 
+    ``inputs``, ``dt``: inputs and sample time of the models that are driven.
+    ``t``: times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
+    ``u``: name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or (n_t,
+    n_u); None for a unit step on the only input.
     Raises InputError: a clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
-
-    Parameters
-    ----------
-    inputs, dt
-        Inputs and sample time of the models that are driven.
-    t
-        Times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
-    u
-        Name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or
-        (n_t, n_u); None for a unit step on the only input.
     """
     clock = real_array("t", t, 1, where)
     if len(clock) < 2:
@@ -243,14 +237,9 @@ def time_responses(ensemble: Ensemble, h: float, u: Array, x0: Array, hold: Hold
     exact for an input that is piecewise constant (``hold = "zoh"``, without the last term) or linear (``"foh"``).
     A member that outgrows double precision gives infinite or NaN samples.
 
-    Parameters
-    ----------
-    h
-        Step in s.
-    u
-        Input samples, shape (n_t, n_u).
-    x0
-        Initial state, shape (n_x,).
+    ``h``: step in s.
+    ``u``: input samples, shape (n_t, n_u).
+    ``x0``: initial state, shape (n_x,).
     """
     k, n_t = len(ensemble), len(u)
     y = np.empty((k, n_t, ensemble.C.shape[1]))
@@ -288,10 +277,7 @@ def transitions(
 
     Shapes (k, n_x, n_x), (k, n_x, n_u) and (k, n_x, n_u); the last is zero for ``hold = "zoh"``.
 
-    Parameters
-    ----------
-    used
-        The inputs that are wanted; n_u counts them only.
+    ``used``: the inputs that are wanted; n_u counts them only.
     """
     from scipy.linalg import expm
 
@@ -393,10 +379,7 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
     A grid search with each member's own resonances in the grid and a zoom on its highest point: quick, and never above
     the H-infinity norm, which `robustlab.norms.hinf_norm` brackets.
 
-    Parameters
-    ----------
-    grid
-        Frequencies in rad/s, shape (n_omega,); mirrored for complex members, whose gain is not even in frequency.
+    ``grid``: frequencies in rad/s, shape (n_omega,); mirrored for complex members, whose gain is not even in frequency.
     """
     k, n, n_u = ensemble.B.shape
     if n == 0:

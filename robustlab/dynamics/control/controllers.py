@@ -154,18 +154,12 @@ def two_layer(
 ) -> TwoLayerController:
     """Two-layer controller of a Stewart platform with motors.
 
+    ``plant``: ``plant("stewart-platform", motors=True)``, of either preset.
+    ``p_up``, ``p_low``: triple poles of the upper and the lower layer in 1/s. 236 gives the tracking errors of section
+    9.1.3.
+    ``at``: trim to design at; home where left out.
+    ``rotor_J``: rotor inertia in kg m2 with which the lower layer is designed.
     Raises InputError: a plant without motors, poles or an inertia that are not positive.
-
-    Parameters
-    ----------
-    plant
-        ``plant("stewart-platform", motors=True)``, of either preset.
-    p_up, p_low
-        Triple poles of the upper and the lower layer in 1/s. 236 gives the tracking errors of section 9.1.3.
-    at
-        Trim to design at; home where left out.
-    rotor_J
-        Rotor inertia in kg m2 with which the lower layer is designed.
     """
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
@@ -199,10 +193,7 @@ def closed_loop(
 
     Its states are the machine's 18 and the controller's.
 
-    Parameters
-    ----------
-    at
-        Trim to linearise the machine at; the controller's own where left out.
+    ``at``: trim to linearise the machine at; the controller's own where left out.
     """
     model, k, c = linearise(plant, controller.at if at is None else at), controller.state_space(), measured(plant)
     from_r, from_y = k.B[:, :6], k.B[:, 6:]

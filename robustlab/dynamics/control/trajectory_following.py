@@ -189,17 +189,11 @@ def follow(
     Radau IIA of order 5 with the exact Jacobian, restarted where the trajectory is not smooth: the torque loops' poles
     of some 1000 /s would hold an explicit method to steps of less than a millisecond.
 
+    ``t``: times in s to report, (n,).
+    ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
+    ``rtol``: relative local error.
     Raises InputError: a trajectory that leaves the workspace, with the time. NoTrustworthyNumber: the loop is unstable
     or leaves the poses that exist; the message names the time.
-
-    Parameters
-    ----------
-    t
-        Times in s to report, (n,).
-    limits
-        Only compared with; nothing is clipped. The thesis' motor where left out.
-    rtol
-        Relative local error.
     """
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
@@ -234,22 +228,14 @@ def follow_with_torques(
     Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
     stands (`robustlab.dynamics.extended.extended_plant`).
 
+    ``plant``: a Stewart platform without motors, perhaps with effects as after naming.
+    ``K``: controller from r, phi (6 each), or r, phi, phidot, to the six motor torques, in deviations from ``at``;
+    continuous.
+    ``t``: times in s to report, equally spaced, (n,).
+    ``at``: trim of the machine, at which it rests at the first time.
+    ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
     Raises InputError: a machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with
     the time. NoTrustworthyNumber: the loop is unstable or leaves the poses that exist; the message names the time.
-
-    Parameters
-    ----------
-    plant
-        A Stewart platform without motors, perhaps with effects as after naming.
-    K
-        Controller from r, phi (6 each), or r, phi, phidot, to the six motor torques, in deviations from ``at``;
-        continuous.
-    t
-        Times in s to report, equally spaced, (n,).
-    at
-        Trim of the machine, at which it rests at the first time.
-    limits
-        Only compared with; nothing is clipped. The thesis' motor where left out.
     """
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or machine.motors:

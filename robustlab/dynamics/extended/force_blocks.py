@@ -116,17 +116,12 @@ def force_parts(
 ) -> ForceParts:
     """Choose for every force law what stands in for it.
 
+    ``amplitude``: name of a joint or current, or of a position state -> amplitude of that signal, or (least, largest)
+    amplitude.
+    ``dry``: for laws with a bounded force; where left out, ``gain`` where an amplitude is given, else ``load``.
+    ``both`` of a law that sees a position is ``load``.
+    ``width``: half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
     Raises InputError: a law that needs an amplitude has none.
-
-    Parameters
-    ----------
-    amplitude
-        Name of a joint or current, or of a position state -> amplitude of that signal, or (least, largest) amplitude.
-    dry
-        For laws with a bounded force; where left out, ``gain`` where an amplitude is given, else ``load``. ``both`` of
-        a law that sees a position is ``load``.
-    width
-        Half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
     """
     sectors: list[ForceSector] = []
     bounded: list[tuple[NoiseInput, Port]] = []

@@ -56,12 +56,8 @@ DEGREE = 5
 class SampledInput:
     """One input of a record.
 
-    Parameters
-    ----------
-    samples
-        Shape (n,).
-    hold
-        What it is between them.
+    ``samples``: shape (n,).
+    ``hold``: what it is between them.
 
     Raises
     ------
@@ -269,22 +265,14 @@ class Simulator:
     ) -> Motion:
         """Simulate all windows.
 
-        Parameters
-        ----------
-        factors
-            Plant parameter -> factor of the nominal value.
-        values
-            Parameters of each effect.
-        x0
-            Plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
-            over from window to window.
-        windows
-            Where they lie.
-        shift
-            Time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
-        near
-            Of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those of
-            these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
+        ``factors``: plant parameter -> factor of the nominal value.
+        ``values``: parameters of each effect.
+        ``x0``: plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
+        over from window to window.
+        ``windows``: where they lie.
+        ``shift``: time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
+        ``near``: of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those
+        of these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
         """
         return self.run_along(factors, values, x0, windows, shift, near)[0]
 

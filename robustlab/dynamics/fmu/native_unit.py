@@ -43,14 +43,9 @@ class _References:
 class NativeUnit:
     """One loaded library, and at most one instance of it.
 
-    Parameters
-    ----------
-    description
-        As of `robustlab.dynamics.fmu.description.read_description`.
-    kind
-        Model exchange or co-simulation.
-    folder
-        Where the archive was unpacked.
+    ``description``: as of `robustlab.dynamics.fmu.description.read_description`.
+    ``kind``: model exchange or co-simulation.
+    ``folder``: where the archive was unpacked.
     """
 
     def __init__(self, description: Mapping[str, Any], kind: str, folder: str) -> None:

@@ -92,12 +92,8 @@ START_LIMIT, STARTING = 60.0, ("describe", "load")
 class UnitProcess:
     """A unit in its child process, which is started when it is first asked and again after a crash.
 
-    Parameters
-    ----------
-    path
-        File of the unit. It must stay as it is.
-    time_limit
-        Seconds that the unit may take for one request.
+    ``path``: file of the unit. It must stay as it is.
+    ``time_limit``: seconds that the unit may take for one request.
 
     Raises
     ------

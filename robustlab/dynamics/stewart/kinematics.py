@@ -189,19 +189,11 @@ class DirectPoses:
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
     """Poses at which the actuators have these lengths.
 
+    ``lengths``: in m, shape (6,) or (n, 6).
+    ``start``: pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
+    Returns: where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no
+    other.
     Raises InputError: wrong shapes, NaN, a length that is not positive.
-
-    Parameters
-    ----------
-    lengths
-        In m, shape (6,) or (n, 6).
-    start
-        Pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
-
-    Returns
-    -------
-    DirectPoses
-        Where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no other.
     """
     target, _ = poses_array(lengths, "lengths")
     if (target <= 0).any():

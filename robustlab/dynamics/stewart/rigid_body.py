@@ -146,28 +146,16 @@ def simulate_platform_with_friction(
 ) -> StickSlip:
     """Response of the platform, driven by torques, with dry friction at some of its nuts.
 
+    ``plant``: a Stewart platform without motors.
+    ``friction``: one for each nut that has any: ``DryFriction("phidot_1", coulomb, static)``, torques at the nut in N
+    m.
+    ``t``: sample times in s.
+    ``u``: motor torques at the samples, held until the next one.
+    ``x0``: start, home at rest where left out.
+    ``step``: longest time step in s.
+    Returns: events carry the end of the step in which they happened.
     Raises InputError: a plant with motors, a velocity that is no nut rate, two frictions on one nut, a moving surface.
     NoTrustworthyNumber: the platform leaves its workspace; the message names the time.
-
-    Parameters
-    ----------
-    plant
-        A Stewart platform without motors.
-    friction
-        One for each nut that has any: ``DryFriction("phidot_1", coulomb, static)``, torques at the nut in N m.
-    t
-        Sample times in s.
-    u
-        Motor torques at the samples, held until the next one.
-    x0
-        Start, home at rest where left out.
-    step
-        Longest time step in s.
-
-    Returns
-    -------
-    StickSlip
-        Events carry the end of the step in which they happened.
     """
     where = "simulate_platform_with_friction"
     if plant.motors:

@@ -108,12 +108,8 @@ def tighten(
     A wide gap is halved first, and halved again: each level costs several times the one before it, so that what is
     proved when the work is done is worth having, and the way there cost little.
 
-    Parameters
-    ----------
-    lower, upper
-        Level attained, and level proved already (inf: none).
-    budget
-        Where it is over, the search stops.
+    ``lower``, ``upper``: level attained, and level proved already (inf: none).
+    ``budget``: where it is over, the search stops.
     """
     proof = Proof(lower, upper)
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:

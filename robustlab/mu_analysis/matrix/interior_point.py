@@ -39,20 +39,12 @@ def primal_dual(
 ) -> tuple[Array, Mask]:
     """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all.
 
-    Parameters
-    ----------
-    M
-        Balanced matrices.
-    tol
-        Stop where the estimated distance of t to its optimum falls below ``tol * t``.
-    target
-        Stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of reach.
-
-    Returns
-    -------
-    x, settled
-        ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid, another
-        method may find a better one.
+    ``M``: balanced matrices.
+    ``tol``: stop where the estimated distance of t to its optimum falls below ``tol * t``.
+    ``target``: stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of
+    reach.
+    Returns: ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid,
+    another method may find a better one.
     """
     from robustlab.mu_analysis.matrix import primal_dual_kernels as kernels
 

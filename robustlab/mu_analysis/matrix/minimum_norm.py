@@ -24,16 +24,11 @@ def minimum_norm_paths(
 ) -> tuple[ComplexArray, Array]:
     """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none).
 
-    Parameters
-    ----------
-    M
-        Matrices (k, p, q), each of order one.
-    x, y
-        Starting directions (k, p).
-    steps
-        Steps of each path, the restoring ones included.
-    per_matrix
-        How many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to matrix.
+    ``M``: matrices (k, p, q), each of order one.
+    ``x``, ``y``: starting directions (k, p).
+    ``steps``: steps of each path, the restoring ones included.
+    ``per_matrix``: how many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to
+    matrix.
     """
     k = len(M)
     best, best_norm = np.zeros((k, layout.q, layout.p), dtype=complex), np.full(k, np.inf)

@@ -79,14 +79,9 @@ class Level:
 class LevelSearch:
     """Smallest levels of ``plant(theta, beta)`` in the units of one numerical scaling.
 
-    Parameters
-    ----------
-    plant
-        The scaled plant for parameters theta at a level beta.
-    scaling
-        Numerical scaling of its states and channels, held fixed.
-    budget
-        Every test is counted there, and it is asked between tests. None: no limit.
+    ``plant``: the scaled plant for parameters theta at a level beta.
+    ``scaling``: numerical scaling of its states and channels, held fixed.
+    ``budget``: every test is counted there, and it is asked between tests. None: no limit.
     """
 
     def __init__(

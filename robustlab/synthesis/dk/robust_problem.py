@@ -96,13 +96,9 @@ class Iterate:
 class RobustProblem:
     """Plant, structure and regularisation of a robust-performance synthesis.
 
-    Parameters
-    ----------
-    plant
-        Generalised plant as given; its w and z are exactly the channels of the structure.
-    budget
-        What is done is counted there, and it is asked between steps; each stage of a search may put its own. None: no
-        limit.
+    ``plant``: generalised plant as given; its w and z are exactly the channels of the structure.
+    ``budget``: what is done is counted there, and it is asked between steps; each stage of a search may put its own.
+    None: no limit.
     """
 
     def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None, tuning: DKTuning = TUNING) -> None:
@@ -304,14 +300,9 @@ def _mapped(model: StateSpaceModel) -> StateSpaceModel:
 class StructuredProblem(RobustProblem):
     """See `RobustProblem`; an `Iterate` has the parameters of its controller, too.
 
-    Parameters
-    ----------
-    plant, budget, tuning
-        As there.
-    structure
-        As for `robustlab.fixed_structure`.
-    starts, seed
-        Random starts of the first search, for D = I.
+    ``plant``, ``budget``, ``tuning``: as there.
+    ``structure``: as for `robustlab.fixed_structure`.
+    ``starts``, ``seed``: random starts of the first search, for D = I.
     """
 
     def __init__(

@@ -87,14 +87,9 @@ class Verified:
 class Verifier:
     """Verifies candidates on one plant, each at most once.
 
-    Parameters
-    ----------
-    plant
-        The plant as given.
-    D22
-        The direct term that was left out of the continuous plant that the candidates are for.
-    budget
-        Verifications are counted there; once it is over no second candidate is verified.
+    ``plant``: the plant as given.
+    ``D22``: the direct term that was left out of the continuous plant that the candidates are for.
+    ``budget``: verifications are counted there; once it is over no second candidate is verified.
     """
 
     def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget, tuning: HinfTuning = TUNING) -> None:
@@ -428,18 +423,11 @@ def is_poor(
 ) -> bool:
     """Whether a verified gamma is so far above what is possible that a descent is worth its time.
 
-    Parameters
-    ----------
-    gamma
-        The smallest verified one.
-    optimum
-        Estimated optimum; NaN where unknown.
-    lower
-        Proved lower bound, often far below the optimum.
-    disagree
-        Relative difference of what two scalings reached; NaN where one of them gave none.
-    scale
-        Factor from gamma to the gain of the plant scaled to order one.
+    ``gamma``: the smallest verified one.
+    ``optimum``: estimated optimum; NaN where unknown.
+    ``lower``: proved lower bound, often far below the optimum.
+    ``disagree``: relative difference of what two scalings reached; NaN where one of them gave none.
+    ``scale``: factor from gamma to the gain of the plant scaled to order one.
     """
     if gamma <= tuning.poor * lower or gamma * scale <= tuning.near_zero:
         return False

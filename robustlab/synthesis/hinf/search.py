@@ -57,18 +57,11 @@ class Candidate:
 class Search:
     """Trials on one scaled plant; every controller that stabilises is kept.
 
-    Parameters
-    ----------
-    plant
-        Continuous plant without D22.
-    scaling
-        Its scaling.
-    budget
-        Trials and gamma tests are counted there, and it is asked between them.
-    floor
-        Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
-    D22
-        The direct term that was left out of the plant: what is found must be able to take it back in.
+    ``plant``: continuous plant without D22.
+    ``scaling``: its scaling.
+    ``budget``: trials and gamma tests are counted there, and it is asked between them.
+    ``floor``: proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
+    ``D22``: the direct term that was left out of the plant: what is found must be able to take it back in.
     """
 
     def __init__(

@@ -37,14 +37,10 @@ class RiccatiPair:
 class TwoRiccatiProblem:
     """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it.
 
-    Parameters
-    ----------
-    plant
-        The plant, D12 of full column rank and D21 of full row rank.
-    careful
-        Solve each equation in two ways where the quick one fails: slower, for plants on which rounding decides.
-    budget
-        Every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
+    ``plant``: the plant, D12 of full column rank and D21 of full row rank.
+    ``careful``: solve each equation in two ways where the quick one fails: slower, for plants on which rounding
+    decides.
+    ``budget``: every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
 
     Raises
     ------

@@ -432,16 +432,11 @@ GAINS = ("full", "diagonal", "scalar")
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it.
 
+    ``text``: ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20``
+    (rad/s); ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
+    ``decentralised:WORD``, the same structure for every channel by itself.
+    ``plant``: its channels, and its time scale for the filters of derivatives.
     Raises InputError: an unknown word, a number that is none.
-
-    Parameters
-    ----------
-    text
-        ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20`` (rad/s);
-        ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
-        ``decentralised:WORD``, the same structure for every channel by itself.
-    plant
-        Its channels, and its time scale for the filters of derivatives.
 
     Examples
     --------

@@ -155,14 +155,9 @@ def sequential_linear(
 ) -> tuple[AnyArray, float]:
     """The best point found from x within the bounds, and its value, by linear programs over all active pieces.
 
-    Parameters
-    ----------
-    value_of
-        The function; infinite where it has no value.
-    pieces_of
-        ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
-    low, high
-        Bounds of the parameters.
+    ``value_of``: the function; infinite where it has no value.
+    ``pieces_of``: ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
+    ``low``, ``high``: bounds of the parameters.
 
     References
     ----------

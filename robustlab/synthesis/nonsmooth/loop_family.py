@@ -55,16 +55,10 @@ class _Member:
 class LoopFamily:
     """The closed loops ``F_l(P, K)`` of one plant for all controllers K of ``order`` states.
 
-    Parameters
-    ----------
-    plant
-        Matrices of the plant without D22.
-    D22
-        Its direct term from u to y.
-    order
-        States of the controller.
-    discrete
-        True for a sampled plant.
+    ``plant``: matrices of the plant without D22.
+    ``D22``: its direct term from u to y.
+    ``order``: states of the controller.
+    ``discrete``: True for a sampled plant.
     """
 
     def __init__(

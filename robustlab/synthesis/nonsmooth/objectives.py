@@ -278,14 +278,9 @@ def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothT
 
     whose derivatives these are.
 
-    Parameters
-    ----------
-    loop
-        A continuous loop.
-    gamma
-        The level.
-    s0
-        Where the factor is evaluated, in rad/s: frequencies about it weigh most.
+    ``loop``: a continuous loop.
+    ``gamma``: the level.
+    ``s0``: where the factor is evaluated, in rad/s: frequencies about it weigh most.
 
     References
     ----------

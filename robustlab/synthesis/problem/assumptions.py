@@ -30,15 +30,10 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
 
     .. math:: \mathrm{rank}\,[A - \lambda I,\ B_2] = n, \qquad \mathrm{rank}\,[A - \lambda I;\ C_2] = n
 
+    ``p``: scaled plant; its time unit is ``1/rate`` s.
+    ``states``: names of its states, for the message.
     Raises NoTrustworthyNumber: a mode fails; the message says which, whether the controls cannot move it or the
     measurements do not see it, and the state that takes part in it most.
-
-    Parameters
-    ----------
-    p
-        Scaled plant; its time unit is ``1/rate`` s.
-    states
-        Names of its states, for the message.
     """
     if not p.A.size:
         return
@@ -99,12 +94,8 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
 
     None of them is fatal: the search adds small penalties and noises where one is broken.
 
-    Parameters
-    ----------
-    p
-        Scaled plant; its time unit is ``1/rate`` s.
-    plant
-        The plant as given, for the names.
+    ``p``: scaled plant; its time unit is ``1/rate`` s.
+    ``plant``: the plant as given, for the names.
 
     References
     ----------

@@ -223,14 +223,9 @@ def design_budget(where: str, work: float, effort: float, time_limit: float | No
 def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
     """Status and reason of a design, with what ended its search where that was the budget and not the method.
 
-    Parameters
-    ----------
-    status
-        What was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
-    parts
-        What else there is to say.
-    smaller
-        What a longer search might find.
+    ``status``: what was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
+    ``parts``: what else there is to say.
+    ``smaller``: what a longer search might find.
     """
     reason, ended = "; ".join(parts), ""
     if budget.struck:

@@ -51,15 +51,10 @@ def pointwise_bound(
 ) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
 
-    Parameters
-    ----------
-    p
-        Continuous plant without D22.
-    scalings
-        Scalings of it. Points are searched on the first; a bound counts only as far as all of them give it, because
-        they round differently.
-    dt
-        Sample time in s of the discrete plant whose bilinear image p is; points are told in its z plane.
+    ``p``: continuous plant without D22.
+    ``scalings``: scalings of it. Points are searched on the first; a bound counts only as far as all of them give it,
+    because they round differently.
+    ``dt``: sample time in s of the discrete plant whose bilinear image p is; points are told in its z plane.
     """
     first = scalings[0]
     scaled = first.apply(p)

@@ -131,14 +131,9 @@ def hinf_voice(
     """The H-infinity norm of the loop of P and K at 0, at infinity, at ``peaks``, at the frequencies of the poles of P,
     K and the rebuilt loop, on a grid between them, and between the highest of these.
 
-    Parameters
-    ----------
-    plant, K
-        As given, and as returned: ``u = K y``.
-    loop
-        The realisation that was rebuilt from them, of which the poles and the characteristic polynomial are used.
-    peaks
-        Frequencies in rad/s at which the norm is claimed to be attained.
+    ``plant``, ``K``: as given, and as returned: ``u = K y``.
+    ``loop``: the realisation that was rebuilt from them, of which the poles and the characteristic polynomial are used.
+    ``peaks``: frequencies in rad/s at which the norm is claimed to be attained.
     """
     separate = SeparateLoop(plant, K, loop, tuning)
     omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))

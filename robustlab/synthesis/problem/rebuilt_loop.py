@@ -53,12 +53,8 @@ def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
 
     .. math:: \Delta D_K = D_{22}^+ \, U \max(\delta - \Sigma, 0) V^T
 
-    Parameters
-    ----------
-    K
-        Controller for the plant without D22.
-    D22
-        The direct term, shape (n_y, n_u).
+    ``K``: controller for the plant without D22.
+    ``D22``: the direct term, shape (n_y, n_u).
     """
     with np.errstate(all="ignore"):
         back = np.eye(len(D22)) + D22 @ K.D

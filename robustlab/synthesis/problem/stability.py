@@ -29,12 +29,8 @@ NEWTON_STEPS = 3
 def proved_stable(A: AnyArray, discrete: bool = False) -> bool:
     """True where all eigenvalues are proved to lie in the open left half plane, or in the open unit disk.
 
-    Parameters
-    ----------
-    A
-        Shape (n, n).
-    discrete
-        Which of the two regions.
+    ``A``: shape (n, n).
+    ``discrete``: which of the two regions.
 
     Examples
     --------

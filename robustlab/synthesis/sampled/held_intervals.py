@@ -76,21 +76,13 @@ def held_interval(
 ) -> HeldInterval:
     """The interval of a continuous model.
 
+    ``model``: continuous model with n states; its first ``n_z`` outputs are looked at.
+    ``groups``: groups that hold every free input and every of those outputs once.
+    ``constant``: positions of the inputs that are constant over the interval.
+    ``length``: h in s.
+    ``degree``: m, number of polynomials.
     Raises NoTrustworthyNumber: ``e^(A t)`` overflows within the interval, modes too fast for it, or energies that do
     not agree.
-
-    Parameters
-    ----------
-    model
-        Continuous model with n states; its first ``n_z`` outputs are looked at.
-    groups
-        Groups that hold every free input and every of those outputs once.
-    constant
-        Positions of the inputs that are constant over the interval.
-    length
-        h in s.
-    degree
-        m, number of polynomials.
     """
     free = np.concatenate([g.w for g in groups])
     nodes = _Nodes.of(model.poles(), length)

@@ -110,16 +110,10 @@ class LiftedPlant:
 def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
     """The plant with its controls held from ``k dt + delay`` on, over whole periods.
 
-    Parameters
-    ----------
-    plant
-        Continuous generalised plant.
-    dt
-        Sample time in s.
-    n_intervals
-        Number of intervals in a period; one more where a fractional delay ends between two.
-    delay
-        Time in s from the sample to the change of the control, of any number of periods.
+    ``plant``: continuous generalised plant.
+    ``dt``: sample time in s.
+    ``n_intervals``: number of intervals in a period; one more where a fractional delay ends between two.
+    ``delay``: time in s from the sample to the change of the control, of any number of periods.
     """
     m = plant.model
     n, n_u, n_y = m.n_states, plant.n_con, plant.n_meas

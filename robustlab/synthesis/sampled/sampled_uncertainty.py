@@ -69,21 +69,13 @@ def sample_uncertain_plant(
 ) -> SampledUncertainPlant:
     """The plant with its controls held from ``k dt + delay`` on.
 
+    ``plant``: continuous generalised plant with its blocks; the channels of Delta come first.
+    ``dt``: sample time in s.
+    ``degree``: number of polynomials, at least one.
+    ``delay``: time in s from the sample to the change of the control, of any number of periods.
+    ``size``: norm of Delta for which the cover of the rests is tightest; it holds for every norm.
     Raises InputError: a dynamic block that reaches the sampler directly: samples of its output have no bound;
     NoTrustworthyNumber: see `held_interval`.
-
-    Parameters
-    ----------
-    plant
-        Continuous generalised plant with its blocks; the channels of Delta come first.
-    dt
-        Sample time in s.
-    degree
-        Number of polynomials, at least one.
-    delay
-        Time in s from the sample to the change of the control, of any number of periods.
-    size
-        Norm of Delta for which the cover of the rests is tightest; it holds for every norm.
     """
     channels = _Channels.of(plant)
     period = _Period(plant, channels, dt, degree, delay)

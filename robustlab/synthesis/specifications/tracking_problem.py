@@ -151,30 +151,21 @@ def tracking_problem(
 ) -> TrackingProblem:
     """The weighted tracking problem of a plant; see this module for the signals.
 
+    ``G``: plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
+    python-control object.
+    ``controlled``, ``measured``: names of outputs of G.
+    ``W1``, ``W2``, ``W3``: stable weights of one input and one output, used on every channel, or numbers: on the
+    relative error, on the control in its own unit, on the relative output. At least one.
+    ``reference``: size of the references: a number, or one for each controlled output.
+    ``reference_bandwidth``: omega_r in rad/s, above which the references fall with 1 / omega; they do not where left
+    out.
+    ``disturbance``: size of what is added to the controls, in their unit: a number, or one for some controls; none
+    where left out.
+    ``noise``: size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is
+    called ``<name>_ref``); none where left out.
+    ``loads``: inputs of G that are no controls, with their sizes: forces that act on the plant.
     Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
     channels.
-
-    Parameters
-    ----------
-    G
-        Plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
-        python-control object.
-    controlled, measured
-        Names of outputs of G.
-    W1, W2, W3
-        Stable weights of one input and one output, used on every channel, or numbers: on the relative error, on the
-        control in its own unit, on the relative output. At least one.
-    reference
-        Size of the references: a number, or one for each controlled output.
-    reference_bandwidth
-        omega_r in rad/s, above which the references fall with 1 / omega; they do not where left out.
-    disturbance
-        Size of what is added to the controls, in their unit: a number, or one for some controls; none where left out.
-    noise
-        Size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is called
-        ``<name>_ref``); none where left out.
-    loads
-        Inputs of G that are no controls, with their sizes: forces that act on the plant.
 
     Examples
     --------

@@ -80,14 +80,9 @@ def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpac
 
     .. math:: W_1(s) = \frac{1}{\varepsilon} \frac{s + \omega_c}{s + \omega_c \varepsilon_0 / \varepsilon}
 
-    Parameters
-    ----------
-    error
-        epsilon: largest error above the corner, as a share of the reference.
-    corner
-        omega_c in rad/s below which the error has to fall with the frequency.
-    steady
-        epsilon_0: largest steady-state error (0 < epsilon_0 < epsilon).
+    ``error``: epsilon: largest error above the corner, as a share of the reference.
+    ``corner``: omega_c in rad/s below which the error has to fall with the frequency.
+    ``steady``: epsilon_0: largest steady-state error (0 < epsilon_0 < epsilon).
 
     Examples
     --------

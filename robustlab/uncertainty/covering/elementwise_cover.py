@@ -29,12 +29,8 @@ from robustlab.uncertainty.lft import UncertainModel
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
     """The set above, with blocks ``A``, ``B``, ``C``, ``D`` as far as the two models differ there.
 
+    ``nominal``, ``perturbed``: two models of equal sizes, sample time and signals.
     Raises InputError: sizes, sample times or signal names differ.
-
-    Parameters
-    ----------
-    nominal, perturbed
-        Two models of equal sizes, sample time and signals.
 
     Examples
     --------

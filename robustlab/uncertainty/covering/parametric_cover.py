@@ -64,21 +64,14 @@ def parametric_cover(
 ) -> ParametricCover:
     """The cover of models that have the same states.
 
+    ``models``: at least two, checked by `model_set`.
+    ``nominal``: nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about
+    it, and symmetric in an entry where it lies at an end or outside.
+    ``tolerance``: what an entry may be off, relative to the largest of its matrix (or to what its row and column make
+    natural, where that is less): differences below it count as none, and as many directions are kept as it asks for.
+    ``directions``: number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
     Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
     another form.
-
-    Parameters
-    ----------
-    models
-        At least two, checked by `model_set`.
-    nominal
-        Nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about it, and
-        symmetric in an entry where it lies at an end or outside.
-    tolerance
-        What an entry may be off, relative to the largest of its matrix (or to what its row and column make natural,
-        where that is less): differences below it count as none, and as many directions are kept as it asks for.
-    directions
-        Number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
     """
     if not 0 <= tolerance < 1:
         raise InputError("cover: tolerance", f"{tolerance}", "a number in [0, 1)")

@@ -47,13 +47,9 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
     and its dual for Z.
 
+    ``model``: continuous model, stable or not, that is stabilisable and detectable.
     Raises NoTrustworthyNumber: an unstable or marginal mode is hidden from the inputs or the outputs, or digits were
     lost.
-
-    Parameters
-    ----------
-    model
-        Continuous model, stable or not, that is stabilisable and detectable.
     """
     equations = coprime_riccati(model)
     m, rate, control, filtering = equations.model, equations.rate, equations.control, equations.filtering
