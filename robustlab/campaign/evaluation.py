@@ -132,10 +132,8 @@ class Evaluator:
     ``uncertain``: the set of models.
     ``settings``: what to compute.
 
-    Raises
-    ------
-    UsageError, InputError, NoTrustworthyNumber
-        What the metric refuses: unknown names, complex blocks in time, an unstable nominal model.
+    Raises UsageError, InputError, NoTrustworthyNumber: what the metric refuses: unknown names, complex blocks in time,
+    an unstable nominal model.
     """
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:

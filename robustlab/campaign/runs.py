@@ -35,24 +35,12 @@ Existing = Literal["resume", "restart", "fork"]
 class Crew:
     """Who computes a campaign; the samples are the same whoever does.
 
-    Attributes
-    ----------
-    workers
-        Processes on this machine; one per processor where left out.
-    cluster
-        Instead: address of a Dask scheduler, whose workers are used.
-    time_limit
-        Seconds that one sample may take before its worker is killed.
-
-    Raises
-    ------
-    InputError
-        No worker at all, a time limit that is not positive.
+    Raises InputError: no worker at all, a time limit that is not positive.
     """
 
-    workers: int | None = None
-    cluster: str | None = None
-    time_limit: float = 60.0
+    workers: int | None = None  # processes on this machine; one per processor where left out
+    cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
+    time_limit: float = 60.0  # seconds that one sample may take before its worker is killed
 
     def __post_init__(self) -> None:
         count = self.workers

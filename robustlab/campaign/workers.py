@@ -227,12 +227,8 @@ class ClusterWorkers:
     ``payload``: the campaign.
     ``address``: of the scheduler, for example ``"tcp://host:8786"``.
 
-    Raises
-    ------
-    DependencyMissing
-        dask.distributed is not installed.
-    EnvironmentFault
-        Nobody answers at the address; a worker has other versions of the code.
+    Raises DependencyMissing: dask.distributed is not installed. EnvironmentFault: nobody answers at the address; a
+    worker has other versions of the code.
     """
 
     def __init__(self, payload: Payload, address: str) -> None:

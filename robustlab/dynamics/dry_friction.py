@@ -48,29 +48,14 @@ from robustlab.statespace import StateSpaceModel, as_model, real_array
 class DryFriction:
     """Dry friction on one velocity.
 
-    Attributes
-    ----------
-    velocity
-        Name of the velocity state in whose force equation it acts.
-    coulomb
-        Force or torque F_c while sliding, in the unit of that equation.
-    static
-        Largest holding force F_s; equal to ``coulomb`` where left out.
-    surface
-        Velocity of the surface on which the joint slides (a belt); 0: the ground.
-    inertia
-        Mass or inertia of the joint, for a model that is no `LinearPlant`: there the force is divided by it.
-
-    Raises
-    ------
-    InputError
-        NaN, a negative force, a static force below the sliding one, an inertia that is not positive.
+    Raises InputError: NaN, a negative force, a static force below the sliding one, an inertia that is not positive.
     """
 
-    velocity: str
-    coulomb: float
-    static: float | None = None
-    surface: float = 0.0
+    velocity: str  # name of the velocity state in whose force equation it acts
+    coulomb: float  # force or torque F_c while sliding, in the unit of that equation
+    static: float | None = None  # largest holding force F_s; equal to `coulomb` where left out
+    surface: float = 0.0  # velocity of the surface on which the joint slides (a belt); 0: the ground
+    # Mass or inertia of the joint, for a model that is no `LinearPlant`: there the force is divided by it.
     inertia: float | None = None
 
     def __post_init__(self) -> None:

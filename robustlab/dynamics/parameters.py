@@ -22,6 +22,9 @@ GIVEN = "given by the user"
 class Parameter:
     """One physical parameter; immutable.
 
+    Raises InputError: NaN or infinite values, a sign that physics forbids, a tolerance that is negative or whose range
+    leaves that sign.
+
     Attributes
     ----------
     name
@@ -43,12 +46,6 @@ class Parameter:
     role
         What it is to the equations of motion, where an effect may act on it: all parameters with the role ``"inertia"``
         are what an "inertia wrong" scales. Empty: no effect acts on it.
-
-    Raises
-    ------
-    InputError
-        NaN or infinite values, a sign that physics forbids, a tolerance that is negative or whose range leaves that
-        sign.
 
     Examples
     --------

@@ -96,10 +96,7 @@ class TwoLayerController:
 class LayeredController:
     """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed.
 
-    Raises
-    ------
-    InputError
-        An upper layer of other sizes, or a discrete one.
+    Raises InputError: an upper layer of other sizes, or a discrete one.
     """
 
     upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torques that it asks for; continuous

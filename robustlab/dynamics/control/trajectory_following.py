@@ -40,33 +40,15 @@ from robustlab.statespace import StateSpaceModel, as_model, real_array
 class SineTrajectory:
     """A smooth lift followed by sines about the lifted pose.
 
-    Attributes
-    ----------
-    start
-        Pose (tx, ty, tz, ax, ay, az) at t = 0 in m and rad.
-    lift
-        Change of the pose during the first stage, (6,).
-    amplitude
-        Of the sines, (6,), signs included.
-    omega
-        Of the sines in rad/s.
-    lift_time
-        Length T of the first stage in s.
-    rise_time
-        Time T_r in s in which the sines grow to their amplitude; 0: at once.
-
-    Raises
-    ------
-    InputError
-        Wrong lengths, NaN, a lift_time or omega that is not positive, a negative rise_time.
+    Raises InputError: wrong lengths, NaN, a lift_time or omega that is not positive, a negative rise_time.
     """
 
-    start: ArrayLike
-    lift: ArrayLike = (0.0, 0.0, 5e-3, 0.0, 0.0, 0.0)
-    amplitude: ArrayLike = (5e-3, 5e-3, 5e-3, 20e-3, 20e-3, 20e-3)
-    omega: float = math.pi
-    lift_time: float = 2.0
-    rise_time: float = 0.0
+    start: ArrayLike  # pose (tx, ty, tz, ax, ay, az) at t = 0 in m and rad
+    lift: ArrayLike = (0.0, 0.0, 5e-3, 0.0, 0.0, 0.0)  # change of the pose during the first stage, (6,)
+    amplitude: ArrayLike = (5e-3, 5e-3, 5e-3, 20e-3, 20e-3, 20e-3)  # of the sines, (6,), signs included
+    omega: float = math.pi  # of the sines in rad/s
+    lift_time: float = 2.0  # length T of the first stage in s
+    rise_time: float = 0.0  # time T_r in s in which the sines grow to their amplitude; 0: at once
 
     def __post_init__(self) -> None:
         for name in ("start", "lift", "amplitude"):

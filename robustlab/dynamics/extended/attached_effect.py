@@ -160,11 +160,8 @@ ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 class AttachedEffect:
     """One effect of a plant.
 
-    Raises
-    ------
-    InputError
-        A missing or unknown parameter, NaN, a negative value of a quantity that is positive by nature, a negative
-        standard deviation.
+    Raises InputError: a missing or unknown parameter, NaN, a negative value of a quantity that is positive by nature, a
+    negative standard deviation.
     """
 
     effect: Effect  # of the catalogue

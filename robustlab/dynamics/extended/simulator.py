@@ -59,10 +59,7 @@ class SampledInput:
     ``samples``: shape (n,).
     ``hold``: what it is between them.
 
-    Raises
-    ------
-    InputError
-        An unknown hold.
+    Raises InputError: an unknown hold.
     """
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
@@ -187,6 +184,8 @@ def stepping(plant: LinearPlant, dt: float) -> int:
 class Simulator:
     """One plant with effects at their sites, over one recorded input.
 
+    Raises InputError: no positive number of steps, not one hold for each input, an unknown hold.
+
     Parameters
     ----------
     plant
@@ -209,11 +208,6 @@ class Simulator:
         Steps are made once, not a second time in halves: a third of the time, and second order at best.
     motion
         Of a nonlinear plant: the states (n, n_x) at the samples about which it is linear.
-
-    Raises
-    ------
-    InputError
-        No positive number of steps, not one hold for each input, an unknown hold.
     """
 
     def __init__(

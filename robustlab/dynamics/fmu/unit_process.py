@@ -95,12 +95,7 @@ class UnitProcess:
     ``path``: file of the unit. It must stay as it is.
     ``time_limit``: seconds that the unit may take for one request.
 
-    Raises
-    ------
-    InputError
-        No such file.
-    DependencyMissing
-        FMPy is not installed.
+    Raises InputError: no such file; DependencyMissing: FMPy is not installed.
     """
 
     def __init__(self, path: str | Path, time_limit: float) -> None:

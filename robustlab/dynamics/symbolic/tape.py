@@ -38,10 +38,8 @@ Source = tuple[str, int]  # "input", "constant" or "result", and its number
 class Tape:
     """A function from n_in numbers to n_out numbers.
 
-    Raises
-    ------
-    InputError
-        An unknown operation, a place that does not come before its use, or a constant that is no finite number.
+    Raises InputError: an unknown operation, a place that does not come before its use, or a constant that is no finite
+    number.
 
     Examples
     --------

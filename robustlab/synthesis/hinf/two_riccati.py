@@ -42,10 +42,7 @@ class TwoRiccatiProblem:
     decides.
     ``budget``: every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        D12 has no full column rank or D21 no full row rank, or the square of D11 overflows.
+    Raises NoTrustworthyNumber: D12 has no full column rank or D21 no full row rank, or the square of D11 overflows.
     """
 
     def __init__(
