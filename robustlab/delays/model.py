@@ -513,7 +513,7 @@ def uncertain_delays(
 def as_delayed(system: Any, where: str = "as_delayed") -> DelayedModel:
     """A delayed model as it is; a model or a matrix as one without delays.
 
-    Raises InputError: None of these; an uncertain model, whose blocks and exact delays do not mix.
+    Raises InputError: none of these; an uncertain model, whose blocks and exact delays do not mix.
     """
     if isinstance(system, DelayedModel):
         return system

@@ -353,7 +353,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
     """An uncertain model as it is; a model, a matrix or a number as one without blocks.
 
-    Raises InputError: None of these, complex entries, NaN or Inf.
+    Raises InputError: none of these, complex entries, NaN or Inf.
 
     Examples
     --------
