@@ -154,10 +154,7 @@ def names_of(other: Any, owner: Any, own: Sequence[Signal], others: Sequence[Sig
 
 
 def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:
-    """Refuse signals that meet with different units.
-
-    Raises UnitMismatch: both have a unit, and the units differ.
-    """
+    """Refuse signals that meet with different units. Raises UnitMismatch: both have a unit, and the units differ."""
     for one, other in pairs:
         if one.unit and other.unit and one.unit != other.unit:
             found = f"{one.name} [{one.unit}] meets {other.name} [{other.unit}]"

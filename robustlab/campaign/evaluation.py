@@ -81,10 +81,7 @@ class Rows:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Rows:
-        """Inverse of `to_bytes`.
-
-        Raises ValueError: the bytes are something else.
-        """
+        """Inverse of `to_bytes`. Raises ValueError: the bytes are something else."""
         head, _, body = data.partition(b"\n")
         content = json.loads(head)
         count, width = (int(size) for size in content["shape"])

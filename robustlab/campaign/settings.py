@@ -168,10 +168,7 @@ def model_to_bytes(uncertain: UncertainModel) -> bytes:
 
 
 def model_from_bytes(data: bytes, where: str) -> UncertainModel:
-    """Inverse of `model_to_bytes`.
-
-    Raises InputError: the bytes are no uncertain model.
-    """
+    """Inverse of `model_to_bytes`. Raises InputError: the bytes are no uncertain model."""
     try:
         return decode_uncertain(receive(data, where), Problems(where))
     except (ValueError, KeyError, TypeError) as error:

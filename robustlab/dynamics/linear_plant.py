@@ -59,10 +59,7 @@ class AffineEquations:
     fixed: Mapping[str, float]
 
     def __call__(self, values: Mapping[str, float]) -> Descriptor:
-        """The matrices at these values.
-
-        Raises InputError: another value of a fixed parameter.
-        """
+        """The matrices at these values. Raises InputError: another value of a fixed parameter."""
         for name, value in self.fixed.items():
             if values[name] != value:
                 found = f"{name} = {values[name]:g}"

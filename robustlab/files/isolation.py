@@ -68,10 +68,7 @@ def receive_document(data: bytes) -> Any:
 
 
 def _header_of(data: bytes) -> tuple[dict[str, Any], int]:
-    """The JSON header and where it ends.
-
-    Raises InputError: the error that was sent; ValueError: there is no header.
-    """
+    """The JSON header and where it ends. Raises InputError: the error that was sent; ValueError: there is no header."""
     start = len(MAGIC) + 8
     if not data.startswith(MAGIC) or len(data) < start:
         raise ValueError("no header")

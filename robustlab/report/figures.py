@@ -182,10 +182,7 @@ def stem(name: str, number: int) -> str:
 
 
 def chosen(names: Sequence[str], asked: str | None, kind: str) -> str:
-    """The name asked for, the first one where none is.
-
-    Raises InputError: no such name, or nothing there.
-    """
+    """The name asked for, the first one where none is. Raises InputError: no such name, or nothing there."""
     from robustlab.errors import InputError, did_you_mean
 
     if not names:

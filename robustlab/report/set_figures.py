@@ -151,10 +151,7 @@ def _least_tied(deltas: Array) -> tuple[int, int]:
 
 
 def blocks_of(made: EffectBlocks) -> Figure:
-    """What each block alone does.
-
-    Raises InputError: there are no blocks.
-    """
+    """What each block alone does. Raises InputError: there are no blocks."""
     figure = blocks_figure(made)
     if figure is None:
         raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")

@@ -149,10 +149,7 @@ def is_plant_file(name: str) -> bool:
 
 
 def load_plant(path: str) -> Any:
-    """The plant in a file.
-
-    Raises InputError: the file holds something else.
-    """
+    """The plant in a file. Raises InputError: the file holds something else."""
     from robustlab.dynamics.plant_contract import Plant
 
     found = load(path)

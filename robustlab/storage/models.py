@@ -82,10 +82,7 @@ def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
 
 
 def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
-    """Inverse of `encode_uncertain`.
-
-    Raises InputError: with all that is missing or does not fit.
-    """
+    """Inverse of `encode_uncertain`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("M", "blocks"), problems, kind="group")
     model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
     blocks = decode_blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
@@ -166,10 +163,7 @@ def encode_controller(tree: Tree, controller: Controller) -> None:
 
 
 def decode_controller(tree: Tree, problems: Problems, transpose: bool = False) -> Controller:
-    """Inverse of `encode_controller`.
-
-    Raises InputError: with all that is missing or does not fit.
-    """
+    """Inverse of `encode_controller`. Raises InputError: with all that is missing or does not fit."""
     model: StateSpaceModel | None = decode_model(tree, problems, transpose)
     gamma = None
     if "gamma" in tree.attrs:
@@ -197,10 +191,7 @@ def encode_frequency_data(tree: Tree, data: UncertainFrequencyData) -> None:
 
 
 def decode_frequency_data(tree: Tree, problems: Problems) -> UncertainFrequencyData:
-    """Inverse of `encode_frequency_data`.
-
-    Raises InputError: with all that is missing or does not fit.
-    """
+    """Inverse of `encode_frequency_data`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("omega", "M"), problems, kind="dataset")
     find_children(tree, ("blocks",), problems, kind="group")
     omega = entries(tree, "omega", "fi", problems) if "omega" in tree.datasets else None
@@ -225,10 +216,7 @@ def encode_delayed(tree: Tree, model: DelayedModel) -> None:
 
 
 def decode_delayed(tree: Tree, problems: Problems, transpose: bool = False) -> DelayedModel:
-    """Inverse of `encode_delayed`.
-
-    Raises InputError: with all that is missing or does not fit.
-    """
+    """Inverse of `encode_delayed`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("H",), problems, kind="group")
     find_children(tree, ("delays",), problems, kind="dataset")
     model = decode_model(tree.groups["H"], problems, transpose) if "H" in tree.groups else None
@@ -269,10 +257,7 @@ def encode_lpv(tree: Tree, thing: LPVModel | LPVController) -> str:
 
 
 def decode_lpv(tree: Tree, problems: Problems, *, controller: bool) -> LPVModel | LPVController:
-    """Inverse of `encode_lpv`.
-
-    Raises InputError: with all that is missing or does not fit.
-    """
+    """Inverse of `encode_lpv`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("matrices", "deviation"), problems, kind="dataset")
     find_children(tree, ("parameters", "signals"), problems, kind="group")
     problems.raise_any()

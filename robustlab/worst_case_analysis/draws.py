@@ -166,10 +166,7 @@ class RealSet:
         return np.where(theta < 0, theta * self.below, theta)[:, self.of_channel]
 
     def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
-        """The members at some of the samples.
-
-        Raises NoTrustworthyNumber: one of them is ill-posed.
-        """
+        """The members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
         ensemble = self.members(deltas.numbers(part))
         if ensemble.ill_posed.any():
             index = part.start + int(np.argmax(ensemble.ill_posed))

@@ -48,10 +48,7 @@ def send(stream: BinaryIO, header: dict[str, Any], arrays: Sequence[Array] = ())
 
 
 def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Array]]:
-    """Read one message.
-
-    Raises EOFError: the other end is gone; ValueError: what came is no message.
-    """
+    """Read one message. Raises EOFError: the other end is gone; ValueError: what came is no message."""
     size = int.from_bytes(_exactly(stream, 8), "little")
     if size > LARGEST_HEADER:
         raise ValueError("no header")

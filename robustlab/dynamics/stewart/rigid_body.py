@@ -55,10 +55,7 @@ from robustlab.statespace import real_array
 
 
 def nut_to_twist(plant: StewartPlatform, pose: ArrayLike) -> Array:
-    """J^-1 of ``V = J^-1 dphi/dt``, shape (6, 6).
-
-    Raises NoTrustworthyNumber: a singular pose.
-    """
+    """J^-1 of ``V = J^-1 dphi/dt``, shape (6, 6). Raises NoTrustworthyNumber: a singular pose."""
     array = real_array_of_one(pose, plant.name)
     smallest, largest = singularity(plant.geometry, array)
     if not smallest > SINGULAR * largest:

@@ -334,10 +334,7 @@ class Block(ABC):
     # --- other blocks of the kind ------------------------------------------------------------------------------------
 
     def resized(self, rows: int, cols: int) -> Self:
-        """The same block with another size.
-
-        Raises InputError: the kind has no block of that size.
-        """
+        """The same block with another size. Raises InputError: the kind has no block of that size."""
         if (rows, cols) == (self.rows, self.cols):
             return self
         raise InputError(f"block {self.name!r}", f"a size of {rows} x {cols}", f"{self.rows} x {self.cols}")
