@@ -98,7 +98,7 @@ def main(argument: str) -> int:
 def _tree(kind: str, request: dict[str, Any], limits: Limits) -> Any:
     path, shown = request["path"], request["shown"]
     if kind == "hdf5":
-        from robustlab.files.hdf5 import read_hdf5
+        from robustlab.files.hdf5_reader import read_hdf5
 
         return read_hdf5(path, limits, request["group"], shown, _more_time(limits))
     if kind == "parquet":

@@ -1,0 +1,381 @@
+"""Walk an HDF5 file without trusting it, and read it into a `Tree`.
+
+Runs in a child process; see `robustlab.files.isolation`. Links are looked at before they are followed, types and
+declared sizes before anything is read.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5l, h5o, h5r, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import InputError
+from robustlab.files.signature import Limits, size_text
+from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
+
+# id -> name; all of these are built into HDF5 or h5py, so that no plugin is loaded.
+KNOWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
+FLETCHER32 = 3
+# Deflate shrinks by 1032 at most; beyond this a file was made to grow when it is read.
+MAX_EXPANSION = 2000
+MAX_ATTRIBUTE = 1 << 20
+MAX_PROBLEMS = 20
+MAX_TEXTS = 100_000
+MAX_REFERENCES = 1000
+TEXTS_AT_A_TIME = 16
+OCTAVE_RANGE = "compound (base, limit, increment)"
+DAMAGED = "copy or export the file again; if it was made by robustlab, run the command that made it again"
+
+
+@dataclass
+class _Walk:
+    """What is known while walking: the limits, what was read so far, and everything that is wrong."""
+
+    file: str
+    limits: Limits
+    wanted: str | None
+    allow: Callable[[int], None]
+    total: int = 0
+    objects: int = 0
+    groups_seen: set[Any] = field(default_factory=set)
+    problems: list[str] = field(default_factory=list)
+
+    def problem(self, path: str, text: str) -> None:
+        self.problems.append(f"{path}: {text}")
+
+    def is_wanted(self, path: str) -> bool:
+        """True for datasets below the wanted group, and for those that lie in the root itself."""
+        return (
+            self.wanted is None
+            or path.startswith((f"/{self.wanted}/", "/#refs#/"))  # the latter: fields of MATLAB's struct arrays
+            or path.count("/") == 1
+        )
+
+
+def read_hdf5(
+    path: str,
+    limits: Limits,
+    group: str | None = None,
+    shown: str | None = None,
+    allow: Callable[[int], None] = lambda _: None,
+) -> Tree:
+    """Read ``path`` into a tree; ``group`` limits the values that are read, everything is walked all the same.
+
+    ``allow`` is called with the bytes in memory of each dataset before it is read.
+
+    Raises InputError: with all problems of the file, one line each: links out of the tree, external or virtual storage,
+    unknown filters, sizes beyond the limits, checksums that do not match, texts that are not UTF-8, a truncated or
+    damaged file.
+    """
+    where = shown or path
+    try:
+        file = h5py.File(path, "r", locking=False)
+    except OSError as error:
+        raise _not_opened(where, error, path) from None
+    walk = _Walk(where, limits, group.strip("/") if group else None, allow)
+    try:
+        with file:
+            tree = _group(walk, h5g.open(file.id, b"/"), "/", 0)
+    except MemoryError:
+        raise InputError(where, "needs more memory than the reader may use", None, DAMAGED) from None
+    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
+        raise InputError(
+            where, f"damaged HDF5 file ({type(error).__name__}: {_short(error)})", None, DAMAGED
+        ) from error
+    if walk.problems:
+        lines = [f"{where}: {line}" for line in walk.problems[:MAX_PROBLEMS]]
+        if len(walk.problems) > MAX_PROBLEMS:
+            lines.append(f"{where}: ... and {len(walk.problems) - MAX_PROBLEMS} more")
+        first, _, found = walk.problems[0].partition(": ")
+        raise InputError(f"{where}: {first}", found, None, _hint(walk.problems[0]), tuple(lines[1:]))
+    return tree
+
+
+def _hint(problem: str) -> str | None:
+    if "plugins" in problem:
+        return "h5repack -f GZIP=6 IN OUT writes it with a filter that everyone has"
+    if "checksum" in problem or "damaged" in problem:
+        return DAMAGED
+    return None
+
+
+def _not_opened(where: str, error: OSError, path: str) -> InputError:
+    text = str(error)
+    cut = re.search(r"truncated file: eof = (\d+), sblock->base_addr = (\d+), stored_eof = (\d+)", text)
+    if cut:
+        eof, base, stored = (int(n) for n in cut.groups())
+        return InputError(where, f"truncated: {eof} of {base + stored} bytes", None, DAMAGED)
+    size = Path(path).stat().st_size
+    return InputError(where, f"damaged or truncated HDF5 file of {size} bytes ({_short(error)})", None, DAMAGED)
+
+
+def _short(error: BaseException) -> str:
+    """HDF5's own words are in the last brackets of its message."""
+    text = str(error)
+    inner = re.search(r"\((.*)\)", text)
+    return (inner.group(1) if inner else text)[:120] or type(error).__name__
+
+
+# --- groups and links ------------------------------------------------------------------------------------------------
+
+
+def _group(walk: _Walk, gid: h5g.GroupID, path: str, depth: int) -> Tree:
+    tree = Tree(path=path, file=walk.file)
+    info = h5o.get_info(gid)
+    if (info.fileno, info.addr) in walk.groups_seen:
+        walk.problem(path, "group is linked twice (a loop of hard links)")
+        return tree
+    walk.groups_seen.add((info.fileno, info.addr))
+    if depth > walk.limits.depth:
+        walk.problem(path, f"groups are nested deeper than {walk.limits.depth}")
+        return tree
+    tree.attrs = _attributes(walk, gid, path)
+    if gid.get_num_objs() > walk.limits.objects:
+        walk.problem(path, f"{gid.get_num_objs()} objects in one group, limit {walk.limits.objects}")
+        return tree
+    for raw in sorted(gid):
+        _link(walk, gid, raw, tree, depth)
+        if walk.objects > walk.limits.objects:
+            walk.problem(path, f"more than {walk.limits.objects} objects in the file")
+            break
+        if len(walk.problems) > 4 * MAX_PROBLEMS:
+            break
+    return tree
+
+
+def _link(walk: _Walk, gid: h5g.GroupID, raw: bytes, tree: Tree, depth: int) -> None:
+    """Follow one link if it is a hard one; every other kind leads out of the tree and is refused."""
+    walk.objects += 1
+    try:
+        name = raw.decode()
+    except UnicodeDecodeError:
+        walk.problem(tree.path, f"name {raw[:40]!r} is not UTF-8")
+        return
+    path = tree.child_path(name)
+    if len(name) > walk.limits.name:
+        walk.problem(tree.child_path(name[:40] + "..."), f"name of {len(name)} characters, limit {walk.limits.name}")
+        return
+    kind = gid.links.get_info(raw).type
+    if kind == h5l.TYPE_SOFT:
+        walk.problem(path, f"soft link to {_target(gid.links.get_val(raw))} is not allowed")
+    elif kind == h5l.TYPE_EXTERNAL:
+        file, target = gid.links.get_val(raw)
+        walk.problem(path, f"external link to {_target(file)} {_target(target)} is not allowed")
+    elif kind != h5l.TYPE_HARD:
+        walk.problem(path, "user-defined link is not allowed")
+    else:
+        child = h5o.open(gid, raw)
+        if isinstance(child, h5g.GroupID):
+            tree.groups[name] = _group(walk, child, path, depth + 1)
+        elif isinstance(child, h5d.DatasetID):
+            tree.datasets[name] = _dataset(walk, child, path)
+
+
+def _target(raw: bytes) -> str:
+    return repr(raw.decode("utf-8", "backslashreplace"))
+
+
+# --- datasets --------------------------------------------------------------------------------------------------------
+
+
+def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
+    plist = did.get_create_plist()
+    if plist.get_layout() == h5d.VIRTUAL:
+        walk.problem(path, "virtual dataset (its values lie in other files) is not allowed")
+        return Dataset(Unread("virtual", ()))
+    if plist.get_external_count():
+        walk.problem(path, f"external storage {_target(plist.get_external(0)[0])} is not allowed")
+        return Dataset(Unread("external", ()))
+    attrs = _attributes(walk, did, path)
+    shape, kind = did.shape, _kind(did.get_type())
+    if shape is None:
+        return Dataset(Unread("no values (null dataspace)", ()), attrs)
+    if kind == OCTAVE_RANGE and not shape and "OCTAVE_RANGE_NELEM" in attrs:
+        return Dataset(np.array(h5py.Dataset(did)[()].tolist(), np.float64), attrs)
+    if kind == "reference" and 0 < math.prod(shape) <= MAX_REFERENCES and walk.is_wanted(path):
+        paths = _references(did)
+        if paths is not None:
+            return Dataset(paths, {**attrs, REFERENCES: np.array(True)})
+    if kind not in ("number", "bool", "complex", "text") or not walk.is_wanted(path):
+        return Dataset(Unread(kind if kind not in ("number", "text") else "not read", shape), attrs)
+    if not _may_be_read(walk, did, plist, path, kind):
+        return Dataset(Unread("too large", shape), attrs)
+    return Dataset(_values(walk, did, path, kind, shape), attrs)
+
+
+def _references(did: h5d.DatasetID) -> AnyArray | None:
+    """Where the references of a dataset lead, as paths; None where one leads nowhere. They are not followed."""
+    references = np.asarray(h5py.Dataset(did)[()]).ravel().tolist()
+    if not all(isinstance(item, h5py.Reference) and item for item in references):
+        return None
+    names = [h5r.get_name(item, did) for item in references]
+    try:
+        texts = [name.decode() for name in names if name]
+    except UnicodeDecodeError:
+        return None
+    return np.array(texts, np.str_).reshape(did.shape) if len(texts) == len(names) else None
+
+
+def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: str) -> bool:
+    """Check filters, declared size (in memory, where every number takes 8 bytes), and stored against declared size."""
+    for i in range(plist.get_nfilters()):
+        code, _, _, label = plist.get_filter(i)
+        if code not in KNOWN_FILTERS or not h5z.filter_avail(code):
+            word = f" ({label.decode(errors='replace')})" if label else ""
+            walk.problem(path, f"filter {code}{word} is not known here; plugins are not loaded")
+            return False
+    shape, limit = did.shape, walk.limits.dataset
+    stated = did.get_type().get_size()
+    declared = math.prod(shape) * {"number": 8, "complex": 16, "text": 4 * stated}.get(kind, stated)
+    size = " x ".join(str(n) for n in shape)
+    if declared > limit:
+        walk.problem(path, f"declares {size} ({size_text(declared)}), limit {size_text(limit)}")
+        return False
+    if plist.get_layout() == h5d.CHUNKED:
+        chunk = math.prod(plist.get_chunk()) * did.get_type().get_size()
+        if chunk > limit:
+            walk.problem(path, f"chunks of {size_text(chunk)} in memory, limit {size_text(limit)}")
+            return False
+    stored = did.get_storage_size()
+    if declared and not stored:
+        walk.problem(path, f"declares {size or 'a number'}, but no values are stored")
+        return False
+    if declared > limit // 64 and declared > MAX_EXPANSION * stored:
+        walk.problem(path, f"declares {size_text(declared)} in {stored} stored bytes: made to grow when it is read")
+        return False
+    walk.total += declared
+    if walk.total > walk.limits.total:
+        walk.problem(path, f"with this dataset {size_text(walk.total)} in all, limit {size_text(walk.limits.total)}")
+        return False
+    walk.allow(declared)
+    return True
+
+
+def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[int, ...]) -> Any:
+    dataset = h5py.Dataset(did)
+    if kind == "text" and math.prod(shape) > MAX_TEXTS:
+        walk.problem(path, f"{math.prod(shape)} texts, limit {MAX_TEXTS}")
+        return Unread("text", shape)
+    try:
+        return _plain(_texts(walk, dataset, path) if kind == "text" and shape else dataset[()], kind)
+    except UnicodeError:
+        walk.problem(path, "text is not UTF-8")
+    except OverflowError:
+        walk.problem(path, "a whole number beyond 64 bits")
+    except (OSError, RuntimeError) as error:
+        filters = [
+            dataset.id.get_create_plist().get_filter(i)[0] for i in range(dataset.id.get_create_plist().get_nfilters())
+        ]
+        if FLETCHER32 in filters and "filter" in str(error):  # the checksum is the first filter when reading
+            walk.problem(path, "checksum mismatch")
+        else:
+            walk.problem(path, f"damaged values ({_short(error)})")
+    return Unread("damaged", shape)
+
+
+def _texts(walk: _Walk, dataset: h5py.Dataset, path: str) -> Any:
+    """The texts of an array a few at a time: each of them may name the same megabytes of the file."""
+    shape, total, longest, pieces = dataset.shape, 0, 1, []
+    step = max(1, TEXTS_AT_A_TIME * shape[0] // max(math.prod(shape), 1))
+    for begin in range(0, shape[0], step):
+        piece = np.asarray(dataset[begin : begin + step])
+        lengths = [len(item) for item in piece.ravel().tolist()]
+        total, longest = total + sum(lengths), max([longest, *lengths])
+        size = max(total, 4 * longest * math.prod(shape))  # as an array, every text takes the room of the longest
+        if size > walk.limits.dataset:
+            walk.problem(path, f"texts of {size_text(size)}, limit {size_text(walk.limits.dataset)}")
+            return np.zeros(0, np.str_)
+        pieces.append(piece)
+    walk.total += 4 * longest * math.prod(shape)
+    return np.concatenate(pieces) if pieces else dataset[()]
+
+
+# --- types -----------------------------------------------------------------------------------------------------------
+
+
+def _kind(tid: Any) -> str:
+    """``number``, ``bool``, ``complex``, ``text``, or the name of a type that is not read."""
+    names = {
+        h5t.OPAQUE: "opaque",
+        h5t.REFERENCE: "reference",
+        h5t.VLEN: "variable length",
+        h5t.ARRAY: "array",
+        h5t.BITFIELD: "bitfield",
+        h5t.TIME: "time",
+    }
+    code = tid.get_class()
+    if code == h5t.STRING:
+        return "text"
+    if code == h5t.INTEGER:
+        return "number" if tid.get_size() <= 8 else f"int{8 * tid.get_size()}"
+    if code == h5t.FLOAT:
+        return "number" if tid.get_size() in (4, 8) else f"float{8 * tid.get_size()}"
+    if code in names:
+        return names[code]
+    try:
+        dtype = tid.dtype
+    except TypeError:
+        return "unknown type"
+    if dtype.kind == "c":
+        return "complex" if dtype.itemsize in (8, 16) else str(dtype)
+    if dtype.kind == "b":
+        return "bool"
+    if code == h5t.COMPOUND:
+        names = dtype.names or ()
+        return "complex128" if names == ("real", "imag") else f"compound ({', '.join(names[:4])})"
+    return "enumeration" if code == h5t.ENUM else str(dtype)
+
+
+def _plain(values: Any, kind: str) -> AnyArray:
+    """Values as float64, int64, bool, complex128 or text arrays of the same shape."""
+    array = np.asarray(values)
+    if kind == "text":
+        # h5py hands on what is not UTF-8 as lone surrogates; encoding them again finds them.
+        raw = [item if isinstance(item, bytes) else str(item).encode() for item in array.ravel().tolist()]
+        flat = [item.decode() for item in raw]
+        width = max((len(text) for text in flat), default=1)
+        return np.array(flat, dtype=f"U{max(width, 1)}").reshape(array.shape)
+    if array.dtype.kind == "u" and array.size and int(array.max()) > np.iinfo(np.int64).max:
+        raise OverflowError
+    wanted = {"f": np.float64, "i": np.int64, "u": np.int64, "b": np.bool_, "c": np.complex128}[array.dtype.kind]
+    return np.ascontiguousarray(array, dtype=wanted).reshape(array.shape)
+
+
+def _attributes(walk: _Walk, oid: Any, path: str) -> dict[str, Any]:
+    """The attributes of types that are read; others (references of a dimension scale, for example) are left out."""
+    attrs: dict[str, Any] = {}
+    values = (h5py.Group(oid) if isinstance(oid, h5g.GroupID) else h5py.Dataset(oid)).attrs
+    for i in range(h5a.get_num_attrs(oid)):
+        aid = h5a.open(oid, index=i)
+        try:
+            name = aid.name.decode()
+        except UnicodeDecodeError:
+            walk.problem(path, f"attribute name {aid.name[:40]!r} is not UTF-8")
+            continue
+        if len(name) > walk.limits.name:
+            walk.problem(path, f"attribute name of {len(name)} characters, limit {walk.limits.name}")
+            continue
+        kind, shape = _kind(aid.get_type()), aid.shape
+        if kind not in ("number", "bool", "complex", "text") or shape is None:
+            continue
+        if math.prod(shape) * aid.get_type().get_size() > MAX_ATTRIBUTE:
+            walk.problem(path, f"attribute {name} is larger than {size_text(MAX_ATTRIBUTE)}")
+            continue
+        try:
+            attrs[name] = _plain(values[name], kind)
+        except UnicodeError:
+            walk.problem(path, f"attribute {name} is not UTF-8")
+        except OverflowError:
+            walk.problem(path, f"attribute {name} is a whole number beyond 64 bits")
+        except (OSError, RuntimeError) as error:
+            walk.problem(path, f"attribute {name} is damaged ({_short(error)})")
+    return attrs
