@@ -4,7 +4,7 @@ This room knows nothing of models; `robustlab.storage` maps trees to objects. In
 
     signature                           what a file is, whether it may be read, how large it may be
     isolation, reader_process           a child process opens it and sends what it holds
-    hdf5, matlab                 binary formats, brought to one form
+    hdf5_reader, matlab                 binary formats, brought to one form
     text_table, document                tables of numbers; JSON and TOML
     optional_formats                    tables and bags of others, by optional packages
     tree                                the form: groups, datasets, attributes; the header and hash of format 1
