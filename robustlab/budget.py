@@ -64,12 +64,8 @@ def dense(n: int, times: int = 1) -> int:
 class Budget:
     """Work that may still be done, and perhaps a time limit; asked between steps.
 
-    Parameters
-    ----------
-    work
-        Units of work (see `MILLION`); inf for a search that ends by itself.
-    time_limit
-        Seconds from now after which it counts as used up; None for no limit.
+    ``work``: units of work (see `MILLION`); inf for a search that ends by itself.
+    ``time_limit``: seconds from now after which it counts as used up; None for no limit.
 
     Examples
     --------
@@ -154,10 +150,7 @@ class Budget:
 def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
     """The budget of a public function: ``effort`` times its usual work, under the user's time limit.
 
-    Raises
-    ------
-    InputError
-        An effort that is not a positive number, or a negative time limit.
+    Raises InputError: an effort that is not a positive number, or a negative time limit.
     """
     if not 0 < effort < inf:
         raise InputError(where, f"effort is {effort}", "a positive number (1 is the usual work)")

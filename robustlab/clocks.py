@@ -54,21 +54,13 @@ def clock_step(t: Array) -> float:
 
 @dataclass(frozen=True)
 class ClockSummary:
-    """What a clock is like.
+    """What a clock is like."""
 
-    Attributes
-    ----------
-    n, step
-        Number of samples; sample time in s (`clock_step`).
-    jitter
-        Standard deviation in s of the steps that are no gaps.
-    longest, at
-        Longest step in s, and the stamp before it.
-    """
-
+    # n, step: number of samples; sample time in s (`clock_step`)
     n: int
     step: float
-    jitter: float
+    jitter: float  # standard deviation in s of the steps that are no gaps
+    # longest, at: longest step in s, and the stamp before it
     longest: float
     at: float
 
@@ -115,16 +107,9 @@ def clock_drift(stamps: Array, reference: Array) -> Drift | None:
 
     .. math:: r_k - s_k = d + \rho\,(r_k - r_0) + e_k, \qquad s \text{ gains } -\rho \text{ on } r
 
-    Parameters
-    ----------
-    stamps, reference
-        The same events on both clocks in s, shape (n,).
-
-    Returns
-    -------
-    Drift or None
-        ``rate`` is -rho (positive: the stamps run fast), ``deviation`` its standard deviation for white e; ``delay``
-        the median of r - s in s, ``scatter`` the standard deviation of e. None of fewer than 10 events.
+    ``stamps``, ``reference``: the same events on both clocks in s, shape (n,).
+    Returns: ``rate`` is -rho (positive: the stamps run fast), ``deviation`` its standard deviation for white e;
+    ``delay`` the median of r - s in s, ``scatter`` the standard deviation of e. None of fewer than 10 events.
 
     Examples
     --------
@@ -147,11 +132,8 @@ def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = Non
     Without ``dt`` it follows the coarsest clock (the first of equal ones): its own stamps where they are uniform, else
     stamps in steps of its sample time.
 
-    Raises
-    ------
-    InputError
-        Times that do not overlap by two samples; a sample time that is not positive, longer than the record, or a
-        hundred times finer than the coarsest clock's own.
+    Raises InputError: times that do not overlap by two samples; a sample time that is not positive, longer than the
+    record, or a hundred times finer than the coarsest clock's own.
     """
     steps = {name: clock_step(t) for name, t in clocks.items()}
     coarse = next(name for name, step in steps.items() if step >= (1 - SAME_TIME) * max(steps.values()))

@@ -27,10 +27,7 @@ MOST_STATES = 12
 def exactly_stable(A: AnyArray, discrete: bool = False) -> bool | None:
     """Whether all eigenvalues lie in the open left half plane (discrete: unit disk); None for more than 12 states.
 
-    Parameters
-    ----------
-    A
-        Real, finite, shape (n, n).
+    ``A``: real, finite, shape (n, n).
 
     Examples
     --------
@@ -45,10 +42,7 @@ def exactly_stable(A: AnyArray, discrete: bool = False) -> bool | None:
 def exactly_on_boundary(A: AnyArray, discrete: bool = False) -> bool | None:
     """Whether an eigenvalue lies on the imaginary axis (discrete: unit circle); None for more than 12 states.
 
-    Parameters
-    ----------
-    A
-        Real, finite, shape (n, n).
+    ``A``: real, finite, shape (n, n).
 
     Examples
     --------

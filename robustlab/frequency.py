@@ -89,10 +89,7 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
 def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
     """`frequency_response` of a model of ordinary entries at valid frequencies, which may be infinite.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        A frequency hits a pole exactly.
+    Raises NoTrustworthyNumber: a frequency hits a pole exactly.
     """
     response = np.empty((len(omega), *model.D.shape), dtype=complex)
     response[:] = model.D

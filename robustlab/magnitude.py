@@ -78,40 +78,26 @@ def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True, eq=False)
 class Moderated:
-    """A model of ordinary entries and what leads back from it.
+    """A model of ordinary entries and what leads back from it."""
 
-    Attributes
-    ----------
-    model
-        ``G'(s) = 2^gain G(2^rate s)``; a discrete model keeps its steps, and its sample time is ``2^rate`` times.
-    rate, gain
-        Exponents; both 0 for a model that was ordinary as given.
-    states
-        Exponents of the states, ``x = 2^states x'``, shape (n_x,).
-    """
-
+    # `G'(s) = 2^gain G(2^rate s)`; a discrete model keeps its steps, and its sample time is `2^rate` times.
     model: StateSpaceModel
+    # rate, gain: exponents; both 0 for a model that was ordinary as given
     rate: int
     gain: int
-    states: AnyArray
+    states: AnyArray  # exponents of the states, `x = 2^states x'`, shape (n_x,)
 
     def value(self, size: float, where: str, rate_power: float = 0.0) -> float:
         """``size * 2^-gain * 2^(rate * rate_power)``: a norm of the model as given.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            It is larger than the largest floating-point number.
+        Raises NoTrustworthyNumber: it is larger than the largest floating-point number.
         """
         return scaled_down(size, self.gain - self.rate * rate_power, where)
 
     def as_given(self, model: StateSpaceModel, where: str) -> StateSpaceModel:
         """The model ``2^-gain M(2^-rate s)`` that belongs to one of ordinary entries, M.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            Entries of it overflow.
+        Raises NoTrustworthyNumber: entries of it overflow.
         """
         if not (self.rate or self.gain):
             return model
@@ -157,10 +143,7 @@ def moderated(model: StateSpaceModel, where: str) -> Moderated:
 def refuse_overflow(where: str, *arrays: AnyArray) -> None:
     """Refuse what finite input became by multiplication: NaN and infinite entries.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        There are such entries.
+    Raises NoTrustworthyNumber: there are such entries.
     """
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
@@ -170,10 +153,7 @@ def refuse_overflow(where: str, *arrays: AnyArray) -> None:
 def scaled_down(size: float, exponent: float, where: str) -> float:
     """``size * 2^-exponent``, to the nearest floating-point number.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        There is none: it overflows.
+    Raises NoTrustworthyNumber: there is none: it overflows.
     """
     if not exponent or not np.isfinite(size) or not size:
         return size

@@ -85,10 +85,7 @@ class TransferMatrix:
     def __pow__(self, exponent: int) -> Self:
         """``G ** -1`` is the inverse, ``G ** 2`` is ``G @ G``, ``G ** 0`` the identity.
 
-        Raises
-        ------
-        InputError
-            No whole number, or a model that is not square.
+        Raises InputError: no whole number, or a model that is not square.
         """
         if isinstance(exponent, bool) or not isinstance(exponent, int) or abs(exponent) > LARGEST_POWER:
             raise InputError(

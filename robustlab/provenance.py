@@ -57,30 +57,14 @@ def file_sha256(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of an object: what made it, from which inputs, with which seed and versions.
+    """Origin of an object: what made it, from which inputs, with which seed and versions."""
 
-    Attributes
-    ----------
-    created_by
-        The function or command, for example ``"elementwise"``.
-    created
-        UTC time in ISO 8601.
-    inputs
-        Name of each input -> its SHA-256.
-    seed
-        Seed of the random numbers, or None where none were drawn.
-    versions
-        Library -> version.
-    note
-        Free text.
-    """
-
-    created_by: str
-    created: str
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    seed: int | None = None
-    versions: Mapping[str, str] = field(default_factory=dict)
-    note: str = ""
+    created_by: str  # the function or command, for example `"elementwise"`
+    created: str  # UTC time in ISO 8601
+    inputs: Mapping[str, str] = field(default_factory=dict)  # name of each input -> its SHA-256
+    seed: int | None = None  # seed of the random numbers, or None where none were drawn
+    versions: Mapping[str, str] = field(default_factory=dict)  # library -> version
+    note: str = ""  # free text
 
     @classmethod
     def now(
@@ -118,15 +102,10 @@ class Provenance:
 
 
 class Traced:
-    """What a file can hold; once it was loaded, it knows where it comes from.
+    """What a file can hold; once it was loaded, it knows where it comes from."""
 
-    Attributes
-    ----------
-    provenance
-        Of the file it was loaded from; None for what was made in this process. Its note says `NOT_VERIFIED` where no
-        content hash shows that the file is as it was written.
-    """
-
+    # Of the file it was loaded from; None for what was made in this process. Its note says `NOT_VERIFIED` where no
+    # content hash shows that the file is as it was written.
     provenance: ClassVar[Provenance | None] = None
 
     def traced(self, origin: Provenance | None) -> None:

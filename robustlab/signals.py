@@ -40,10 +40,8 @@ SignalLike = str | Signal | tuple[str, str]
 def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceModel") -> Array:
     """``value`` as a read-only, finite float64 array with ``ndim`` dimensions, or an `InputError` that names the entry.
 
-    Raises
-    ------
-    InputError
-        Complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad entry).
+    Raises InputError: complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad
+    entry).
     """
     try:
         raw = np.asarray(value)
@@ -107,10 +105,7 @@ def indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> 
 def picked(key: Any, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[list[str], list[str]]:
     """Names of the outputs and inputs that ``G[outputs, inputs]`` asks for: numbers, slices, names, lists of these.
 
-    Raises
-    ------
-    InputError
-        No pair, a number or a name that is not there.
+    Raises InputError: no pair, a number or a name that is not there.
 
     Examples
     --------
@@ -159,13 +154,7 @@ def names_of(other: Any, owner: Any, own: Sequence[Signal], others: Sequence[Sig
 
 
 def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:
-    """Refuse signals that meet with different units.
-
-    Raises
-    ------
-    UnitMismatch
-        Both have a unit, and the units differ.
-    """
+    """Refuse signals that meet with different units. Raises UnitMismatch: both have a unit, and the units differ."""
     for one, other in pairs:
         if one.unit and other.unit and one.unit != other.unit:
             found = f"{one.name} [{one.unit}] meets {other.name} [{other.unit}]"

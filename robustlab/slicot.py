@@ -28,28 +28,12 @@ NO_SLYCOT = 3  # exit code of a child that has no slycot
 def structured_norm_bounds(matrices: ArrayLike, sizes: Sequence[int], real: Sequence[bool]) -> Array:
     r"""Upper bounds of the structured singular value by ``AB13MD``, the D-G scalings of Fan, Tits and Doyle.
 
-    Parameters
-    ----------
-    matrices
-        Complex matrices, shape (k, n, n).
-    sizes
-        Sizes of the square blocks of Delta, which add up to n.
-    real
-        Which blocks are real scalars; those have size 1. All others are full complex blocks.
-
-    Returns
-    -------
-    ndarray of shape (k,)
-        Bounds; NaN where the routine failed.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not agree, NaN or Inf, a real block that is no scalar.
-    DependencyMissing
-        slycot is not installed.
-    NoTrustworthyNumber
-        The routine crashed or did not end.
+    ``matrices``: complex matrices, shape (k, n, n).
+    ``sizes``: sizes of the square blocks of Delta, which add up to n.
+    ``real``: which blocks are real scalars; those have size 1. All others are full complex blocks.
+    Returns: bounds; NaN where the routine failed.
+    Raises InputError: shapes that do not agree, NaN or Inf, a real block that is no scalar; DependencyMissing: slycot
+    is not installed; NoTrustworthyNumber: the routine crashed or did not end.
 
     References
     ----------
@@ -71,14 +55,8 @@ def structured_norm_bounds(matrices: ArrayLike, sizes: Sequence[int], real: Sequ
 def peak_gain(A: Array, B: Array, C: Array, D: Array, *, discrete: bool) -> float:
     """H-infinity norm of a stable model by ``AB13DD``; what it says of an unstable one is its gain on the boundary.
 
-    Raises
-    ------
-    InputError
-        NaN or Inf.
-    DependencyMissing
-        slycot is not installed.
-    NoTrustworthyNumber
-        The routine failed, crashed or did not end.
+    Raises InputError: NaN or Inf; DependencyMissing: slycot is not installed; NoTrustworthyNumber: the routine failed,
+    crashed or did not end.
     """
     if not all(np.isfinite(m).all() for m in (A, B, C, D)):
         raise InputError("AB13DD", "NaN or infinite entries", "finite matrices")

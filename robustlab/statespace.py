@@ -380,12 +380,8 @@ def product(second: Any, first: Any) -> StateSpaceModel:
     A number multiplies every channel. The signals of a matrix or a number are not named: the other side's are kept
     where sizes allow it.
 
-    Raises
-    ------
-    InputError
-        Sizes or sample times that do not fit, or no operand.
-    UnitMismatch
-        An output of ``first`` and the input of ``second`` that it drives carry different units.
+    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: an output of ``first`` and
+    the input of ``second`` that it drives carry different units.
     """
     if is_number(second):
         second = float(second) * np.eye(_operand(first, "product").n_outputs)
@@ -405,12 +401,8 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
     A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
     for.
 
-    Raises
-    ------
-    InputError
-        Sizes or sample times that do not fit, or no operand.
-    UnitMismatch
-        Signals that are added carry different units.
+    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: signals that are added carry
+    different units.
     """
     a, b = _operand(first, "sum"), _operand(second, "sum")
     if a.D.shape != b.D.shape:
@@ -436,12 +428,7 @@ def inverse(model: Any) -> StateSpaceModel:
 
     .. math:: G^{-1}: \quad (A - B D^{-1} C, \; B D^{-1}, \; -D^{-1} C, \; D^{-1})
 
-    Raises
-    ------
-    InputError
-        Not square.
-    NoTrustworthyNumber
-        D is singular: the inverse is not proper.
+    Raises InputError: not square; NoTrustworthyNumber: D is singular: the inverse is not proper.
 
     Examples
     --------
@@ -463,10 +450,7 @@ def inverse(model: Any) -> StateSpaceModel:
 def feedback(plant: StateSpaceModel, controller: StateSpaceModel, sign: int = -1) -> StateSpaceModel:
     """Closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, in the names of ``plant``.
 
-    Raises
-    ------
-    InputError
-        Sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular).
+    Raises InputError: sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular).
     """
     dt = _common_dt((plant, controller), "feedback")
     if controller.n_inputs != plant.n_outputs or controller.n_outputs != plant.n_inputs:
@@ -490,12 +474,8 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P,
     then of K.
 
-    Raises
-    ------
-    InputError
-        K is larger than P, other sample times, or I - D22 D_K is singular (the loop is not well posed).
-    NoTrustworthyNumber
-        A product of their entries overflows.
+    Raises InputError: K is larger than P, other sample times, or I - D22 D_K is singular (the loop is not well posed);
+    NoTrustworthyNumber: a product of their entries overflows.
 
     References
     ----------

@@ -41,24 +41,12 @@ SHARE = 0.1
 
 @dataclass(frozen=True)
 class HiddenMode:
-    """A mode that no input moves (controllability), or that no output shows (observability).
+    """A mode that no input moves (controllability), or that no output shows (observability)."""
 
-    Attributes
-    ----------
-    eigenvalue
-        In rad/s, or in the z plane for a discrete model.
-    stable
-        True where the mode decays by itself, beyond the rounding of its eigenvalue: hidden it does no harm.
-    states
-        Names of the states whose combination it is.
-    meaning
-        The same in words.
-    """
-
-    eigenvalue: complex
-    stable: bool
-    states: tuple[str, ...]
-    meaning: str
+    eigenvalue: complex  # in rad/s, or in the z plane for a discrete model
+    stable: bool  # True where the mode decays by itself, beyond the rounding of its eigenvalue: hidden it does no harm
+    states: tuple[str, ...]  # names of the states whose combination it is
+    meaning: str  # the same in words
 
     def to_json(self) -> dict[str, object]:
         """All attributes as plain types."""

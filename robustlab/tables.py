@@ -15,20 +15,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns over one index.
+    """Columns over one index."""
 
-    Attributes
-    ----------
-    index
-        Its name, and its values or names, (n,).
-    columns
-        Name -> values, (n,).
-    units
-        Name of the index or of a column -> unit; what has none is left out.
-    """
-
-    index: tuple[str, Sequence[Any] | np.ndarray]
-    columns: Mapping[str, Sequence[Any] | np.ndarray]
+    index: tuple[str, Sequence[Any] | np.ndarray]  # its name, and its values or names, (n,)
+    columns: Mapping[str, Sequence[Any] | np.ndarray]  # name -> values, (n,)
+    # Name of the index or of a column -> unit; what has none is left out.
     units: Mapping[str, str] = field(default_factory=dict)
 
 

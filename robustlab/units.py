@@ -95,10 +95,7 @@ def factor_to_si(unit: str) -> tuple[float, str]:
 def amount(where: str, given: Any, unit: str) -> Any:
     """``given`` as a number in ``unit`` where it is a text; anything else as it is.
 
-    Raises
-    ------
-    InputError
-        No number, or a unit that is not a measure of the same.
+    Raises InputError: no number, or a unit that is not a measure of the same.
 
     Examples
     --------
@@ -118,10 +115,7 @@ def amount(where: str, given: Any, unit: str) -> Any:
 def share(where: str, given: Any) -> Any:
     """``given`` as a share where it is a text, per cent or not; anything else as it is.
 
-    Raises
-    ------
-    InputError
-        No number, or a unit other than %.
+    Raises InputError: no number, or a unit other than %.
 
     Examples
     --------

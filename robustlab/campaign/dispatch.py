@@ -129,19 +129,10 @@ def compute_missing(
 ) -> None:
     """Compute what the store lacks.
 
-    Parameters
-    ----------
-    limit
-        Seconds that one sample may take.
-    progress
-        Called with the number of samples that were just stored.
-    tuning
-        How the work is cut.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        More than 1 % of the samples are lost.
+    ``limit``: seconds that one sample may take.
+    ``progress``: called with the number of samples that were just stored.
+    ``tuning``: how the work is cut.
+    Raises NoTrustworthyNumber: more than 1 % of the samples are lost.
     """
     n = evaluator.settings.n
     pace = _Pace(evaluator.tile, tuning)

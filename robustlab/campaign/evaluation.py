@@ -45,27 +45,13 @@ TO_THE_END = 1e9
 
 @dataclass(frozen=True)
 class Rows:
-    """Consecutive samples, as they come from a worker.
+    """Consecutive samples, as they come from a worker."""
 
-    Attributes
-    ----------
-    first
-        Index of the first one.
-    values
-        The metric, shape (k,); NaN where a sample is lost.
-    deltas
-        Normalised Deltas as numbers, shape (k, width); see `encode_delta`.
-    seconds
-        Time each one took, shape (k,); samples computed together share their time evenly.
-    lost
-        Index -> reason, for samples that gave no value.
-    """
-
-    first: int
-    values: Array
-    deltas: Array
-    seconds: Array
-    lost: Mapping[int, str] = field(default_factory=dict)
+    first: int  # index of the first one
+    values: Array  # the metric, shape (k,); NaN where a sample is lost
+    deltas: Array  # normalised Deltas as numbers, shape (k, width); see `encode_delta`
+    seconds: Array  # time each one took, shape (k,); samples computed together share their time evenly
+    lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples that gave no value
 
     def __len__(self) -> int:
         return len(self.values)
@@ -95,13 +81,7 @@ class Rows:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Rows:
-        """Inverse of `to_bytes`.
-
-        Raises
-        ------
-        ValueError
-            The bytes are something else.
-        """
+        """Inverse of `to_bytes`. Raises ValueError: the bytes are something else."""
         head, _, body = data.partition(b"\n")
         content = json.loads(head)
         count, width = (int(size) for size in content["shape"])
@@ -146,17 +126,11 @@ def decode_delta(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 class Evaluator:
     """Computes the samples of one campaign.
 
-    Parameters
-    ----------
-    uncertain
-        The set of models.
-    settings
-        What to compute.
+    ``uncertain``: the set of models.
+    ``settings``: what to compute.
 
-    Raises
-    ------
-    UsageError, InputError, NoTrustworthyNumber
-        What the metric refuses: unknown names, complex blocks in time, an unstable nominal model.
+    Raises UsageError, InputError, NoTrustworthyNumber: what the metric refuses: unknown names, complex blocks in time,
+    an unstable nominal model.
     """
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
@@ -306,26 +280,14 @@ GRACE = 5.0
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples ``first .. last - 1``, or the check of one Delta.
-
-    Attributes
-    ----------
-    alone
-        One sample on its own, out of a tile that failed.
-    limit
-        Seconds after which the worker is taken for hung.
-    attempts
-        How often a worker died over it.
-    delta
-        For a check: the Delta to evaluate once more, as numbers.
-    """
+    """Samples ``first .. last - 1``, or the check of one Delta."""
 
     first: int
     last: int
-    limit: float
-    alone: bool = False
-    attempts: int = 0
-    delta: tuple[float, ...] | None = None
+    limit: float  # seconds after which the worker is taken for hung
+    alone: bool = False  # one sample on its own, out of a tile that failed
+    attempts: int = 0  # how often a worker died over it
+    delta: tuple[float, ...] | None = None  # for a check: the Delta to evaluate once more, as numbers
 
     def __len__(self) -> int:
         return self.last - self.first

@@ -33,41 +33,24 @@ LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the s
 
 @dataclass(frozen=True)
 class Quantile:
-    """The value than which a share of the samples is not worse.
+    """The value than which a share of the samples is not worse."""
 
-    Attributes
-    ----------
-    share
-        For example 0.99.
-    value
-        The order statistic with number ``ceil(share n)``, counted from the best.
-    bound
-        The set's own quantile is not worse than this at CONFIDENCE; infinite where there are too few samples.
-    """
-
-    share: float
-    value: float
+    share: float  # for example 0.99
+    value: float  # the order statistic with number `ceil(share n)`, counted from the best
+    # The set's own quantile is not worse than this at CONFIDENCE; infinite where there are too few samples.
     bound: float
 
 
 @dataclass(frozen=True)
 class Violation:
-    """How often the metric is worse than a limit.
+    """How often the metric is worse than a limit."""
 
-    Attributes
-    ----------
-    limit
-        The limit.
-    count, of
-        Samples worse than it and samples in all; a lost sample counts as worse.
-    lower, upper
-        Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples count for neither side's
-        favour: not as worse for the lower, as worse for the upper.
-    """
-
-    limit: float
+    limit: float  # the limit
+    # count, of: samples worse than it and samples in all; a lost sample counts as worse
     count: int
     of: int
+    # lower, upper: Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples count for
+    # neither side's favour: not as worse for the lower, as worse for the upper
     lower: float
     upper: float
 
@@ -271,15 +254,8 @@ class CampaignResult(Tabular, Shown):
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
     """Read a store once through.
 
-    Parameters
-    ----------
-    limit
-        Count how often the metric is worse than it.
-
-    Raises
-    ------
-    InputError
-        The rows of a finished campaign are not what they were when it ended.
+    ``limit``: count how often the metric is worse than it.
+    Raises InputError: the rows of a finished campaign are not what they were when it ended.
     """
     settings, blocks = evaluator.settings, evaluator.uncertain.blocks
     counts, facts, worst = store.counts(), store.facts(), store.worst(evaluator.sense)

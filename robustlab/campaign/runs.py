@@ -35,24 +35,12 @@ Existing = Literal["resume", "restart", "fork"]
 class Crew:
     """Who computes a campaign; the samples are the same whoever does.
 
-    Attributes
-    ----------
-    workers
-        Processes on this machine; one per processor where left out.
-    cluster
-        Instead: address of a Dask scheduler, whose workers are used.
-    time_limit
-        Seconds that one sample may take before its worker is killed.
-
-    Raises
-    ------
-    InputError
-        No worker at all, a time limit that is not positive.
+    Raises InputError: no worker at all, a time limit that is not positive.
     """
 
-    workers: int | None = None
-    cluster: str | None = None
-    time_limit: float = 60.0
+    workers: int | None = None  # processes on this machine; one per processor where left out
+    cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
+    time_limit: float = 60.0  # seconds that one sample may take before its worker is killed
 
     def __post_init__(self) -> None:
         count = self.workers
@@ -81,39 +69,19 @@ def run_campaign(
     The same model, settings and code give the same samples, whatever the workers and however often a run is killed.
     A sample whose worker crashes or hangs is lost alone and stays in the store with its Delta and the reason.
 
-    Parameters
-    ----------
-    uncertain
-        The set of models.
-    settings
-        What to compute.
-    store
-        SQLite file; one that belongs to the same campaign is gone on with.
-    crew
-        Who computes: worker processes on this machine or on others, and how long one sample may take.
-    existing
-        What to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it, ``"fork"``
-        leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
-    retry_lost
-        Compute lost samples of an earlier run again.
-    limit
-        Count how often the metric is worse than it.
-    progress
-        Called with the number of samples that were just stored, once at the start with those that were there.
-
-    Returns
-    -------
-    CampaignResult
-        What the store holds at the end.
-
-    Raises
-    ------
-    InputError
-        The store belongs to another campaign (what changed is said), is damaged, or is none.
-    NoTrustworthyNumber
-        More than 1 % of the samples are lost; an unstable nominal model.
-    EnvironmentFault
-        The store cannot be written or is locked by another process; workers cannot be started or reached.
+    ``uncertain``: the set of models.
+    ``settings``: what to compute.
+    ``store``: SQLite file; one that belongs to the same campaign is gone on with.
+    ``crew``: who computes: worker processes on this machine or on others, and how long one sample may take.
+    ``existing``: what to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it,
+    ``"fork"`` leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
+    ``retry_lost``: compute lost samples of an earlier run again.
+    ``limit``: count how often the metric is worse than it.
+    ``progress``: called with the number of samples that were just stored, once at the start with those that were there.
+    Returns: what the store holds at the end.
+    Raises InputError: the store belongs to another campaign (what changed is said), is damaged, or is none.
+    NoTrustworthyNumber: more than 1 % of the samples are lost; an unstable nominal model. EnvironmentFault: the store
+    cannot be written or is locked by another process; workers cannot be started or reached.
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
@@ -170,43 +138,27 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Replay:
-    """One sample computed again in this process.
+    """One sample computed again in this process."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED where both paths agree with each other and with the store; INACCURATE else.
-    index, kind, metric, unit
-        Which sample of what.
-    stored, reason
-        Its value in the store (NaN where lost or not there yet), and why it was lost.
-    value
-        Its value now, computed as the campaign does it.
-    again, at, location
-        Its value through the second path, and where it is attained.
-    identical
-        Whether ``value`` has the bits of ``stored``.
-    delta, physical
-        Its normalised Delta, and its parameters as (value, unit).
-    seconds
-        Time it took.
-    """
-
-    status: Status
+    status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else
+    # index, kind, metric, unit: which sample of what
     index: int
     kind: str
     metric: str
     unit: str
+    # stored, reason: its value in the store (NaN where lost or not there yet), and why it was lost
     stored: float
     reason: str
-    value: float
+    value: float  # its value now, computed as the campaign does it
+    # again, at, location: its value through the second path, and where it is attained
     again: float
     at: float
     location: str
-    identical: bool
+    identical: bool  # whether `value` has the bits of `stored`
+    # delta, physical: its normalised Delta, and its parameters as (value, unit)
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
-    seconds: float
+    seconds: float  # time it took
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""
@@ -216,10 +168,7 @@ class Replay:
 def replay_sample(store: str | Path, index: int) -> Replay:
     """Compute one sample again in the foreground, without time limit: a crash shows itself here.
 
-    Raises
-    ------
-    InputError
-        No such sample.
+    Raises InputError: no such sample.
     """
     opened = Store.open(Path(store))
     try:

@@ -42,49 +42,27 @@ _CODE = (
 class CampaignSettings:
     """What is computed for each index 0 .. n - 1.
 
-    Attributes
-    ----------
-    metric
-        A metric of `robustlab.worst_case_analysis.worst_case`.
-    n
-        Number of samples, vertices, or searches.
-    kind
-        ``"samples"``: random members, drawn as `robustlab.worst_case_analysis.sample` draws them. ``"vertices"``:
-        every real delta is -1 or +1; index i is the i-th vertex of all, or a random one where there are more than n.
-        ``"search"``: index i is one whole worst-case search from starting points of its own.
-    seed
-        Seed of the random numbers; index i draws from ``SeedSequence(seed, spawn_key=(i,))``.
-    output, input
-        Signals that the metric looks at.
-    u
-        Input name -> number, or samples on the times; a unit step where left out.
-    t_end, points
-        End time in s and number of times; from the nominal poles where ``t_end`` is left out.
-    hold
-        What the input does between samples.
-    starts
-        For searches: Sobol points from which each one starts.
-    band
-        Share of the final value that counts as settled.
-
-    Raises
-    ------
-    UsageError, InputError
-        An unknown kind; numbers that are not what they must be.
+    Raises UsageError, InputError: an unknown kind; numbers that are not what they must be.
     """
 
-    metric: str
-    n: int
+    metric: str  # a metric of `robustlab.worst_case_analysis.worst_case`
+    n: int  # number of samples, vertices, or searches
+    # `"samples"`: random members, drawn as `robustlab.worst_case_analysis.sample` draws them. `"vertices"`: every
+    # real delta is -1 or +1; index i is the i-th vertex of all, or a random one where there are more than n.
+    # `"search"`: index i is one whole worst-case search from starting points of its own.
     kind: Literal["samples", "vertices", "search"] = "samples"
-    seed: int = 0
+    seed: int = 0  # seed of the random numbers; index i draws from `SeedSequence(seed, spawn_key=(i,))`
+    # output, input: signals that the metric looks at
     output: str | None = None
     input: str | None = None
+    # Input name -> number, or samples on the times; a unit step where left out.
     u: Mapping[str, float | Sequence[float]] | None = None
+    # t_end, points: end time in s and number of times; from the nominal poles where `t_end` is left out
     t_end: float | None = None
     points: int = 401
-    hold: Literal["zoh", "foh"] = "zoh"
-    starts: int = 64
-    band: float = 0.02
+    hold: Literal["zoh", "foh"] = "zoh"  # what the input does between samples
+    starts: int = 64  # for searches: Sobol points from which each one starts
+    band: float = 0.02  # share of the final value that counts as settled
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -117,21 +95,11 @@ class CampaignSettings:
 
 @dataclass(frozen=True)
 class Identity:
-    """What the samples of a store belong to; two campaigns with equal identities have equal samples.
+    """What the samples of a store belong to; two campaigns with equal identities have equal samples."""
 
-    Attributes
-    ----------
-    model
-        SHA-256 of the uncertain model's content.
-    settings
-        What is computed.
-    code
-        Versions and source hash of the code that computes it; see `code_identity`.
-    """
-
-    model: str
-    settings: CampaignSettings
-    code: Mapping[str, str]
+    model: str  # SHA-256 of the uncertain model's content
+    settings: CampaignSettings  # what is computed
+    code: Mapping[str, str]  # versions and source hash of the code that computes it; see `code_identity`
 
     @classmethod
     def of(cls, uncertain: UncertainModel, settings: CampaignSettings) -> Identity:
@@ -200,13 +168,7 @@ def model_to_bytes(uncertain: UncertainModel) -> bytes:
 
 
 def model_from_bytes(data: bytes, where: str) -> UncertainModel:
-    """Inverse of `model_to_bytes`.
-
-    Raises
-    ------
-    InputError
-        The bytes are no uncertain model.
-    """
+    """Inverse of `model_to_bytes`. Raises InputError: the bytes are no uncertain model."""
     try:
         return decode_uncertain(receive(data, where), Problems(where))
     except (ValueError, KeyError, TypeError) as error:

@@ -98,12 +98,7 @@ class Store:
     def delete(cls, path: Path) -> None:
         """Delete a store and what SQLite lays beside it; a damaged one too, but never a file of another kind.
 
-        Raises
-        ------
-        InputError
-            The file is no campaign.
-        EnvironmentFault
-            It cannot be deleted.
+        Raises InputError: the file is no campaign; EnvironmentFault: it cannot be deleted.
         """
         if cls.is_there(path):
             _check_file(path)
@@ -117,10 +112,7 @@ class Store:
     def create(cls, path: Path, identity: Identity, model: bytes) -> Store:
         """A new store for a campaign; everything or nothing of it is on disk.
 
-        Raises
-        ------
-        EnvironmentFault
-            The file cannot be written.
+        Raises EnvironmentFault: the file cannot be written.
         """
         with _named(path):
             db = sqlite3.connect(path, isolation_level=None)
@@ -142,12 +134,7 @@ class Store:
     def open(cls, path: Path, *, write: bool = False) -> Store:
         """Open the store of an earlier campaign, checked page by page.
 
-        Raises
-        ------
-        InputError
-            No such file, not a campaign, a newer version, damaged.
-        EnvironmentFault
-            No permission.
+        Raises InputError: no such file, not a campaign, a newer version, damaged; EnvironmentFault: no permission.
         """
         _check_file(path)
         with _named(path):
@@ -381,10 +368,7 @@ def _damaged(where: str, what: str) -> InputError:
 def locked(path: Path) -> Iterator[None]:
     """Hold the lock of a store; it lies beside it as ``NAME.lock`` and vanishes with the process that holds it.
 
-    Raises
-    ------
-    EnvironmentFault
-        Another process holds it (its pid and command are named); the folder cannot be written.
+    Raises EnvironmentFault: another process holds it (its pid and command are named); the folder cannot be written.
     """
     from filelock import FileLock, Timeout
 

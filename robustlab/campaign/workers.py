@@ -110,12 +110,8 @@ class _Process:
 class LocalWorkers:
     """Worker processes on this machine; see `robustlab.campaign.evaluation.Workers`.
 
-    Parameters
-    ----------
-    payload
-        The campaign.
-    count
-        How many processes.
+    ``payload``: the campaign.
+    ``count``: how many processes.
     """
 
     def __init__(self, payload: Payload, count: int) -> None:
@@ -212,19 +208,10 @@ def identify() -> dict[str, str]:
 def compute(key: str, payload: bytes, request: str) -> bytes:
     """One piece of work; called on a worker.
 
-    Parameters
-    ----------
-    key
-        Hash of the campaign, so that a worker builds its evaluator once.
-    payload
-        `Payload` as bytes; empty for a worker that had it before.
-    request
-        `Piece` as JSON.
-
-    Returns
-    -------
-    bytes
-        The answer; empty where the payload is needed once more.
+    ``key``: hash of the campaign, so that a worker builds its evaluator once.
+    ``payload``: `Payload` as bytes; empty for a worker that had it before.
+    ``request``: `Piece` as JSON.
+    Returns: the answer; empty where the payload is needed once more.
     """
     if key not in _here:
         if not payload:
@@ -237,19 +224,11 @@ def compute(key: str, payload: bytes, request: str) -> bytes:
 class ClusterWorkers:
     """Workers of a Dask cluster; see `robustlab.campaign.evaluation.Workers`.
 
-    Parameters
-    ----------
-    payload
-        The campaign.
-    address
-        Of the scheduler, for example ``"tcp://host:8786"``.
+    ``payload``: the campaign.
+    ``address``: of the scheduler, for example ``"tcp://host:8786"``.
 
-    Raises
-    ------
-    DependencyMissing
-        dask.distributed is not installed.
-    EnvironmentFault
-        Nobody answers at the address; a worker has other versions of the code.
+    Raises DependencyMissing: dask.distributed is not installed. EnvironmentFault: nobody answers at the address; a
+    worker has other versions of the code.
     """
 
     def __init__(self, payload: Payload, address: str) -> None:

@@ -37,14 +37,11 @@ class PlanOptions:
     """What is computed, and for how many."""
 
     metric: Annotated[
-        str, typer.Option("--metric", help="A metric of robustlab worst-case --help.", autocompletion=one_of(*METRICS))
+        str, typer.Option(help="A metric of robustlab worst-case --help.", autocompletion=one_of(*METRICS))
     ] = "peak-deviation"
     n: Annotated[int, typer.Option("-n", "--samples", help="How many samples, vertices or searches.")] = 1000
     kind: Annotated[
-        str,
-        typer.Option(
-            "--kind", help="samples, vertices or search.", autocompletion=one_of("samples", "vertices", "search")
-        ),
+        str, typer.Option(help="samples, vertices or search.", autocompletion=one_of("samples", "vertices", "search"))
     ] = "samples"
     seed: SeedOption = 0
 
@@ -57,7 +54,7 @@ class WorkerOptions:
         int | None, typer.Option("--workers", "-w", help="Processes on this machine.  [default: one per processor]")
     ] = None
     cluster: Annotated[
-        str | None, typer.Option("--cluster", help="Dask scheduler whose workers are used, such as tcp://host:8786.")
+        str | None, typer.Option(help="Dask scheduler whose workers are used, such as tcp://host:8786.")
     ] = None
     time_limit: Annotated[
         float, typer.Option("--time-limit-per-sample", help="Seconds after which a sample's worker is killed.")
@@ -86,10 +83,10 @@ class ExistingOptions:
 def run(
     *,
     file: UncertainArgument,
-    store: Annotated[str, typer.Option("--store", help="SQLite file to write; an unfinished one is gone on with.")],
+    store: Annotated[str, typer.Option(help="SQLite file to write; an unfinished one is gone on with.")],
     plan: PlanOptions,
     of: MetricOptions,
-    starts: Annotated[int, typer.Option("--starts", help="For searches: points each one starts from.")] = 64,
+    starts: Annotated[int, typer.Option(help="For searches: points each one starts from.")] = 64,
     workers: WorkerOptions,
     existing: ExistingOptions,
     bound: BoundOption = None,

@@ -57,12 +57,8 @@ ModelArgument = Annotated[
 DataArgument = Annotated[
     str, typer.Argument(help="Record: HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="DATA")
 ]
-SettingsOption = Annotated[
-    list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
-]
-FiguresOption = Annotated[
-    str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
-]
+SettingsOption = Annotated[list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.")]
+FiguresOption = Annotated[str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).")]
 
 
 # --- option groups ---------------------------------------------------------------------------------------------------
@@ -72,16 +68,10 @@ FiguresOption = Annotated[
 class WindowOptions:
     """How a record is cut, and the records that tell its noise."""
 
-    window: Annotated[
-        float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
-    ] = None
-    period: Annotated[
-        float | None,
-        typer.Option("--period", help="Period of the record in s; found if a signal repeats.", show_default=False),
-    ] = None
+    window: Annotated[float | None, typer.Option(help="Length of the windows in s.")] = None
+    period: Annotated[float | None, typer.Option(help="Period of the record in s; found if a signal repeats.")] = None
     repeat: Annotated[
-        list[str] | None,
-        typer.Option("--repeat", help="Further record with the same input, for the noise floor.", show_default=False),
+        list[str] | None, typer.Option(help="Further record with the same input, for the noise floor.")
     ] = None
 
 
@@ -89,27 +79,18 @@ class WindowOptions:
 class ExcitationOptions(WindowOptions):
     """The same where the period is that of an excitation."""
 
-    period: Annotated[
-        float | None, typer.Option("--period", help="Period of the excitation in s.", show_default=False)
-    ] = None
+    period: Annotated[float | None, typer.Option(help="Period of the excitation in s.")] = None
 
 
 @dataclass(frozen=True)
 class NamingOptions:
     """What a search for the missing effect may use."""
 
-    held_out: Annotated[
-        list[str] | None,
-        typer.Option("--held-out", help="Record that no fit sees; the gap is judged on it.", show_default=False),
-    ] = None
+    held_out: Annotated[list[str] | None, typer.Option(help="Record that no fit sees; the gap is judged on it.")] = None
     tolerance: Annotated[
-        list[str] | None,
-        typer.Option("--tolerance", help="Relative tolerance of a parameter: Km=0.05 or Km=5%.", show_default=False),
+        list[str] | None, typer.Option(help="Relative tolerance of a parameter: Km=0.05 or Km=5%.")
     ] = None
-    exclude: Annotated[
-        list[str] | None,
-        typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False),
-    ] = None
+    exclude: Annotated[list[str] | None, typer.Option(help="Id of an effect not to be tried.")] = None
 
 
 @dataclass(frozen=True)
@@ -121,12 +102,9 @@ class DiscoveryFiles:
     """
 
     figures: FiguresOption = None
-    model_out: Annotated[
-        str | None, typer.Option("--model-out", help="HDF5 file for the updated plant.", show_default=False)
-    ] = None
+    model_out: Annotated[str | None, typer.Option(help="HDF5 file for the updated plant.")] = None
     out: Annotated[
-        str | None,
-        typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.", show_default=False),
+        str | None, typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.")
     ] = None
 
     def write(
@@ -134,14 +112,9 @@ class DiscoveryFiles:
     ) -> list[str]:
         """Write what was asked for, with a note for each file; the paths.
 
-        Parameters
-        ----------
-        result
-            What ``--json`` prints, for ``result.json``.
-        sources
-            What was read; names that are no files, such as a plant's, are left out of the provenance.
-        code
-            Files of code that made the plant, with their hashes.
+        ``result``: what ``--json`` prints, for ``result.json``.
+        ``sources``: what was read; names that are no files, such as a plant's, are left out of the provenance.
+        ``code``: files of code that made the plant, with their hashes.
         """
         provenance = _provenance("data discover", sources, code)
         files: list[str] = []
@@ -161,25 +134,18 @@ class DiscoveryFiles:
 class ExplanationOptions:
     """What may explain a record, and what is asked about it."""
 
-    noise: Annotated[
-        list[str] | None,
-        typer.Option("--noise", help="Noise bound of an output, in its unit: NAME=VALUE.", show_default=False),
-    ] = None
+    noise: Annotated[list[str] | None, typer.Option(help="Noise bound of an output, in its unit: NAME=VALUE.")] = None
     domain: Annotated[
         str,
         typer.Option(
-            "--domain",
             help="time, or frequency: whole periods in steady state, line by line.",
             autocompletion=one_of("time", "frequency"),
         ),
     ] = "time"
-    period: Annotated[
-        float | None, typer.Option("--period", help="Frequency domain: period in s where no signal tells it.")
-    ] = None
+    period: Annotated[float | None, typer.Option(help="Frequency domain: period in s where no signal tells it.")] = None
     noise_norm: Annotated[
         str | None,
         typer.Option(
-            "--noise-norm",
             help="What the bound is of: peak or rms (frequency domain: rms).",
             metavar="NORM",
             autocompletion=one_of("peak", "rms"),
@@ -188,31 +154,26 @@ class ExplanationOptions:
     delta: Annotated[
         str,
         typer.Option(
-            "--delta",
             help="Complex and full blocks are: time-invariant or time-varying.",
             metavar="KIND",
             autocompletion=one_of("time-invariant", "time-varying"),
         ),
     ] = "time-invariant"
     at_rest: Annotated[bool, typer.Option("--at-rest", help="The record starts at rest.")] = False
-    window: Annotated[
-        float | None, typer.Option("--window", help="Length of windows with a free start in s.", show_default=False)
-    ] = None
+    window: Annotated[float | None, typer.Option(help="Length of windows with a free start in s.")] = None
     per_block: Annotated[bool, typer.Option("--per-block", help="Also the smallest scaling of each block alone.")] = (
         False
     )
     cover: Annotated[
         int | None,
         typer.Option(
-            "--cover",
-            help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.",
-            min=0,
+            help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.", min=0
         ),
     ] = None
-    at_most: Annotated[
-        float | None, typer.Option("--at-most", help="Exit code 1 where gamma is not shown to be at most this.")
-    ] = None
-    precision: Annotated[float, typer.Option("--precision", help="Relative width of the bounds.")] = 0.01
+    at_most: Annotated[float | None, typer.Option(help="Exit code 1 where gamma is not shown to be at most this.")] = (
+        None
+    )
+    precision: Annotated[float, typer.Option(help="Relative width of the bounds.")] = 0.01
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -226,10 +187,7 @@ def check(
     model: Annotated[
         str | None,
         typer.Option(
-            "--model",
-            help="Model file, plant, file.py:name: is the record fit for naming?",
-            show_default=False,
-            autocompletion=plant_or_file,
+            help="Model file, plant, file.py:name: is the record fit for naming?", autocompletion=plant_or_file
         ),
     ] = None,
     settings: SettingsOption = None,

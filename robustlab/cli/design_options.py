@@ -25,17 +25,16 @@ if TYPE_CHECKING:
 class ChannelOptions:
     """Which inputs and outputs of a file a design takes, by number or by name."""
 
-    n_meas: Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")] = None
-    n_con: Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")] = None
-    measurements: Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")] = None
-    controls: Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")] = None
+    n_meas: Annotated[int | None, typer.Option(help="Number of measurements (the last outputs).")] = None
+    n_con: Annotated[int | None, typer.Option(help="Number of controls (the last inputs).")] = None
+    measurements: Annotated[str | None, typer.Option(help="Measured outputs by name: a,b.")] = None
+    controls: Annotated[str | None, typer.Option(help="Control inputs by name: a,b.")] = None
     disturbances: Annotated[
-        str | None,
-        typer.Option("--disturbances", help="With names: the inputs w; all that are no controls where left out."),
+        str | None, typer.Option(help="With names: the inputs w; all that are no controls where left out.")
     ] = None
-    performance: Annotated[
-        str | None, typer.Option("--performance", help="With names: the outputs z; all outputs where left out.")
-    ] = None
+    performance: Annotated[str | None, typer.Option(help="With names: the outputs z; all outputs where left out.")] = (
+        None
+    )
 
     def check(self, command: str) -> None:
         """Refuse channels that are not given, or given twice."""
@@ -68,11 +67,10 @@ class LoopChannelOptions:
     """Which inputs and outputs of a plant its controller is connected to."""
 
     measurements: Annotated[
-        str | None,
-        typer.Option("--measurements", help="Measured outputs by name, a,b; the last outputs where left out."),
+        str | None, typer.Option(help="Measured outputs by name, a,b; the last outputs where left out.")
     ] = None
     controls: Annotated[
-        str | None, typer.Option("--controls", help="Control inputs by name, a,b; the last inputs where left out.")
+        str | None, typer.Option(help="Control inputs by name, a,b; the last inputs where left out.")
     ] = None
 
     def plant(self, file: str, K: Any) -> GeneralizedPlant:
@@ -91,8 +89,8 @@ class LoopChannelOptions:
 class SignalOptions:
     """Which control inputs and outputs of a plain model are used."""
 
-    inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None
-    outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None
+    inputs: Annotated[str | None, typer.Option(help="Control inputs of the model to use: a,b.")] = None
+    outputs: Annotated[str | None, typer.Option(help="Outputs of the model to control: a,b.")] = None
 
     def model(self, file: str) -> rl.StateSpaceModel:
         """The model in a file with these signals."""
@@ -108,10 +106,7 @@ class DesignOutput(ProgressOptions):
     """What becomes of a design, and whether its search is told step by step."""
 
     out: OutOption = None
-    figure: Annotated[
-        str | None,
-        typer.Option("--figure", help="Figures to write: NAME and NAME-..., each as SVG and PNG.", show_default=False),
-    ] = None
+    figure: Annotated[str | None, typer.Option(help="Figures to write: NAME and NAME-..., each as SVG and PNG.")] = None
     verbose: Annotated[bool, typer.Option("--verbose", help="A line on stderr for each step of the search.")] = False
     as_json: JsonOption = False
 
@@ -146,20 +141,19 @@ class QuietDesignOutput(DesignOutput):
 class GaussianOptions:
     """Weights and noises of a linear-quadratic-Gaussian design: a number for all, or a,b,... for each on its own."""
 
-    q: Annotated[str, typer.Option("--q", help="Cost of the states: a number, or one for each: a,b.")] = "1"
-    r: Annotated[str, typer.Option("--r", help="Cost of the controls.")] = "1"
-    w: Annotated[str, typer.Option("--w", help="Intensity of the noise on the states.")] = "1"
-    v: Annotated[str, typer.Option("--v", help="Intensity of the noise on the measurements.")] = "1"
+    q: Annotated[str, typer.Option(help="Cost of the states: a number, or one for each: a,b.")] = "1"
+    r: Annotated[str, typer.Option(help="Cost of the controls.")] = "1"
+    w: Annotated[str, typer.Option(help="Intensity of the noise on the states.")] = "1"
+    v: Annotated[str, typer.Option(help="Intensity of the noise on the measurements.")] = "1"
     disturbance: Annotated[
-        str | None,
-        typer.Option("--disturbance", help="constant, the frequency of a sinusoid in rad/s, or the file of a filter."),
+        str | None, typer.Option(help="constant, the frequency of a sinusoid in rad/s, or the file of a filter.")
     ] = None
     at: Annotated[
-        str, typer.Option("--at", help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
+        str, typer.Option(help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
     ] = "input"
-    channels: Annotated[str | None, typer.Option("--channels", help="On which of them: a,b; all.")] = None
-    disturbance_noise: Annotated[str, typer.Option("--disturbance-noise", help="Intensity of its noise.")] = "1"
-    regulated: Annotated[str | None, typer.Option("--regulated", help="Outputs that it must leave: a,b; all.")] = None
+    channels: Annotated[str | None, typer.Option(help="On which of them: a,b; all.")] = None
+    disturbance_noise: Annotated[str, typer.Option(help="Intensity of its noise.")] = "1"
+    regulated: Annotated[str | None, typer.Option(help="Outputs that it must leave: a,b; all.")] = None
 
     def design(self, model: rl.StateSpaceModel) -> Synthesis:
         """The design for a model."""

@@ -41,12 +41,8 @@ class Warmed:
 def cache_place() -> str:
     """Where numba keeps what it compiles for this package: in it, in ``NUMBA_CACHE_DIR``, or in the user's own cache.
 
-    Raises
-    ------
-    EnvironmentFault
-        Nothing is compiled (``NUMBA_DISABLE_JIT``).
-    RuntimeError
-        None of the three can be written: numba's error, which every command ends on with exit code 5.
+    Raises EnvironmentFault: nothing is compiled (``NUMBA_DISABLE_JIT``); RuntimeError: none of the three can be
+    written: numba's error, which every command ends on with exit code 5.
     """
     from numba import njit
 

@@ -56,10 +56,7 @@ def ready_streams() -> None:
     A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
     complains there.
 
-    Raises
-    ------
-    EnvironmentFault
-        stdout is closed: the result could not be told to anybody.
+    Raises EnvironmentFault: stdout is closed: the result could not be told to anybody.
     """
     for number in (0, 1, 2):
         try:
@@ -103,10 +100,8 @@ def _not_lost(lost: sys.UnraisableHookArgs) -> None:
 def require_surroundings() -> None:
     """What every command needs of the machine.
 
-    Raises
-    ------
-    EnvironmentFault
-        The working directory was deleted; the address space is limited to less than the libraries take.
+    Raises EnvironmentFault: the working directory was deleted; the address space is limited to less than the libraries
+    take.
     """
     if _no_folder():
         raise _folder_fault()

@@ -28,10 +28,9 @@ class BlockOptions:
     nature: Annotated[
         list[str] | None,
         typer.Option(
-            "--nature",
             help="What a block is, NAME=WORD:NUMBERS, or OUTPUT:INPUT=... between two signals: varying[:RATE], "
             "saturation, dead-zone[:SIZE:REACH], friction:LEVEL:SPEED, sector:LOW:HIGH, slope:LOW:HIGH or "
-            "odd-slope:LOW:HIGH; repeatable.",
+            "odd-slope:LOW:HIGH; repeatable."
         ),
     ] = None
     inputs: Annotated[str | None, typer.Option(help="Inputs to keep: a,b.")] = None
@@ -44,22 +43,16 @@ class EffectOptions:
     """The loop of a plant with effects."""
 
     controller: Annotated[
-        str | None,
-        typer.Option(
-            "--controller", "-k", help="File with the controller of a plant with effects.", show_default=False
-        ),
+        str | None, typer.Option("--controller", "-k", help="File with the controller of a plant with effects.")
     ] = None
     amplitude: Annotated[
-        list[str] | None,
-        typer.Option("--amplitude", help="Bound of the signal at an effect's place, NAME=VALUE; repeatable."),
+        list[str] | None, typer.Option(help="Bound of the signal at an effect's place, NAME=VALUE; repeatable.")
     ] = None
     stick_speed: Annotated[
-        list[str] | None,
-        typer.Option("--stick-speed", help="Speed below which dry friction is creep, JOINT=VALUE; repeatable."),
+        list[str] | None, typer.Option(help="Speed below which dry friction is creep, JOINT=VALUE; repeatable.")
     ] = None
     feedback: Annotated[
-        str,
-        typer.Option(help="negative (u = -K y) or positive.", autocompletion=one_of("negative", "positive")),
+        str, typer.Option(help="negative (u = -K y) or positive.", autocompletion=one_of("negative", "positive"))
     ] = "negative"
 
 
@@ -151,15 +144,9 @@ def anti_windup(
     ] = math.inf,
     direct: Annotated[bool, typer.Option("--direct", help="Correct the outputs too, an algebraic loop.")] = False,
     dt: Annotated[
-        float | None,
-        typer.Option(
-            "--dt", help="With --code: sample time in s of the controller that is written.", show_default=False
-        ),
+        float | None, typer.Option(help="With --code: sample time in s of the controller that is written.")
     ] = None,
-    code: Annotated[
-        str | None,
-        typer.Option("--code", help="C file to write: the controller held, with its gain.", show_default=False),
-    ] = None,
+    code: Annotated[str | None, typer.Option(help="C file to write: the controller held, with its gain.")] = None,
     order: OrderOption = 2,
     effort: EffortOptions,
     output: OutputOptions,

@@ -19,14 +19,15 @@ app = typer.Typer(
     add_completion=False,
 )  # fmt: skip
 
-FileArgument = Annotated[str, typer.Argument(help="LPV or uncertain model: HDF5 file.", show_default=False)]
+FileArgument = Annotated[str, typer.Argument(help="LPV or uncertain model: HDF5 file.")]
 LyapunovOption = Annotated[
     str | None,
     typer.Option(
-        "--lyapunov", help="constant or varying; both, as far as rates are bounded, where left out.",
-        show_default=False, autocompletion=one_of("constant", "varying"),
+        "--lyapunov",
+        help="constant or varying; both, as far as rates are bounded, where left out.",
+        autocompletion=one_of("constant", "varying"),
     ),
-]  # fmt: skip
+]
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class SchedulingOptions:
     """How an uncertain model becomes an LPV model."""
 
     points: Annotated[
-        list[str] | None, typer.Option("--points", help="Points of a parameter, NAME=5; 2 where left out; repeatable.")
+        list[str] | None, typer.Option(help="Points of a parameter, NAME=5; 2 where left out; repeatable.")
     ] = None
     rates: Annotated[
         list[str] | None,
@@ -101,8 +102,8 @@ def gain(
 def hinf(
     *,
     file: FileArgument,
-    n_meas: Annotated[int, typer.Option("--n-meas", help="Number of measurements (the last outputs).")],
-    n_con: Annotated[int, typer.Option("--n-con", help="Number of controls (the last inputs).")],
+    n_meas: Annotated[int, typer.Option(help="Number of measurements (the last outputs).")],
+    n_con: Annotated[int, typer.Option(help="Number of controls (the last inputs).")],
     scheduling: SchedulingOptions,
     lyapunov: LyapunovOption = None,
     effort: EffortOptions,
@@ -125,8 +126,8 @@ def hinf(
 @grouped
 def at(
     *,
-    file: Annotated[str, typer.Argument(help="LPV model or scheduled controller: HDF5 file.", show_default=False)],
-    values: Annotated[list[str], typer.Argument(help="Value of each parameter: NAME=VALUE.", show_default=False)],
+    file: Annotated[str, typer.Argument(help="LPV model or scheduled controller: HDF5 file.")],
+    values: Annotated[list[str], typer.Argument(help="Value of each parameter: NAME=VALUE.")],
     output: OutputOptions,
 ) -> None:
     """The model or the controller at one value of every parameter.

@@ -32,14 +32,12 @@ class ControllerOptions:
     """A controller around what a file holds."""
 
     controller: Annotated[
-        str | None,
-        typer.Option("--controller", "-k", help="File with the controller; left out: none.", show_default=False),
+        str | None, typer.Option("--controller", "-k", help="File with the controller; left out: none.")
     ] = None
     feedback: Annotated[
         str | None,
         typer.Option(
             help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
-            show_default=False,
             autocompletion=one_of("negative", "positive"),
         ),
     ] = None
@@ -59,8 +57,7 @@ class LoopOptions(ControllerOptions):
     """The loop, and where it is judged."""
 
     controller: Annotated[
-        str | None,
-        typer.Option("--controller", "-k", help="File with the controller; left out: unity.", show_default=False),
+        str | None, typer.Option("--controller", "-k", help="File with the controller; left out: unity.")
     ] = None
     classical: Annotated[
         bool, typer.Option("--classical", help="Gain, phase and delay margin of each loop alone, with all crossings.")
@@ -71,10 +68,7 @@ class LoopOptions(ControllerOptions):
             help="Where gain and phase change: input, output or both.", autocompletion=one_of("input", "output", "both")
         ),
     ] = "output"
-    frequency: Annotated[
-        str | None,
-        typer.Option(help="Disk margins at these frequencies in rad/s only: 1,10.", show_default=False),
-    ] = None
+    frequency: Annotated[str | None, typer.Option(help="Disk margins at these frequencies in rad/s only: 1,10.")] = None
     skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
 
 

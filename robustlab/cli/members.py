@@ -55,14 +55,14 @@ class ResponseOptions:
 class MetricOptions:
     """What of a member a metric looks at."""
 
-    output: Annotated[str | None, typer.Option("--output", help="Output to look at.", show_default=False)] = None
+    output: Annotated[str | None, typer.Option(help="Output to look at.")] = None
     from_input: Annotated[
         str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
     ] = None
     inputs: InputOption = None
     t_end: EndOption = None
     points: PointsOption = 401
-    band: Annotated[float, typer.Option("--band", help="Share of the final value that counts as settled.")] = 0.02
+    band: Annotated[float, typer.Option(help="Share of the final value that counts as settled.")] = 0.02
 
     @property
     def response(self) -> ResponseOptions:

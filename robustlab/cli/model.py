@@ -35,11 +35,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
-ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
+ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE")]
 FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
-GroupOption = Annotated[
-    str | None, typer.Option("--group", help="Group of the file that holds the model.", show_default=False)
-]
+GroupOption = Annotated[str | None, typer.Option("--group", help="Group of the file that holds the model.")]
 TransposeOption = Annotated[
     bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D.")
 ]
@@ -77,22 +75,18 @@ def build(
         ),
     ],
     out: Annotated[str, typer.Option("--out", "-o", help="HDF5 or MATLAB file to write.")],
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.", show_default=False)
-    ] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.")] = None,
     pose: Annotated[
-        str | None,
-        typer.Option("--pose", help="Pose of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out."),
+        str | None, typer.Option(help="Pose of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out.")
     ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
+        typer.Option(help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
     ] = None,
     amplitude: Annotated[
-        list[str] | None,
-        typer.Option("--amplitude", help="Amplitude of the speed or signal at an effect's place, NAME=VALUE."),
+        list[str] | None, typer.Option(help="Amplitude of the speed or signal at an effect's place, NAME=VALUE.")
     ] = None,
-    pade: Annotated[int, typer.Option("--pade", help="Order of the Pade approximation of delays; 0: left out.")] = 0,
+    pade: Annotated[int, typer.Option(help="Order of the Pade approximation of delays; 0: left out.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Linearise a plant from physics and write its state-space model.
@@ -194,7 +188,7 @@ def diff(
         str | None,
         typer.Argument(help="The other file; left out where A holds a nominal and a perturbed model.", metavar="[B]"),
     ] = None,
-    rtol: Annotated[float, typer.Option("--rtol", help="Relative changes up to this are not shown.")] = 0.0,
+    rtol: Annotated[float, typer.Option(help="Relative changes up to this are not shown.")] = 0.0,
     transpose: TransposeOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -231,17 +225,14 @@ def convert(
     ],
     group: GroupOption = None,
     transpose: TransposeOption = False,
-    prefix: Annotated[str, typer.Option("--prefix", help="Of the names in a .c file.")] = "controller",
+    prefix: Annotated[str, typer.Option(help="Of the names in a .c file.")] = "controller",
     saturation: Annotated[
-        list[str] | None,
-        typer.Option("--saturation", help="Limits of a control signal in .c or .json, NAME=LOW:HIGH; repeatable."),
+        list[str] | None, typer.Option(help="Limits of a control signal in .c or .json, NAME=LOW:HIGH; repeatable.")
     ] = None,
     anti_windup: Annotated[
         float | None,
         typer.Option(
-            "--anti-windup",
-            help="With --saturation in .c: time in s in which the states recover; inf: none.  [default: 10 samples]",
-            show_default=False,
+            help="With --saturation in .c: time in s in which the states recover; inf: none.  [default: 10 samples]"
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -271,9 +262,7 @@ def convert(
 def norm(
     *,
     file: FileArgument,
-    kind: Annotated[
-        str, typer.Option("--kind", help="hinf, linf, h2 or passivity.", autocompletion=one_of(*NORMS))
-    ] = "hinf",
+    kind: Annotated[str, typer.Option(help="hinf, linf, h2 or passivity.", autocompletion=one_of(*NORMS))] = "hinf",
     band: BandOption = None,
     options: ReadOptions,
     as_json: JsonOption = False,
@@ -329,9 +318,7 @@ def connect(
     files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],
     inputs: Annotated[list[str] | None, typer.Option("--input", help="Signal from outside; repeatable.")] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", help="Signal to show; repeatable.")] = None,
-    sums: Annotated[
-        list[str] | None, typer.Option("--sum", help='Summing junction: "e = r - y"; repeatable.', show_default=False)
-    ] = None,
+    sums: Annotated[list[str] | None, typer.Option("--sum", help='Summing junction: "e = r - y"; repeatable.')] = None,
     output: OutputOptions,
 ) -> None:
     """Wire models by the names of their signals: an output feeds every input of the same name.
@@ -359,19 +346,16 @@ class ReductionOptions:
     method: Annotated[
         str,
         typer.Option(
-            "--method",
             help="truncation, residualisation, hankel, stochastic (relative error) or coprime.",
             autocompletion=one_of(*REDUCTIONS),
         ),
     ] = "truncation"
     input_weight: Annotated[
-        str | None, typer.Option("--input-weight", help="File with a stable model W_i: the error is W_o (G - Gr) W_i.")
+        str | None, typer.Option(help="File with a stable model W_i: the error is W_o (G - Gr) W_i.")
     ] = None
-    output_weight: Annotated[str | None, typer.Option("--output-weight", help="The same for W_o.")] = None
+    output_weight: Annotated[str | None, typer.Option(help="The same for W_o.")] = None
     band: BandOption = None
-    floor: Annotated[
-        float, typer.Option("--floor", help="Of stochastic: gain below which errors count absolutely.")
-    ] = 0.0
+    floor: Annotated[float, typer.Option(help="Of stochastic: gain below which errors count absolutely.")] = 0.0
 
     def arguments(self) -> dict[str, Any]:
         """As `robustlab.reduce_model` takes them."""
@@ -385,10 +369,8 @@ class ReductionOptions:
 def reduce(
     *,
     file: ModelArgument,
-    order: Annotated[int | None, typer.Option("--order", help="States of the result.")] = None,
-    tolerance: Annotated[
-        float | None, typer.Option("--tolerance", help="In place of --order: largest error, as it is told.")
-    ] = None,
+    order: Annotated[int | None, typer.Option(help="States of the result.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="In place of --order: largest error, as it is told.")] = None,
     how: ReductionOptions,
     output: OutputOptions,
 ) -> None:

@@ -45,15 +45,11 @@ class QuestionOptions:
         bool, typer.Option("--performance", help="Robust performance margin of weighted inputs and outputs instead.")
     ] = False
     level: Annotated[
-        float | None,
-        typer.Option(help="How much of the set keeps the gain below this level, instead.", show_default=False),
+        float | None, typer.Option(help="How much of the set keeps the gain below this level, instead.")
     ] = None
     frequency: Annotated[
         str | None,
-        typer.Option(
-            help="Margin, or --gain, at these frequencies in rad/s only: 1,10. Frequency data need none.",
-            show_default=False,
-        ),
+        typer.Option(help="Margin, or --gain, at these frequencies in rad/s only: 1,10. Frequency data need none."),
     ] = None
     inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None
@@ -104,10 +100,7 @@ class ShownOptions:
 
     intervals: Annotated[bool, typer.Option("--intervals", help="Print the proved frequency intervals.")] = False
     figure: Annotated[
-        str | None,
-        typer.Option(
-            help="Figures to write: NAME (bounds), NAME-shares, NAME-replay, SVG and PNG.", show_default=False
-        ),
+        str | None, typer.Option(help="Figures to write: NAME (bounds), NAME-shares, NAME-replay, SVG and PNG.")
     ] = None
 
 

@@ -34,33 +34,21 @@ TimeLimitOption = Annotated[
         "--time-limit",
         "--timeout",
         help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
-        show_default=False,
     ),
 ]
-OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
-DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.", show_default=False)]
+OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.")]
+DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.")]
 PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
 ]
-BandOption = Annotated[
-    str | None, typer.Option("--band", help="LOW,HIGH in rad/s: the peak between these alone.", show_default=False)
-]
+BandOption = Annotated[str | None, typer.Option("--band", help="LOW,HIGH in rad/s: the peak between these alone.")]
 RecipeArgument = Annotated[
     str,
-    typer.Argument(
-        help="A recipe file, or the name of one that comes with robustlab.",
-        show_default=False,
-        autocompletion=recipe_or_file,
-    ),
+    typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
 ]
 ChangesOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="A.B=V",
-        help="Change a value: a top-level key or STEP.KEY. May be repeated.",
-        show_default=False,
-    ),
+    typer.Option("--set", metavar="A.B=V", help="Change a value: a top-level key or STEP.KEY. May be repeated."),
 ]
 
 
@@ -277,15 +265,10 @@ class TableOptions:
     """How a text file is to be read, and in which units its numbers are."""
 
     unit: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--unit", help="Unit that a signal or column is in, phi=deg: converted to SI.", show_default=False
-        ),
+        list[str] | None, typer.Option(help="Unit that a signal or column is in, phi=deg: converted to SI.")
     ] = None
-    delimiter: Annotated[
-        str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
-    ] = None
-    decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
+    delimiter: Annotated[str | None, typer.Option(help="Of a text file: , ; \\t or a blank.")] = None
+    decimal: Annotated[str, typer.Option(help="Decimal sign of a text file.")] = "."
 
     @property
     def units(self) -> dict[str, str]:
@@ -303,21 +286,11 @@ class TableOptions:
 class RecordOptions(TableOptions):
     """How the file of a record is to be read."""
 
-    group: Annotated[
-        str | None, typer.Option("--group", help="HDF5 group, MATLAB struct or topic of a bag.", show_default=False)
-    ] = None
-    inputs: Annotated[
-        str | None,
-        typer.Option("--inputs", help="Inputs: u or u,w; u=SIGNAL renames.", show_default=False),
-    ] = None
-    outputs: Annotated[
-        str | None, typer.Option("--outputs", help="Names of the outputs: q or q,v.", show_default=False)
-    ] = None
-    dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None
-    clock: Annotated[
-        str | None,
-        typer.Option("--clock", help="Signal with the times; of a bag: stamp or log.", show_default=False),
-    ] = None
+    group: Annotated[str | None, typer.Option(help="HDF5 group, MATLAB struct or topic of a bag.")] = None
+    inputs: Annotated[str | None, typer.Option(help="Inputs: u or u,w; u=SIGNAL renames.")] = None
+    outputs: Annotated[str | None, typer.Option(help="Names of the outputs: q or q,v.")] = None
+    dt: Annotated[float | None, typer.Option(help="Sample time in s.")] = None
+    clock: Annotated[str | None, typer.Option(help="Signal with the times; of a bag: stamp or log.")] = None
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
 
     def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> rl.Record:
@@ -342,12 +315,10 @@ class ModelRecordOptions(RecordOptions):
     """The same beside a model, which knows its inputs."""
 
     inputs: Annotated[
-        str | None,
-        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
+        str | None, typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.")
     ] = None
     outputs: Annotated[
-        str | None,
-        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
+        str | None, typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.")
     ] = None
 
 
@@ -356,8 +327,6 @@ class UncertainRecordOptions(RecordOptions):
     """The same beside an uncertain model, whose inputs the record must have; gaps are refused."""
 
     inputs: None = None
-    outputs: Annotated[
-        str | None, typer.Option("--outputs", "--output", help="Names of the outputs.", show_default=False)
-    ] = None
-    clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None
+    outputs: Annotated[str | None, typer.Option("--outputs", "--output", help="Names of the outputs.")] = None
+    clock: Annotated[str | None, typer.Option(help="Signal with the times.")] = None
     allow_gaps: bool = False

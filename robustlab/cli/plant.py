@@ -79,9 +79,7 @@ def made_of(name: str, thing: Any) -> dict[str, str]:
 
 @app.command()
 def new(
-    name: Annotated[
-        str, typer.Argument(help="Name of the machine, or folder/name; the file is NAME.py.", show_default=False)
-    ],
+    name: Annotated[str, typer.Argument(help="Name of the machine, or folder/name; the file is NAME.py.")],
     as_json: JsonOption = False,
 ) -> None:
     """Write a small commented plant to start from, NAME.py in the working directory or in the folder before NAME.
@@ -108,12 +106,9 @@ def show(
             autocompletion=plant_or_file,
         ),
     ],
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.", show_default=False)
-    ] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.")] = None,
     at: Annotated[
-        list[str] | None,
-        typer.Option("--at", help="Operating point: input, output or state, NAME=VALUE; repeatable."),
+        list[str] | None, typer.Option(help="Operating point: input, output or state, NAME=VALUE; repeatable.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -33,10 +33,7 @@ KINDS = {"bode": "bode_figure", "step": "step_figure", "sigma": "sigma_figure", 
 CHANNELS = 4  # inputs or outputs in one figure
 
 FigureOption = Annotated[
-    str | None,
-    typer.Option(
-        "--figure", "-o", help="Name of the figure, SVG and PNG.  [default: out/FILE-KIND]", show_default=False
-    ),
+    str | None, typer.Option("--figure", "-o", help="Name of the figure, SVG and PNG.  [default: out/FILE-KIND]")
 ]
 
 
@@ -47,13 +44,9 @@ def plot_model(
             help="Model file, name of a plant, or file.py:name.", metavar="MODEL", autocompletion=plant_or_file
         ),
     ],
-    kind: Annotated[str, typer.Option("--kind", help=f"{', '.join(KINDS)}.", autocompletion=one_of(*KINDS))] = "bode",
-    inputs: Annotated[
-        str | None, typer.Option("--inputs", "--input", help="Inputs to draw: u or u,w.", show_default=False)
-    ] = None,
-    outputs: Annotated[
-        str | None, typer.Option("--outputs", "--output", help="Outputs to draw: q or q,v.", show_default=False)
-    ] = None,
+    kind: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}.", autocompletion=one_of(*KINDS))] = "bode",
+    inputs: Annotated[str | None, typer.Option("--inputs", "--input", help="Inputs to draw: u or u,w.")] = None,
+    outputs: Annotated[str | None, typer.Option("--outputs", "--output", help="Outputs to draw: q or q,v.")] = None,
     n: Annotated[int, typer.Option("-n", "--samples", help="Members of an uncertain model that are drawn.")] = 30,
     seed: SeedOption = 0,
     figure: FigureOption = None,
@@ -88,11 +81,9 @@ def frequency_response(
             autocompletion=plant_or_file,
         ),
     ],
-    frequency: Annotated[
-        str | None, typer.Option(help="Of a model: rad/s, 1,10. A table has its own.", show_default=False)
-    ] = None,
+    frequency: Annotated[str | None, typer.Option(help="Of a model: rad/s, 1,10. A table has its own.")] = None,
     options: TableOptions,
-    figure: Annotated[str | None, typer.Option(help="Figure to write, SVG and PNG.", show_default=False)] = None,
+    figure: Annotated[str | None, typer.Option(help="Figure to write, SVG and PNG.")] = None,
     output: OutputOptions,
 ) -> None:
     """Frequency response of a model, or a measured one from a table; --out writes frequency data, for mu and margins.

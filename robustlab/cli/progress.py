@@ -42,7 +42,6 @@ class ProgressOptions:
     progress: Annotated[
         str,
         typer.Option(
-            "--progress",
             help="auto: a bar on terminals; json: JSON lines on stderr; none.",
             metavar="MODE",
             autocompletion=one_of(*MODES),
@@ -61,16 +60,10 @@ class ProgressOptions:
     ) -> Iterator[Display]:
         """The display for the time of a ``with`` block.
 
-        Parameters
-        ----------
-        total
-            Number of steps, where the command knows it.
-        lines
-            In mode auto, texts are lines of their own where stderr is no terminal.
-        verbose
-            In mode auto, they are everywhere.
-        budgets
-            Whether the work that searches count is shown; not where the command has steps of its own.
+        ``total``: number of steps, where the command knows it.
+        ``lines``: in mode auto, texts are lines of their own where stderr is no terminal.
+        ``verbose``: in mode auto, they are everywhere.
+        ``budgets``: whether the work that searches count is shown; not where the command has steps of its own.
         """
         from robustlab.budget import listening
 
@@ -87,14 +80,9 @@ class ProgressOptions:
 class Display:
     """What a command tells: call it with a text, or tell it steps; it takes care of who sees it.
 
-    Parameters
-    ----------
-    command
-        Name of the command.
-    mode
-        ``bar``, ``json``, ``lines``, or anything else for nothing.
-    total
-        Number of steps.
+    ``command``: name of the command.
+    ``mode``: ``bar``, ``json``, ``lines``, or anything else for nothing.
+    ``total``: number of steps.
     """
 
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:

@@ -16,11 +16,7 @@ app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_
 
 
 @app.command()
-def check(
-    recipe: RecipeArgument,
-    changes: ChangesOption = None,
-    as_json: JsonOption = False,
-) -> None:
+def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOption = False) -> None:
     """Check a recipe and the files it reads without running it; every fault is named.
 
     Example: robustlab recipe check first-light
@@ -55,22 +51,13 @@ def new(
             help="Name of the recipe, or folder/name; the file is NAME.toml. With data: the file's, if left out."
         ),
     ] = None,
-    data: Annotated[
-        str | None, typer.Option("--from-data", help="A record of yours: the recipe reads it.", show_default=False)
-    ] = None,
+    data: Annotated[str | None, typer.Option("--from-data", help="A record of yours: the recipe reads it.")] = None,
     plant: Annotated[
         str | None,
-        typer.Option(
-            "--plant",
-            help="With data: plant to compare it with, a name or file.py:name.",
-            show_default=False,
-            autocompletion=plant_or_file,
-        ),
+        typer.Option(help="With data: plant to compare it with, a name or file.py:name.", autocompletion=plant_or_file),
     ] = None,
-    clock: Annotated[
-        str | None, typer.Option("--clock", help="With data: channel with the times.", show_default=False)
-    ] = None,
-    dt: Annotated[float | None, typer.Option("--dt", help="With data: sample time in s.", show_default=False)] = None,
+    clock: Annotated[str | None, typer.Option(help="With data: channel with the times.")] = None,
+    dt: Annotated[float | None, typer.Option(help="With data: sample time in s.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over NAME.toml if it is there.")] = False,
     as_json: JsonOption = False,
 ) -> None:

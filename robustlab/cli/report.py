@@ -36,8 +36,7 @@ app = typer.Typer(
 
 @app.command()
 def write(
-    run_dir: Annotated[str, typer.Argument(help="The folder that robustlab run wrote.", show_default=False)],
-    as_json: JsonOption = False,
+    run_dir: Annotated[str, typer.Argument(help="The folder that robustlab run wrote.")], as_json: JsonOption = False
 ) -> None:
     """Write report.html and junit.xml again from result.json and figures of a finished run; nothing is computed again.
 
@@ -57,11 +56,9 @@ def write(
 
 @app.command()
 def compare(
-    run1: Annotated[str, typer.Argument(help="The folder of the earlier run.", show_default=False)],
-    run2: Annotated[str, typer.Argument(help="The folder of the later run.", show_default=False)],
-    tolerance: Annotated[
-        float, typer.Option("--tolerance", min=0.0, help="Relative change of a number that counts as none.")
-    ] = 0.01,
+    run1: Annotated[str, typer.Argument(help="The folder of the earlier run.")],
+    run2: Annotated[str, typer.Argument(help="The folder of the later run.")],
+    tolerance: Annotated[float, typer.Option(min=0.0, help="Relative change of a number that counts as none.")] = 0.01,
     as_json: JsonOption = False,
 ) -> None:
     """Requirements and numbers of two runs side by side, what changed, and what got worse.

@@ -25,10 +25,7 @@ def run(
     out: Annotated[
         str | None,
         typer.Option(
-            "--out",
-            "-o",
-            help="Folder to write.  [default: out/NAME, and one of its own for other settings]",
-            show_default=False,
+            "--out", "-o", help="Folder to write.  [default: out/NAME, and one of its own for other settings]"
         ),
     ] = None,
     progress: ProgressOptions,

@@ -1,4 +1,4 @@
-"""``robustlab synth``: controllers from files."""
+"""``robustlab synth``: controllers from files; ``lqr | lqi | kalman`` take weights and noises by name."""
 
 from __future__ import annotations
 
@@ -28,26 +28,111 @@ from robustlab.cli.options import (
     OutputOptions,
     PrewarpOption,
     SeedOption,
+    assignments,
     grouped,
     load_model,
     names,
     rows_of_blocks,
 )
 from robustlab.cli.progress import ProgressOptions
-from robustlab.cli.state_designs import kalman, lqi, lqr
-from robustlab.errors import (
-    EXIT_REQUIREMENT_NOT_MET,
-    UsageError,
-)
+from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
 
 if TYPE_CHECKING:
     from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE")]
+
+
+IntegralOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--integral", help="Output that is to follow, with the weight on its integrated error: NAME=VALUE; repeatable."
+    ),
+]
+StateOption = Annotated[list[str] | None, typer.Option("--state", help="Weight on a state: NAME=VALUE; repeatable.")]
+ControlOption = Annotated[
+    list[str] | None, typer.Option("--control", help="Weight on a control: NAME=VALUE; repeatable. Else 1.")
+]
+ProcessOption = Annotated[
+    list[str] | None,
+    typer.Option("--process", help="Intensity of the noise on a state or input: NAME=VALUE; repeatable."),
+]
+MeasurementOption = Annotated[
+    list[str] | None, typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.")
+]
+
+
+@grouped
+def lqr(
+    *, file: ModelArgument, state: StateOption = None, control: ControlOption = None, output: OutputOptions
+) -> None:
+    """State feedback u = -K x of least quadratic cost; all states are measured. --out writes K, to close with x.
+
+    Exit code 4: no gain could be vouched for.
+
+    Example: robustlab synth lqr motor.h5 --state omega=100 --control u=0.1 --out k.h5
+    """
+    from robustlab.synthesis.h2.named_weights import integral_weights
+    from robustlab.synthesis.h2.state_feedback import gain_controller
+
+    weights = assignments("--state", state)
+    if not weights:
+        raise UsageError("synth lqr", "no state", "--state NAME=VALUE: which state is to be small, and its weight")
+    model = load_model(file)
+    found = rl.lqr(model, *integral_weights(model, {}, weights, assignments("--control", control)))
+    output.finish_made("synth lqr", found, gain_controller(model, found), [file])
+
+
+@grouped
+def lqi(
+    *,
+    file: ModelArgument,
+    integral: IntegralOption = None,
+    state: StateOption = None,
+    control: ControlOption = None,
+    output: OutputOptions,
+) -> None:
+    """State feedback with integral action: outputs follow constant references without error; the loop is rebuilt.
+
+    All states are measured. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth lqi motor.h5 --integral omega=100 --control u=0.1 --out k.h5
+    """
+    from robustlab.synthesis.h2.named_weights import integral_weights
+
+    followed = assignments("--integral", integral)
+    if not followed:
+        raise UsageError("synth lqi", "no output", "--integral NAME=VALUE: which output follows, and its weight")
+    model = load_model(file)
+    Q, R = integral_weights(model, followed, assignments("--state", state), assignments("--control", control))
+    found = rl.lqi(model, Q, R, outputs=list(followed))
+    output.finish_made("synth lqi", found, found.controller, [file])
+
+
+@grouped
+def kalman(
+    *, file: ModelArgument, process: ProcessOption = None, measurement: MeasurementOption = None, output: OutputOptions
+) -> None:
+    """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
+
+    White noise; of a discrete model the numbers are variances. Exit code 4: no filter could be vouched for.
+
+    Example: robustlab synth kalman motor.h5 --process u=0.04 --measurement omega=1e-4 --out filter.h5
+    """
+    from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
+
+    model = load_model(file)
+    W = process_noise(model, assignments("--process", process), "--process")
+    V = diagonal_weight(assignments("--measurement", measurement), model.output_names, "--measurement")
+    found = rl.kalman(model, W, V)
+    output.finish_made("synth kalman", found, found.estimator, [file])
+
 
 app = typer.Typer(
     help="Design a controller and verify it in the loop rebuilt from it.", no_args_is_help=True, add_completion=False
 )
 
-FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", show_default=False)]
+FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.")]
 NominalOption = Annotated[
     bool, typer.Option("--nominal", help="Of an uncertain file: without its perturbation channels, at Delta = 0.")
 ]
@@ -55,12 +140,8 @@ GammaRelOption = Annotated[
     float,
     typer.Option("--gamma-rel", help="Allowed ratio to the smallest gamma; within it the slowest controller wins."),
 ]
-PlantArgument = Annotated[
-    str, typer.Argument(help="Generalised plant: HDF5 or .mat file.", metavar="PLANT", show_default=False)
-]
-ControllerArgument = Annotated[
-    str, typer.Argument(help="Its controller: HDF5 or .mat file.", metavar="CONTROLLER", show_default=False)
-]
+PlantArgument = Annotated[str, typer.Argument(help="Generalised plant: HDF5 or .mat file.", metavar="PLANT")]
+ControllerArgument = Annotated[str, typer.Argument(help="Its controller: HDF5 or .mat file.", metavar="CONTROLLER")]
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -123,16 +204,15 @@ def h2(
 def ncf(
     *,
     file: FileArgument,
-    w1: Annotated[str | None, typer.Option("--w1", help="Before the plant: a number or a model file.")] = None,
-    w2: Annotated[str | None, typer.Option("--w2", help="Behind the plant: a number or a model file.")] = None,
+    w1: Annotated[str | None, typer.Option(help="Before the plant: a number or a model file.")] = None,
+    w2: Annotated[str | None, typer.Option(help="Behind the plant: a number or a model file.")] = None,
     signals: SignalOptions,
-    factor: Annotated[float, typer.Option("--factor", help="Back-off from the smallest gamma, above 1.")] = 1.1,
+    factor: Annotated[float, typer.Option(help="Back-off from the smallest gamma, above 1.")] = 1.1,
     reference_model: Annotated[
-        str | None,
-        typer.Option("--reference-model", help="Two degrees of freedom: what the outputs are to do, a file."),
+        str | None, typer.Option(help="Two degrees of freedom: what the outputs are to do, a file.")
     ] = None,
-    rho: Annotated[float, typer.Option("--rho", help="With it: weight of following it, 1 to 3.")] = 1.0,
-    follow: Annotated[str | None, typer.Option("--follow", help="With it: the outputs that follow: a,b; all.")] = None,
+    rho: Annotated[float, typer.Option(help="With it: weight of following it, 1 to 3.")] = 1.0,
+    follow: Annotated[str | None, typer.Option(help="With it: the outputs that follow: a,b; all.")] = None,
     output: QuietDesignOutput,
 ) -> None:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
@@ -177,20 +257,18 @@ def dk(
     blocks: Annotated[
         str | None,
         typer.Option(
-            "--blocks",
             help='Blocks of Delta as rows "r,c" separated by ";" (-r,0 real repeated, r,0 complex repeated, r,c full); '
-            "those of the uncertain file where left out.",
-            show_default=False,
+            "those of the uncertain file where left out."
         ),
     ] = None,
     structure: Annotated[
-        str | None, typer.Option("--structure", help="What the controller may look like, as for fixed; D-K alone then.")
+        str | None, typer.Option(help="What the controller may look like, as for fixed; D-K alone then.")
     ] = None,
-    starts: Annotated[int, typer.Option("--starts", help="With a structure: random starts.")] = 3,
+    starts: Annotated[int, typer.Option(help="With a structure: random starts.")] = 3,
     seed: SeedOption = 0,
     direct: Annotated[bool, typer.Option(help="Go on with direct minimisation after D-K iteration.")] = True,
     mixed: Annotated[bool, typer.Option(help="Use that real blocks are real.")] = True,
-    max_order: Annotated[int | None, typer.Option(help="Largest order of the controller.", show_default=False)] = None,
+    max_order: Annotated[int | None, typer.Option(help="Largest order of the controller.")] = None,
     effort: EffortOptions,
     output: DesignOutput,
 ) -> None:
@@ -222,7 +300,6 @@ def fixed(
     structure: Annotated[
         str,
         typer.Option(
-            "--structure",
             help="static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, "
             ":diagonal, :scalar), decentralised:WORD.",
             autocompletion=one_of("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer"),
@@ -230,10 +307,8 @@ def fixed(
     ] = "static",
     channels: ChannelOptions,
     nominal: NominalOption = False,
-    objective: Annotated[
-        str, typer.Option("--objective", help="hinf or h2.", autocompletion=one_of("hinf", "h2"))
-    ] = "hinf",
-    starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
+    objective: Annotated[str, typer.Option(help="hinf or h2.", autocompletion=one_of("hinf", "h2"))] = "hinf",
+    starts: Annotated[int, typer.Option(help="Number of random starts.")] = 3,
     seed: SeedOption = 0,
     effort: EffortOptions,
     output: DesignOutput,
@@ -262,23 +337,20 @@ def fixed(
 @grouped
 def tune(
     *,
-    files: Annotated[
-        list[str], typer.Argument(help="Plants, HDF5 or .mat files: one controller for all.", show_default=False)
-    ],
+    files: Annotated[list[str], typer.Argument(help="Plants, HDF5 or .mat files: one controller for all.")],
     structure: Annotated[
-        str, typer.Option("--structure", help="As for fixed.", autocompletion=one_of("static", "pi", "pd", "pid"))
+        str, typer.Option(help="As for fixed.", autocompletion=one_of("static", "pi", "pd", "pid"))
     ] = "pid",
     goal: Annotated[
         list[str] | None,
-        typer.Option("--goal", help='Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".'),
+        typer.Option(help='Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".'),
     ] = None,
-    hard: Annotated[list[str] | None, typer.Option("--hard", help='Must be met: "margin:disk=0.8,at=input".')] = None,
+    hard: Annotated[list[str] | None, typer.Option(help='Must be met: "margin:disk=0.8,at=input".')] = None,
     limit: Annotated[
-        list[str] | None,
-        typer.Option("--limit", help="Always kept: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s)."),
+        list[str] | None, typer.Option(help="Always kept: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s).")
     ] = None,
     signals: SignalOptions,
-    starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
+    starts: Annotated[int, typer.Option(help="Number of random starts.")] = 3,
     seed: SeedOption = 0,
     effort: EffortOptions,
     output: DesignOutput,
@@ -313,14 +385,10 @@ def tune(
 def mixsyn(
     *,
     file: FileArgument,
-    w1: Annotated[
-        str | None, typer.Option("--w1", help='On the error: a number, or "bandwidth=10,error=0.01,peak=2".')
-    ] = None,
-    w2: Annotated[
-        str | None, typer.Option("--w2", help='On the control: a number, or "limit=20,bandwidth=1000".')
-    ] = None,
+    w1: Annotated[str | None, typer.Option(help='On the error: a number, or "bandwidth=10,error=0.01,peak=2".')] = None,
+    w2: Annotated[str | None, typer.Option(help='On the control: a number, or "limit=20,bandwidth=1000".')] = None,
     w3: Annotated[
-        str | None, typer.Option("--w3", help='On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".')
+        str | None, typer.Option(help='On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".')
     ] = None,
     signals: SignalOptions,
     gamma_rel: GammaRelOption = 1.05,
@@ -360,12 +428,11 @@ def reduce(
     *,
     plant: PlantArgument,
     controller: ControllerArgument,
-    loss: Annotated[float, typer.Option("--loss", help="Largest loss allowed, as a share.")] = 0.01,
-    order: Annotated[int | None, typer.Option("--order", help="States of the result, whatever it loses.")] = None,
+    loss: Annotated[float, typer.Option(help="Largest loss allowed, as a share.")] = 0.01,
+    order: Annotated[int | None, typer.Option(help="States of the result, whatever it loses.")] = None,
     measure: Annotated[
         str,
         typer.Option(
-            "--measure",
             help="hinf, h2, or mu (robust performance of an uncertain plant).",
             autocompletion=one_of("hinf", "h2", "mu"),
         ),
@@ -398,16 +465,13 @@ class SamplingOptions:
     method: Annotated[
         str,
         typer.Option(
-            "--method",
             help="auto, direct, tustin, tustin-prewarp, zoh, foh, impulse or matched.",
             autocompletion=one_of("auto", "direct", *FORMULAS),
         ),
     ] = "auto"
-    loss: Annotated[float, typer.Option("--loss", help="Loss from which on auto tries a direct design.")] = 0.1
-    delay: Annotated[float, typer.Option("--delay", help="Computational delay in s.")] = 0.0
-    antialiasing: Annotated[
-        float | None, typer.Option("--antialiasing", help="Corner of a filter before the sampler in rad/s.")
-    ] = None
+    loss: Annotated[float, typer.Option(help="Loss from which on auto tries a direct design.")] = 0.1
+    delay: Annotated[float, typer.Option(help="Computational delay in s.")] = 0.0
+    antialiasing: Annotated[float | None, typer.Option(help="Corner of a filter before the sampler in rad/s.")] = None
     prewarp: PrewarpOption = None
 
 

@@ -16,7 +16,7 @@ from robustlab.errors import UsageError
 if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.delay_stability import DelayStability
 
-StoredModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
+StoredModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE")]
 HoldOption = Annotated[
     str, typer.Option("--method", help="zoh, foh or tustin.", autocompletion=one_of("zoh", "foh", "tustin"))
 ]
@@ -29,11 +29,7 @@ def discretise(
     dt: DtOption,
     method: Annotated[
         str,
-        typer.Option(
-            "--method",
-            help="tustin, tustin-prewarp, zoh, foh, impulse or matched.",
-            autocompletion=one_of(*FORMULAS),
-        ),
+        typer.Option(help="tustin, tustin-prewarp, zoh, foh, impulse or matched.", autocompletion=one_of(*FORMULAS)),
     ] = "tustin",
     prewarp: PrewarpOption = None,
     output: OutputOptions,
@@ -86,9 +82,7 @@ def d2d(*, file: StoredModelArgument, dt: DtOption, method: HoldOption = "zoh", 
     output.finish_made("model d2d", found, found.model, [file])
 
 
-ModelArgument = Annotated[
-    str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL", show_default=False)
-]
+ModelArgument = Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")]
 OrderOption = Annotated[int, typer.Option("--order", help="Order of the Padé approximations.")]
 
 
@@ -101,7 +95,7 @@ def delay_model(
     ] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", help="Delay of an output in s; repeatable.")] = None,
     pade: Annotated[
-        int | None, typer.Option("--pade", help="Write a rational model of this order in the place of exact delays.")
+        int | None, typer.Option(help="Write a rational model of this order in the place of exact delays.")
     ] = None,
     output: OutputOptions,
 ) -> None:
@@ -133,7 +127,7 @@ def cover_delays(
         list[str] | None, typer.Option("--output", help="Delay of an output in s, or its range; repeatable.")
     ] = None,
     order: OrderOption = 3,
-    weight_order: Annotated[int, typer.Option("--weight-order", help="Order of the weight of their error.")] = 3,
+    weight_order: Annotated[int, typer.Option(help="Order of the weight of their error.")] = 3,
     output: OutputOptions,
 ) -> None:
     """A set that holds the model with its exact delays: rational ones, and blocks for what these miss at any frequency.
@@ -161,9 +155,9 @@ def cover_delays(
 @grouped
 def neglected_weight(
     *,
-    delay: Annotated[float | None, typer.Option("--delay", help="Longest delay in s that is left out.")] = None,
-    lag: Annotated[float | None, typer.Option("--lag", help="Longest time constant in s that is left out.")] = None,
-    order: Annotated[int, typer.Option("--order", help="Of the weight for a delay: 1 or 3.")] = 1,
+    delay: Annotated[float | None, typer.Option(help="Longest delay in s that is left out.")] = None,
+    lag: Annotated[float | None, typer.Option(help="Longest time constant in s that is left out.")] = None,
+    order: Annotated[int, typer.Option(help="Of the weight for a delay: 1 or 3.")] = 1,
     output: OutputOptions,
 ) -> None:
     """The weight of the relative error of a model that leaves out a delay or a lag, proved for all frequencies.

@@ -62,14 +62,12 @@ class TwoModels:
     structure: Annotated[
         str,
         typer.Option(
-            "--structure",
             help="elements, columns, rows, matrices or single.",
             autocompletion=one_of("elements", "columns", "rows", "matrices", "single"),
         ),
     ] = "elements"
     noise: Annotated[
-        float | None,
-        typer.Option("--noise", help="Relative differences up to this are noise; none where left out."),
+        float | None, typer.Option(help="Relative differences up to this are noise; none where left out.")
     ] = None
 
     def build(self) -> tuple[rl.UncertainModel, EndpointResidual, Provenance]:
@@ -96,22 +94,19 @@ class PlantRanges:
     plant: Annotated[
         str | None,
         typer.Option(
-            "--plant",
             help="Instead of models: an uncertain plant: its name, file.py:name, or HDF5 file.",
             autocompletion=plant_or_file,
         ),
     ] = None
     tolerance: Annotated[
-        list[str] | None,
-        typer.Option("--tolerance", help="Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable."),
+        list[str] | None, typer.Option(help="Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable.")
     ] = None
     ranges: Annotated[
         list[str] | None,
         typer.Option("--range", help="Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable."),
     ] = None
     outputs: Annotated[
-        str | None,
-        typer.Option("--outputs", help="Outputs of the plant to keep: a,b; states they do not show are dropped."),
+        str | None, typer.Option(help="Outputs of the plant to keep: a,b; states they do not show are dropped.")
     ] = None
 
     settings: Annotated[
@@ -119,16 +114,14 @@ class PlantRanges:
         typer.Option("--set", help="Value or choice of the plant, NAME=VALUE, such as motors=true; repeatable."),
     ] = None
     pose: Annotated[
-        str | None,
-        typer.Option("--pose", help="Of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out."),
+        str | None, typer.Option(help="Of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out.")
     ] = None
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
+        typer.Option(help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
     ] = None
     hold: Annotated[
-        str | None,
-        typer.Option("--hold", help="States and inputs a,b of a nonlinear plant that stay while parameters change."),
+        str | None, typer.Option(help="States and inputs a,b of a nonlinear plant that stay while parameters change.")
     ] = None
 
     def build(self, name: str, outputs: list[str] | None) -> tuple[rl.UncertainModel, Provenance]:
@@ -186,24 +179,20 @@ class CoverOptions:
 
     cover: Annotated[
         list[str] | None,
-        typer.Option("--cover", help="Instead: a file of a set of models that is to be covered; at least two times."),
+        typer.Option(help="Instead: a file of a set of models that is to be covered; at least two times."),
     ] = None
     form: Annotated[
         str,
         typer.Option(
-            "--form",
             help="Of the cover: elements, pca, ellipsoid, additive, input-multiplicative, output-multiplicative, or"
             " inverse- and one of these three (inverse-additive, ...).",
             autocompletion=one_of(*COVERS),
         ),
     ] = "elements"
-    order: Annotated[int, typer.Option("--order", help="Largest order of the cover's weight.")] = 4
-    directions: Annotated[
-        int | None, typer.Option("--directions", help="Number of directions of the forms pca and ellipsoid.")
-    ] = None
+    order: Annotated[int, typer.Option(help="Largest order of the cover's weight.")] = 4
+    directions: Annotated[int | None, typer.Option(help="Number of directions of the forms pca and ellipsoid.")] = None
     controller: Annotated[
-        str | None,
-        typer.Option("--controller", help="File of a controller u = K y: the cover's worst gain is that of its loop."),
+        str | None, typer.Option(help="File of a controller u = K y: the cover's worst gain is that of its loop.")
     ] = None
 
     def build(
@@ -230,22 +219,19 @@ class DiscoveryOptions:
     """What a discovery found and left unexplained."""
 
     discovery: Annotated[
-        str | None,
-        typer.Option("--discovery", help="Instead: folder of data discover --out, or its updated plant."),
+        str | None, typer.Option(help="Instead: folder of data discover --out, or its updated plant.")
     ] = None
     amplitude: Annotated[
-        list[str] | None,
-        typer.Option("--amplitude", help="With --discovery: amplitude of a speed or signal, NAME=VALUE; repeatable."),
+        list[str] | None, typer.Option(help="With --discovery: amplitude of a speed or signal, NAME=VALUE; repeatable.")
     ] = None
     dry: Annotated[
         str | None,
         typer.Option(
-            "--dry",
             help="With --discovery: dry friction as load (any speed), gain, or both.",
             autocompletion=one_of("load", "gain", "both"),
         ),
     ] = None
-    pade: Annotated[int, typer.Option("--pade", help="With --discovery: order of the Pade part of delays.")] = 2
+    pade: Annotated[int, typer.Option(help="With --discovery: order of the Pade part of delays.")] = 2
 
     def build(self, outputs: list[str] | None) -> tuple[EffectBlocks, Provenance]:
         """The blocks of an updated plant: of a plant file, or of the folder that ``data discover --out`` wrote."""
@@ -285,8 +271,7 @@ def build(
     models: TwoModels,
     ranges: PlantRanges,
     expressions: Annotated[
-        str | None,
-        typer.Option("--expressions", help="Instead of models: a TOML file with A, B, C, D in named parameters."),
+        str | None, typer.Option(help="Instead of models: a TOML file with A, B, C, D in named parameters.")
     ] = None,
     covered: CoverOptions,
     effort: EffortOptions,
@@ -407,11 +392,9 @@ def sample(
     file: UncertainArgument,
     n: Annotated[int, typer.Option("-n", "--samples", help="Number of random samples.")] = 20,
     seed: SeedOption = 0,
-    vertices: Annotated[str, typer.Option("--vertices", help="Vertices to add: a number, or all.")] = "0",
+    vertices: Annotated[str, typer.Option(help="Vertices to add: a number, or all.")] = "0",
     response: ResponseOptions,
-    figure: Annotated[
-        str | None, typer.Option("--figure", help="Folder for the envelope as SVG and PNG.", show_default=False)
-    ] = None,
+    figure: Annotated[str | None, typer.Option(help="Folder for the envelope as SVG and PNG.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.

@@ -38,14 +38,12 @@ class LimitOptions:
     """The limit whose violation is judged in the place of a search."""
 
     limit: Annotated[
-        str | None,
-        typer.Option("--limit", help="Do not search: how probable is it that samples violate this? '0.5 rad'."),
+        str | None, typer.Option(help="Do not search: how probable is it that samples violate this? '0.5 rad'.")
     ] = None
     probability: Annotated[
-        float | None,
-        typer.Option("--probability", help="With --limit: show P(violation) at most so large; else exit code 1."),
+        float | None, typer.Option(help="With --limit: show P(violation) at most so large; else exit code 1.")
     ] = None
-    confidence: Annotated[float, typer.Option("--confidence", help="With --limit: confidence of all bounds.")] = 0.95
+    confidence: Annotated[float, typer.Option(help="With --limit: confidence of all bounds.")] = 0.95
 
 
 @app.command()
@@ -56,7 +54,6 @@ def worst_case(
     metric: Annotated[
         str,
         typer.Option(
-            "--metric",
             help="peak-deviation, peak, rms, overshoot, settling-time, hinf, h2, spectral-abscissa, damping, "
             "controllability or hankel.",
             autocompletion=one_of(*METRICS),
@@ -65,11 +62,8 @@ def worst_case(
     of: MetricOptions,
     search: SearchOptions,
     judged: LimitOptions,
-    workers: Annotated[int, typer.Option("--workers", help="Threads; the answer does not depend on them.")] = 1,
-    figure: Annotated[
-        str | None,
-        typer.Option("--figure", help="With --limit: folder for figures.", show_default=False),
-    ] = None,
+    workers: Annotated[int, typer.Option(help="Threads; the answer does not depend on them.")] = 1,
+    figure: Annotated[str | None, typer.Option(help="With --limit: folder for figures.")] = None,
     progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:

@@ -14,8 +14,6 @@ from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import upper_lft
 
-__all__ = ["chained", "closed", "covering", "in_order", "named", "rearranged"]
-
 
 def rearranged(model: StateSpaceModel, ins: Iterable[int], outs: Iterable[int]) -> StateSpaceModel:
     """The model with these of its inputs and outputs, by number."""

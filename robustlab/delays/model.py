@@ -36,8 +36,6 @@ from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, inverse, parallel, product
 from robustlab.uncertainty.upper_lft import upper_lft
 
-__all__ = ["DelayedModel", "as_delayed", "delay", "uncertain_delays", "with_delays"]
-
 # Samples of delay of a discrete model; each is a state.
 MOST_SAMPLES = 2000
 # How far from a whole number of samples a discrete delay may be, relative to one sample.
@@ -515,10 +513,7 @@ def uncertain_delays(
 def as_delayed(system: Any, where: str = "as_delayed") -> DelayedModel:
     """A delayed model as it is; a model or a matrix as one without delays.
 
-    Raises
-    ------
-    InputError
-        None of these; an uncertain model, whose blocks and exact delays do not mix.
+    Raises InputError: none of these; an uncertain model, whose blocks and exact delays do not mix.
     """
     if isinstance(system, DelayedModel):
         return system

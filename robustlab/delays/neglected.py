@@ -28,8 +28,6 @@ from math import factorial
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, series
 
-__all__ = ["PROOFS", "covers_delay", "neglected_delay", "neglected_lag", "positive_between"]
-
 Polynomial = Sequence[Fraction]  # constant first
 
 # Where the error is bounded by 4 instead of Taylor's sum: below pi^2.
@@ -177,15 +175,8 @@ def covers_delay(numerator: Polynomial, denominator: Polynomial) -> bool:
     r"""Whether :math:`|e^{-j\omega\tau} - 1| < |N(j\omega) / D(j\omega)|` for all :math:`0 < \tau \le 1`, :math:`\omega
     > 0`.
 
-    Parameters
-    ----------
-    numerator, denominator
-        Coefficients in s, constant first.
-
-    Returns
-    -------
-    bool
-        True is a proof; False says that it did not succeed.
+    ``numerator``, ``denominator``: coefficients in s, constant first.
+    Returns: True is a proof; False says that it did not succeed.
     """
     n, d = _square(numerator), _square(denominator)
     taylor = [Fraction(0)] + [Fraction((-1) ** (k + 1) * 2, factorial(2 * k)) for k in range(1, TERMS + 1)]

@@ -34,8 +34,6 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, series
 
-__all__ = ["HIGHEST_ORDER", "ErrorWeight", "error_bound", "error_weight", "pade", "phase_bound", "phase_error"]
-
 # Above this order |Q_n| leaves double precision at the frequencies where the error is large.
 HIGHEST_ORDER = 40
 # Gain of the weight at high frequencies; the error itself reaches 2. Nearer to 2, the weight is larger below.
@@ -78,10 +76,7 @@ class PhaseBound(NamedTuple):
 def phase_bound(order: int) -> PhaseBound:
     r"""The bound :math:`\theta_n(x) \le c_n x^{2n+1}`, with its two conditions checked in whole numbers.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        A condition does not hold (it does for every order that was ever checked).
+    Raises NoTrustworthyNumber: a condition does not hold (it does for every order that was ever checked).
     """
     p = _polynomial(order)
     mirrored = [c * (-1) ** i for i, c in enumerate(p)]
@@ -143,17 +138,9 @@ def pade(delay: float, order: int) -> StateSpaceModel:
     A lossless ladder: :math:`A + A^T = -B B^T` and :math:`C = \mp B^T`. Both Gramians are the identity, so it is
     balanced, and its modulus is one at every frequency by its structure, whatever the order.
 
-    Parameters
-    ----------
-    delay
-        In s, positive.
-    order
-        1 to 40; 0 is the gain 1.
-
-    Raises
-    ------
-    InputError
-        Another delay or order.
+    ``delay``: in s, positive.
+    ``order``: 1 to 40; 0 is the gain 1.
+    Raises InputError: another delay or order.
     """
     if not 0 < delay < np.inf:
         raise InputError("pade", f"a delay of {delay!r} s", "a positive number of seconds")
@@ -206,10 +193,7 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     error rises: :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0` with x at its beginning and E at its end.
     Where the phase has reached :math:`\pi` the error is bounded by 2, and the left side goes on rising.
 
-    Raises
-    ------
-    InputError
-        A weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
+    Raises InputError: a weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
     """
     bound, s = phase_bound(order), spread
     if s and not order:  # no approximation: the error is that of the longest delay

@@ -29,8 +29,6 @@ from robustlab.arrays import Array, Indices, Mask
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = ["Answer", "checked_rtol", "delayed_response"]
-
 DEGREE = 7  # of the polynomials in a cell
 PASSES = 7  # through delays after which a jump is smoother than what a polynomial of that degree sees
 MOST_CELLS = 60_000
@@ -56,10 +54,8 @@ def delayed_response(
 ) -> Answer:
     """Response to samples u (n, n_u) at the times t, from the state x0 of H, with nothing in the delays.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        More cells are needed than can be afforded, or halving them does not bring the error below ``rtol``.
+    Raises NoTrustworthyNumber: more cells are needed than can be afforded, or halving them does not bring the error
+    below ``rtol``.
     """
     inside = _inside(model)
     points = _mesh(model, t, inside)

@@ -41,9 +41,6 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Channels", "Eliminated", "ROUNDING", "closed_descriptor", "descriptor", "eliminated", "solved"]
-
-
 # What counts as rounding where a rank is taken.
 ROUNDING = 1e-12
 

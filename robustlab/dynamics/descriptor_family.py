@@ -47,8 +47,6 @@ from robustlab.uncertainty.decomposition_tree import Exponents, MatrixPolynomial
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["TrimmedDescriptor", "uncertain_family"]
-
 Values = Mapping[str, float]
 
 # Of the natural magnitude of an entry: what two values of the same thing may differ by, what counts as zero, and what
@@ -79,27 +77,14 @@ def uncertain_family(
 ) -> UncertainModel:
     """The uncertain model of all linear models with parameters in their ranges.
 
-    Parameters
-    ----------
-    where
-        The plant's name, for messages.
-    nominal
-        Its linear model with all parameters at ``values``.
-    ranges
-        The parameters that are uncertain; of several thousand models each takes part in, see `TUNING`.
-    outputs
-        Names of the outputs to keep, all where left out.
-
-    Returns
-    -------
-    UncertainModel
-        One `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
-        values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        No linear model at a value within the ranges; a set that does not give the plant's own models back.
+    ``where``: the plant's name, for messages.
+    ``nominal``: its linear model with all parameters at ``values``.
+    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `TUNING`.
+    ``outputs``: names of the outputs to keep, all where left out.
+    Returns: one `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
+    values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
+    Raises NoTrustworthyNumber: no linear model at a value within the ranges; a set that does not give the plant's own
+    models back.
     """
     if not ranges:
         return UncertainModel(nominal, [], nominal.operating_point)

@@ -43,36 +43,19 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = ["DryFriction", "FrictionEvent", "StickSlip", "simulate_with_friction"]
-
 
 @dataclass(frozen=True)
 class DryFriction:
     """Dry friction on one velocity.
 
-    Attributes
-    ----------
-    velocity
-        Name of the velocity state in whose force equation it acts.
-    coulomb
-        Force or torque F_c while sliding, in the unit of that equation.
-    static
-        Largest holding force F_s; equal to ``coulomb`` where left out.
-    surface
-        Velocity of the surface on which the joint slides (a belt); 0: the ground.
-    inertia
-        Mass or inertia of the joint, for a model that is no `LinearPlant`: there the force is divided by it.
-
-    Raises
-    ------
-    InputError
-        NaN, a negative force, a static force below the sliding one, an inertia that is not positive.
+    Raises InputError: NaN, a negative force, a static force below the sliding one, an inertia that is not positive.
     """
 
-    velocity: str
-    coulomb: float
-    static: float | None = None
-    surface: float = 0.0
+    velocity: str  # name of the velocity state in whose force equation it acts
+    coulomb: float  # force or torque F_c while sliding, in the unit of that equation
+    static: float | None = None  # largest holding force F_s; equal to `coulomb` where left out
+    surface: float = 0.0  # velocity of the surface on which the joint slides (a belt); 0: the ground
+    # Mass or inertia of the joint, for a model that is no `LinearPlant`: there the force is divided by it.
     inertia: float | None = None
 
     def __post_init__(self) -> None:
@@ -134,25 +117,14 @@ def simulate_with_friction(
 ) -> StickSlip:
     """Response of a linear plant with dry friction on some of its velocities, exact at the samples.
 
-    Parameters
-    ----------
-    plant
-        A linear plant: the force enters the equation of the named velocity, divided by its inertia through E. Or a
-        continuous model whose state is the velocity; then every `DryFriction` needs an inertia.
-    friction
-        One for each joint that has any.
-    t, u, x0, hold, name
-        As in `robustlab.dynamics.simulate`; ``hold`` is "zoh" or "foh".
-    tuning
-        How finely changes are located.
-
-    Raises
-    ------
-    InputError
-        A name that is no state, two frictions on one velocity, a discrete model, samples so coarse that the plant's
-        fastest mode passes thousands of time constants between two.
-    NoTrustworthyNumber
-        The response outgrows double precision.
+    ``plant``: a linear plant: the force enters the equation of the named velocity, divided by its inertia through E. Or
+    a continuous model whose state is the velocity; then every `DryFriction` needs an inertia.
+    ``friction``: one for each joint that has any.
+    ``t``, ``u``, ``x0``, ``hold``, ``name``: as in `robustlab.dynamics.simulate`; ``hold`` is "zoh" or "foh".
+    ``tuning``: how finely changes are located.
+    Raises InputError: a name that is no state, two frictions on one velocity, a discrete model, samples so coarse that
+    the plant's fastest mode passes thousands of time constants between two; NoTrustworthyNumber: the response outgrows
+    double precision.
 
     Examples
     --------

@@ -28,9 +28,6 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal
 
-__all__ = ["held_descriptor"]
-
-
 Values = Mapping[str, float]
 # A state or input below it, in its unit, counts as zero where the size of a rate's terms is taken.
 NONE = 1e-6
@@ -65,23 +62,13 @@ def held_descriptor(
 ) -> TrimmedDescriptor:
     """The plant's descriptor form about (x, u) as a function of its parameters.
 
-    Parameters
-    ----------
-    x, u
-        Rest at the nominal parameters, (n_x,) and (n_u,).
-    hold
-        Names of states and inputs that are held, besides the velocities of the joints, which stay zero. Where left out,
-        the first of these with which there is rest at all ``tried`` values of the parameters: all states but currents,
-        the positions of the joints, the inputs.
-    tried
-        Values of all parameters by what messages call them.
-
-    Raises
-    ------
-    InputError
-        A name that is no state or input.
-    NoTrustworthyNumber
-        No rest at one of the tried values; from the function: at the values it is given.
+    ``x``, ``u``: rest at the nominal parameters, (n_x,) and (n_u,).
+    ``hold``: names of states and inputs that are held, besides the velocities of the joints, which stay zero. Where
+    left out, the first of these with which there is rest at all ``tried`` values of the parameters: all states but
+    currents, the positions of the joints, the inputs.
+    ``tried``: values of all parameters by what messages call them.
+    Raises InputError: a name that is no state or input. NoTrustworthyNumber: no rest at one of the tried values; from
+    the function: at the values it is given.
     """
     states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
     places = plant.port_places

@@ -33,8 +33,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["AffineEquations", "Descriptor", "LinearPlant", "tied_plant"]
-
 
 @dataclass(frozen=True)
 class Descriptor:
@@ -61,10 +59,7 @@ class AffineEquations:
     fixed: Mapping[str, float]
 
     def __call__(self, values: Mapping[str, float]) -> Descriptor:
-        """The matrices at these values.
-
-        Raises InputError: another value of a fixed parameter.
-        """
+        """The matrices at these values. Raises InputError: another value of a fixed parameter."""
         for name, value in self.fixed.items():
             if values[name] != value:
                 found = f"{name} = {values[name]:g}"

@@ -14,8 +14,6 @@ from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
-__all__ = ["linearise", "trim"]
-
 
 def trim(plant: Plant, **where: Any) -> Trim:
     r"""State and input with :math:`f(x, u) = 0`.

@@ -11,8 +11,6 @@ from robustlab.errors import InputError, unknown_name
 from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
-__all__ = ["Parameter", "Role", "overridden", "parameter_ranges", "tolerance_of"]
-
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain",
     "centre-of-mass", "gravity-direction",
@@ -23,6 +21,9 @@ GIVEN = "given by the user"
 @dataclass(frozen=True)
 class Parameter:
     """One physical parameter; immutable.
+
+    Raises InputError: NaN or infinite values, a sign that physics forbids, a tolerance that is negative or whose range
+    leaves that sign.
 
     Attributes
     ----------
@@ -45,12 +46,6 @@ class Parameter:
     role
         What it is to the equations of motion, where an effect may act on it: all parameters with the role ``"inertia"``
         are what an "inertia wrong" scales. Empty: no effect acts on it.
-
-    Raises
-    ------
-    InputError
-        NaN or infinite values, a sign that physics forbids, a tolerance that is negative or whose range leaves that
-        sign.
 
     Examples
     --------
@@ -118,10 +113,7 @@ class Parameter:
     def check_ends(self, low: float, high: float) -> None:
         """Refuse a range that leaves the sign that physics asks for.
 
-        Raises
-        ------
-        InputError
-            An end that is no value of the parameter, or zero within a range that must not hold it.
+        Raises InputError: an end that is no value of the parameter, or zero within a range that must not hold it.
         """
         for end in (low, high):
             replace(self, value=end, tolerance=0.0)
@@ -147,19 +139,11 @@ class Parameter:
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:
     """The default parameters with the given ones put in their places.
 
-    Parameters
-    ----------
-    given
-        Name -> value (the default's tolerance stays; that of the value 0 is none), or name -> ``(value, tolerance)``,
-        the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit, or one that
-        measures the same.
-    where
-        What messages call the plant.
-
-    Raises
-    ------
-    InputError
-        Unknown names (with the closest known one), and everything that `Parameter` refuses.
+    ``given``: name -> value (the default's tolerance stays; that of the value 0 is none), or name -> ``(value,
+    tolerance)``, the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit,
+    or one that measures the same.
+    ``where``: what messages call the plant.
+    Raises InputError: unknown names (with the closest known one), and everything that `Parameter` refuses.
 
     Examples
     --------

@@ -26,19 +26,6 @@ from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "InputSignal",
-    "LocalModels",
-    "NonlinearHold",
-    "NonlinearPlant",
-    "Plant",
-    "PortPlace",
-    "SteppedPlant",
-    "Trim",
-    "input_signal",
-]
-
-
 NonlinearHold = Literal["zoh", "foh", "spline"]
 
 

@@ -31,19 +31,6 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 
-__all__ = [
-    "BY_UNIT",
-    "PLANT",
-    "TEMPLATE",
-    "code_of",
-    "plant_from_file",
-    "plant_reference",
-    "plants_in_file",
-    "unit_reference",
-    "write_template",
-]
-
-
 MADE_BY, BY_UNIT = "plant file", "functional mock-up unit"
 # In the globals of a plant file: what messages call it.
 MARK = "__plant_file__"
@@ -74,26 +61,13 @@ def unit_reference(text: str) -> bool:
 def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
     """The plant that ``file.py:name`` means, with these parameters in the places of its own.
 
-    Parameters
-    ----------
-    parameters
-        Handed to the function; those that it does not name, and all of a plant that is no function, go to the plant's
-        ``with_parameters``.
-    path
-        Where the file was found, if not at the place that the reference says.
-
-    Returns
-    -------
-    Plant
-        Its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
-
-    Raises
-    ------
-    InputError
-        No such file or name (with the closest one), no Python, code that raises or ends the program, anything that is
-        no plant, and all that a plant refuses; with file and line.
-    DependencyMissing
-        The file imports an optional package that is not installed.
+    ``parameters``: handed to the function; those that it does not name, and all of a plant that is no function, go to
+    the plant's ``with_parameters``.
+    ``path``: where the file was found, if not at the place that the reference says.
+    Returns: its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
+    Raises InputError: no such file or name (with the closest one), no Python, code that raises or ends the program,
+    anything that is no plant, and all that a plant refuses; with file and line. DependencyMissing: the file imports an
+    optional package that is not installed.
     """
     file, name = plant_reference(reference) or ("", "")
     if not file:

@@ -17,8 +17,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["Hold", "recorded", "sampled_inputs", "simulate", "transition"]
-
 Hold = Literal["zoh", "foh"]
 
 

@@ -37,10 +37,8 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
     followed: the file it points to is replaced. Temporary files that a killed process left in the folder more than an
     hour ago are removed.
 
-    Raises
-    ------
-    EnvironmentFault
-        Disk full, no permission, read-only, no such folder; the previous file is kept and no temporary file stays.
+    Raises EnvironmentFault: disk full, no permission, read-only, no such folder; the previous file is kept and no
+    temporary file stays.
     """
     where = str(path)
     try:

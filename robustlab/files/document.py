@@ -23,21 +23,11 @@ WORD = {"json": "JSON", "toml": "TOML"}
 def read_document(kind: Kind, raw: bytes, where: str, limits: Limits | None = None) -> Any:
     """The document in the bytes of a file, parsed in the reader process.
 
-    Parameters
-    ----------
-    kind
-        ``json`` or ``toml``.
-    raw
-        The bytes of the file, UTF-8.
-    where
-        What messages call the file.
-
-    Raises
-    ------
-    InputError
-        As `parse_document`; more than ``limits.document`` bytes; a parser that crashed, hung or ran out of memory.
-    EnvironmentFault
-        The reader process could not be started.
+    ``kind``: ``json`` or ``toml``.
+    ``raw``: the bytes of the file, UTF-8.
+    ``where``: what messages call the file.
+    Raises InputError: as `parse_document`; more than ``limits.document`` bytes; a parser that crashed, hung or ran out
+    of memory. EnvironmentFault: the reader process could not be started.
     """
     from robustlab.files.isolation import document_isolated  # not needed where the child parses
 
@@ -53,11 +43,8 @@ def parse_document(kind: Kind, raw: bytes, where: str) -> Any:
     Whole numbers of JSON beyond 64 bits become floats, as other programs read them, and infinite beyond float64;
     TOML has none of either.
 
-    Raises
-    ------
-    InputError
-        Not UTF-8, not JSON or TOML; JSON with NaN, a key written twice, half a surrogate pair; whole numbers of TOML
-        beyond 64 bits, any of thousands of digits; nested deeper than `MAX_DEPTH`.
+    Raises InputError: not UTF-8, not JSON or TOML; JSON with NaN, a key written twice, half a surrogate pair; whole
+    numbers of TOML beyond 64 bits, any of thousands of digits; nested deeper than `MAX_DEPTH`.
     """
     try:
         text = raw.decode("utf-8-sig" if kind == "json" else "utf-8")

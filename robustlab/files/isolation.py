@@ -56,12 +56,7 @@ def send_error(stream: BinaryIO, error: InputError) -> None:
 def receive(data: bytes, file: str) -> Tree:
     """Inverse of `send_tree` and `send_error`.
 
-    Raises
-    ------
-    InputError
-        The error that was sent.
-    ValueError
-        The bytes are not what the two functions above write.
+    Raises InputError: the error that was sent; ValueError: the bytes are not what the two functions above write.
     """
     header, end = _header_of(data)
     return _Received(memoryview(data)[end:], file).tree(header["tree"], "/")
@@ -73,15 +68,7 @@ def receive_document(data: bytes) -> Any:
 
 
 def _header_of(data: bytes) -> tuple[dict[str, Any], int]:
-    """The JSON header and where it ends.
-
-    Raises
-    ------
-    InputError
-        The error that was sent.
-    ValueError
-        There is no header.
-    """
+    """The JSON header and where it ends. Raises InputError: the error that was sent; ValueError: there is no header."""
     start = len(MAGIC) + 8
     if not data.startswith(MAGIC) or len(data) < start:
         raise ValueError("no header")
@@ -190,12 +177,8 @@ def read_isolated(kind: str, path: str | Path, limits: Limits, group: str | None
 
     ``options`` go to the reader: of a table ``delimiter``, ``decimal``; of Parquet and MCAP ``wanted``.
 
-    Raises
-    ------
-    InputError
-        What is wrong with the file; a reader that crashed, hung, or ran out of memory.
-    EnvironmentFault
-        The reader could not be started.
+    Raises InputError: what is wrong with the file; a reader that crashed, hung, or ran out of memory. EnvironmentFault:
+    the reader could not be started.
     """
     command = _command(kind, limits, path=str(Path(path).absolute()), shown=str(path), group=group, **options)
     return run_reader(command, str(path), limits)
@@ -204,10 +187,7 @@ def read_isolated(kind: str, path: str | Path, limits: Limits, group: str | None
 def document_isolated(kind: str, raw: bytes, where: str, limits: Limits) -> Any:
     """Parse a document of JSON or TOML in a fresh interpreter, which gets its bytes and not its name.
 
-    Raises
-    ------
-    InputError, EnvironmentFault
-        As `read_isolated`.
+    Raises InputError, EnvironmentFault: as `read_isolated`.
     """
     command = _command(kind, limits, shown=where, size=len(raw))
     return _answer(command, where, limits, receive_document, raw)

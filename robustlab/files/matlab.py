@@ -58,10 +58,7 @@ BYTES_OF_MATRIX = 200  # of an array without values
 def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     """The variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset.
 
-    Raises
-    ------
-    InputError
-        Variables that declare more than the limits, a damaged file.
+    Raises InputError: variables that declare more than the limits, a damaged file.
     """
     from scipy.io import loadmat
 
@@ -128,10 +125,7 @@ def _latin(text: Any) -> str:
 def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
     """Write variables (arrays, numbers, texts, lists of texts as cell columns) to a version 5 file.
 
-    Raises
-    ------
-    InputError
-        A name that MATLAB does not allow.
+    Raises InputError: a name that MATLAB does not allow.
     """
     from scipy.io import savemat
 
@@ -155,11 +149,8 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
 def check_matlab5_sizes(path: str | Path, where: str, limits: Limits) -> None:
     """Refuse a version 5 file whose variables take more than the limits, by the name of the variable.
 
-    Raises
-    ------
-    InputError
-        A variable above ``limits.dataset``, all of them above ``limits.total``, more than `MAX_ELEMENTS` elements,
-        nesting below ``limits.depth``; elements that do not lie inside each other (a damaged file).
+    Raises InputError: a variable above ``limits.dataset``, all of them above ``limits.total``, more than `MAX_ELEMENTS`
+    elements, nesting below ``limits.depth``; elements that do not lie inside each other (a damaged file).
     """
     with Path(path).open("rb") as file:
         order = "<" if file.read(HEADER)[126:128] == b"IM" else ">"

@@ -47,10 +47,7 @@ def parquet_tree(
     attribute ``clock`` where an index of pandas, or the only column of times, says what the clock is; and
     ``inputs``, ``outputs``, ``name`` where `robustlab.record.Record.to_pandas` made the table.
 
-    Raises
-    ------
-    InputError
-        A truncated or damaged file, columns of one name, more than the limits.
+    Raises InputError: a truncated or damaged file, columns of one name, more than the limits.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -202,10 +199,8 @@ class _Topic:
 def bag_tree(path: str, group: str | None, wanted: Sequence[str] | None, limits: Limits, shown: str | None) -> Tree:
     """Read the fields ``wanted`` (``/topic.field[0]``, or ``field[0]`` of the topic ``group``); None: all of the group.
 
-    Raises
-    ------
-    InputError
-        A truncated or damaged file, chunks beyond the limits, a field that some messages lack or that is no number.
+    Raises InputError: a truncated or damaged file, chunks beyond the limits, a field that some messages lack or that is
+    no number.
     """
     where = shown or path
     bag = _Bag(where, limits, group, None if wanted is None else list(wanted))

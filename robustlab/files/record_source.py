@@ -65,10 +65,7 @@ def recipe_of(variable: str, kind: str) -> str | None:
 def logs_of(node: Tree) -> Iterator[Log]:
     """All channels of the logs in ``node`` and below it; their lengths are those of the file.
 
-    Raises
-    ------
-    InputError
-        A value of too many columns.
+    Raises InputError: a value of too many columns.
     """
     yield from _logs(node, node.file, "")
 
@@ -177,40 +174,24 @@ class Channel:
 
 @dataclass
 class Source:
-    """All channels of a file (or of one group of it) before anything is chosen.
+    """All channels of a file (or of one group of it) before anything is chosen."""
 
-    Attributes
-    ----------
-    where, name, prefix
-        The file, the record's name, and what messages put before a channel's name.
-    channels
-        Name -> channel.
-    dt, clock
-        Sample time in s (0: not stated), and the channel with the times, as the file states them.
-    groups
-        Groups that could be read instead.
-    clocks
-        Name -> times in s, of channels with a clock of their own; None where they have none.
-    notes
-        What was done to the clocks so far, a line each.
-    inputs, outputs
-        Where the file states them; empty otherwise.
-    listing
-        What messages show of the file's signals; their names where it is empty.
-    """
-
+    # where, name, prefix: the file, the record's name, and what messages put before a channel's name
     where: str
     name: str
     prefix: str
-    channels: dict[str, Channel]
+    channels: dict[str, Channel]  # name -> channel
+    # dt, clock: sample time in s (0: not stated), and the channel with the times, as the file states them
     dt: float = 0.0
     clock: str = ""
-    groups: list[str] = field(default_factory=list)
+    groups: list[str] = field(default_factory=list)  # groups that could be read instead
+    # Name -> times in s, of channels with a clock of their own; None where they have none.
     clocks: dict[str, Array | None] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what was done to the clocks so far, a line each
+    # inputs, outputs: where the file states them; empty otherwise
     inputs: list[str] = field(default_factory=list)
     outputs: list[str] = field(default_factory=list)
-    listing: str = ""
+    listing: str = ""  # what messages show of the file's signals; their names where it is empty
 
     def label(self, name: str) -> str:
         """What messages call a channel."""
@@ -230,10 +211,7 @@ def one_of(word: str, names: Sequence[str]) -> str:
 def need(where: str, package: str, extra: str) -> None:
     """Go on only where an optional package is installed.
 
-    Raises
-    ------
-    DependencyMissing
-        It is not; the hint names the extra.
+    Raises DependencyMissing: it is not; the hint names the extra.
     """
     if importlib.util.find_spec(package) is None:
         raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")

@@ -55,10 +55,7 @@ def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
 def decode_record(node: Tree, where: str) -> dict[str, Any]:
     """Inverse of `encode_record`.
 
-    Raises
-    ------
-    InputError
-        All of: missing ``t``, datasets that are not columns of finite real numbers, lengths that differ.
+    Raises InputError: all of: missing ``t``, datasets that are not columns of finite real numbers, lengths that differ.
     """
     problems: list[str] = []
     keywords: dict[str, Any] = {"name": str(node.attrs.get("name", "")) or "record", "units": {}, "meaning": {}}
@@ -124,45 +121,30 @@ SAME_RATE = 1e-6
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is taken of a file, and how it is understood.
+    """What is taken of a file, and how it is understood."""
 
-    Attributes
-    ----------
-    group
-        HDF5 group, MATLAB struct or topic of a bag that holds the signals.
-    inputs, outputs
-        Names of the signals to take; ``"u=SIGNAL"`` takes SIGNAL and calls it u. With neither given, all signals are
-        outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only, all others
-        are outputs. Of a bag the outputs are to be named, or its topic.
-    dt
-        Sample time in s; wins over what the file says. Without it and without a clock, the attribute ``Ts`` (or ``dt``,
-        in s, or ``fs`` in Hz) of the signals, else of their group, else of the file is used. Signals of several clocks
-        are brought on one of this sample time, or on the coarsest of theirs.
-    clock
-        Name of the signal with the times; ``t`` or ``time`` where left out. A unit of ms, us, ns or min is converted to
-        s. Of a bag: ``stamp`` or ``log``.
-    units
-        Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
-        rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
-        not named keep the numbers and the unit of the file.
-    delimiter, decimal
-        For text files; see `robustlab.files.text_table.read_table`.
-    allow_gaps
-        Accept a clock with missing samples.
-    no_verify
-        Accept a format 1 record whose content hash does not match.
-    """
-
-    group: str | None = None
+    group: str | None = None  # HDF5 group, MATLAB struct or topic of a bag that holds the signals
+    # inputs, outputs: names of the signals to take; `"u=SIGNAL"` takes SIGNAL and calls it u. With neither given, all
+    # signals are outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only,
+    # all others are outputs. Of a bag the outputs are to be named, or its topic.
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
+    # Sample time in s; wins over what the file says. Without it and without a clock, the attribute `Ts` (or `dt`, in
+    # s, or `fs` in Hz) of the signals, else of their group, else of the file is used. Signals of several clocks are
+    # brought on one of this sample time, or on the coarsest of theirs.
     dt: float | None = None
+    # Name of the signal with the times; `t` or `time` where left out. A unit of ms, us, ns or min is converted to s.
+    # Of a bag: `stamp` or `log`.
     clock: str | None = None
+    # Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
+    # rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
+    # not named keep the numbers and the unit of the file.
     units: Mapping[str, str] | None = None
+    # delimiter, decimal: for text files; see `robustlab.files.text_table.read_table`
     delimiter: str | None = None
     decimal: str = "."
-    allow_gaps: bool = False
-    no_verify: bool = False
+    allow_gaps: bool = False  # accept a clock with missing samples
+    no_verify: bool = False  # accept a format 1 record whose content hash does not match
 
 
 def read_record(
@@ -170,22 +152,12 @@ def read_record(
 ) -> dict[str, Any]:
     """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
 
-    Parameters
-    ----------
-    path
-        HDF5 (format 1 or plain), MATLAB 5 or 7.3, Parquet, MCAP (ROS 2), or a text file; told by content.
-    options
-        What to take of it.
-    limits, isolate
-        See `robustlab.files.hdf5.read_tree`.
-
-    Raises
-    ------
-    InputError
-        Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no
-        clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than the file states.
-    DependencyMissing
-        The package that reads such files is not installed.
+    ``path``: HDF5 (format 1 or plain), MATLAB 5 or 7.3, Parquet, MCAP (ROS 2), or a text file; told by content.
+    ``options``: what to take of it.
+    ``limits``, ``isolate``: see `robustlab.files.hdf5.read_tree`.
+    Raises InputError: signals that are missing (all of them, with the nearest names), are not columns of numbers,
+    differ in length; no clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than
+    the file states. DependencyMissing: the package that reads such files is not installed.
     """
     group, content = options.group, content_of(path, limits)
     if content == "text":
@@ -332,12 +304,7 @@ def _same_clock(clocks: list[Array | None]) -> bool:
 
 
 def _on_one_clock(
-    source: Source,
-    arrays: dict[str, Array],
-    ins: set[str],
-    keys: list[str],
-    clock: str | None,
-    options: RecordOptions,
+    source: Source, arrays: dict[str, Array], ins: set[str], keys: list[str], clock: str | None, options: RecordOptions
 ) -> tuple[Array, dict[str, Array]]:
     """Signals of several clocks on one: inputs held, outputs interpolated; what was done goes to the notes."""
     clocks: dict[str, Array] = {}
@@ -395,11 +362,7 @@ def _refuse_backwards(where: str, label: str, t: Array) -> None:
 
 
 def _convert(
-    where: str,
-    inputs: dict[str, Array],
-    outputs: dict[str, Array],
-    stated: dict[str, str],
-    given: Mapping[str, str],
+    where: str, inputs: dict[str, Array], outputs: dict[str, Array], stated: dict[str, str], given: Mapping[str, str]
 ) -> None:
     """Bring the named signals from the unit given for their numbers to SI; changes the first three tables."""
     for name, unit in given.items():

@@ -37,30 +37,18 @@ _FORMATS = "HDF5, MATLAB (.mat), Parquet, MCAP or text (.csv, .txt)"
 
 @dataclass(frozen=True)
 class Limits:
-    """What is read at most; everything is checked against the declared sizes before any of it is read.
+    """What is read at most; everything is checked against the declared sizes before any of it is read."""
 
-    Attributes
-    ----------
-    file, dataset, total
-        Bytes of the file, of one dataset in memory, of all datasets in memory.
-    document
-        Bytes of a document of JSON.
-    objects, depth
-        Number of groups and datasets, and how deep groups may be nested.
-    name
-        Characters of a name.
-    seconds
-        Time the reader process may take.
-    """
-
+    # file, dataset, total: bytes of the file, of one dataset in memory, of all datasets in memory
     file: int = 2048 * MIB
     dataset: int = 256 * MIB
     total: int = 512 * MIB
-    document: int = 32 * MIB
+    document: int = 32 * MIB  # bytes of a document of JSON
+    # objects, depth: number of groups and datasets, and how deep groups may be nested
     objects: int = 10_000
     depth: int = 16
-    name: int = 200
-    seconds: float = 30.0
+    name: int = 200  # characters of a name
+    seconds: float = 30.0  # time the reader process may take
 
 
 def size_text(n: int) -> str:
@@ -84,10 +72,7 @@ def size_text(n: int) -> str:
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit.
 
-    Raises
-    ------
-    InputError
-        In all other cases; a missing file is compared with its neighbours.
+    Raises InputError: in all other cases; a missing file is compared with its neighbours.
     """
     path = Path(path)
     where = str(path)
@@ -133,10 +118,7 @@ def _missing(path: Path) -> InputError:
 def content_of(path: str | Path, limits: Limits | None = None) -> Content:
     """Kind of the file, by content and not by name.
 
-    Raises
-    ------
-    InputError
-        It is none of the kinds that robustlab reads, or one that it refuses for a stated reason.
+    Raises InputError: it is none of the kinds that robustlab reads, or one that it refuses for a stated reason.
     """
     path = Path(path)
     where = str(path)

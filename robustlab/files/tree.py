@@ -30,18 +30,10 @@ ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 @dataclass(frozen=True)
 class Unread:
-    """Stands for the values of a dataset that was not read, because of its type or because nobody asked for it.
+    """Stands for the values of a dataset that was not read, because of its type or because nobody asked for it."""
 
-    Attributes
-    ----------
-    dtype
-        Name of the type, for messages.
-    shape
-        Shape as the file states it.
-    """
-
-    dtype: str
-    shape: tuple[int, ...]
+    dtype: str  # name of the type, for messages
+    shape: tuple[int, ...]  # shape as the file states it
 
 
 @dataclass
@@ -54,25 +46,14 @@ class Dataset:
 
 @dataclass
 class Tree:
-    """One group of a file.
+    """One group of a file."""
 
-    Attributes
-    ----------
-    attrs
-        Name -> text, number, or array.
-    groups, datasets
-        Name -> what is in it.
-    path
-        Where the group lies in the file; ``/`` is the root.
-    file
-        What messages call the file.
-    """
-
-    attrs: dict[str, Any] = field(default_factory=dict)
+    attrs: dict[str, Any] = field(default_factory=dict)  # name -> text, number, or array
+    # groups, datasets: name -> what is in it
     groups: dict[str, Tree] = field(default_factory=dict)
     datasets: dict[str, Dataset] = field(default_factory=dict)
-    path: str = "/"
-    file: str = "file"
+    path: str = "/"  # where the group lies in the file; `/` is the root
+    file: str = "file"  # what messages call the file
 
     def child_path(self, name: str) -> str:
         """Path of the named child."""
@@ -122,10 +103,8 @@ def type_name(values: AnyArray | Unread) -> str:
 def canonical(values: Any, where: str) -> AnyArray:
     """``values`` as a C-ordered array of float64, int64, bool, complex128, or text: the types format 1 knows.
 
-    Raises
-    ------
-    InputError
-        Any other type, whole numbers beyond 64 bits, text that cannot be stored (NUL, half a surrogate pair).
+    Raises InputError: any other type, whole numbers beyond 64 bits, text that cannot be stored (NUL, half a surrogate
+    pair).
     """
     array = np.asarray(values)
     kind = array.dtype.kind
@@ -152,10 +131,7 @@ def content_sha256(tree: Tree) -> str:
     Everything counts but the root attribute ``content_sha256`` and the root group ``provenance``. The bytes that are
     hashed are described in ``docs/hdf5-format.md``.
 
-    Raises
-    ------
-    InputError
-        A dataset has a type that format 1 does not know.
+    Raises InputError: a dataset has a type that format 1 does not know.
     """
     digest = hashlib.sha256()
     objects = sorted(tree.walk(), key=lambda item: item[0].encode())
@@ -262,10 +238,7 @@ def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
 
     A file without a hash is accepted with a warning; one with a wrong hash with ``no_verify`` only.
 
-    Raises
-    ------
-    InputError
-        A newer major version, an unknown kind, a hash that does not match.
+    Raises InputError: a newer major version, an unknown kind, a hash that does not match.
     """
     where, attrs = tree.file, tree.attrs
     if text_attr(attrs, "format") != FORMAT:

@@ -30,8 +30,6 @@ from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = ["CrossCheck", "cross_check"]
-
 POINTS = 40  # frequencies of the grid
 # Relative differences that are no contradiction: AB13MD is an iteration of its own, AB13DD is asked for ten digits.
 MU_DIGITS, GAIN_DIGITS = 1e-4, 1e-6
@@ -39,35 +37,19 @@ MU_DIGITS, GAIN_DIGITS = 1e-4, 1e-6
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What SLICOT says beside our bounds.
+    """What SLICOT says beside our bounds."""
 
-    Attributes
-    ----------
-    routine
-        The routine asked.
-    ours
-        Our bounds of the peak of mu, or of the gain (lower, upper).
-    theirs
-        Its largest bound of mu over the frequencies, or its norm of the member at our worst Delta.
-    asked, answered
-        How many frequencies or members it was asked about, and for how many it had an answer.
-    exact
-        Whether its bound of mu is mu itself, so that it could contradict our upper bound too.
-    status
-        CONVERGED: it agrees. INCONCLUSIVE: it had no answer that could contradict us.
-        FAILED: it contradicts us; one of the two is wrong.
-    said
-        The same in words.
-    """
-
-    routine: str
-    ours: tuple[float, float]
-    theirs: float
+    routine: str  # the routine asked
+    ours: tuple[float, float]  # our bounds of the peak of mu, or of the gain (lower, upper)
+    theirs: float  # its largest bound of mu over the frequencies, or its norm of the member at our worst Delta
+    # asked, answered: how many frequencies or members it was asked about, and for how many it had an answer
     asked: int
     answered: int
-    exact: bool
+    exact: bool  # whether its bound of mu is mu itself, so that it could contradict our upper bound too
+    # CONVERGED: it agrees. INCONCLUSIVE: it had no answer that could contradict us. FAILED: it contradicts us; one of
+    # the two is wrong.
     status: Status
-    said: str
+    said: str  # the same in words
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -77,12 +59,7 @@ class CrossCheck:
 def cross_check(uncertain: UncertainModel, result: Margin | WorstCaseGain) -> CrossCheck:
     """Ask SLICOT about a margin of stability, or about a worst-case gain.
 
-    Raises
-    ------
-    DependencyMissing
-        slycot is not installed.
-    NoTrustworthyNumber
-        The routine crashed or did not end.
+    Raises DependencyMissing: slycot is not installed; NoTrustworthyNumber: the routine crashed or did not end.
     """
     return _margin(uncertain, result) if isinstance(result, Margin) else _gain(uncertain, result)
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from robustlab.budget import MILLION
 
-__all__ = ["TUNING", "MuTuning"]
-
 
 @dataclass(frozen=True)
 class MuTuning:

@@ -40,44 +40,22 @@ _REFUSED = {
 
 @dataclass(frozen=True)
 class LoadedRecipe:
-    """A recipe with where it came from.
+    """A recipe with where it came from."""
 
-    Attributes
-    ----------
-    recipe
-        The checked recipe, with ``--set`` applied.
-    path
-        Its file.
-    text
-        The file's text as read.
-    overrides
-        Dotted key -> text of the value, as given with ``--set``.
-    """
-
-    recipe: Recipe
-    path: Path
-    text: str
-    overrides: dict[str, str]
+    recipe: Recipe  # the checked recipe, with `--set` applied
+    path: Path  # its file
+    text: str  # the file's text as read
+    overrides: dict[str, str]  # dotted key -> text of the value, as given with `--set`
 
 
 def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool = True) -> LoadedRecipe:
     """Read and check a recipe file.
 
-    Parameters
-    ----------
-    path
-        A ``.toml`` file of at most 1 MiB.
-    overrides
-        ``"a.b=value"`` items: a is a top-level key or a step's name.
-    isolate
-        False parses the text in this process, with the same checks.
-
-    Raises
-    ------
-    InputError
-        The file is missing, too large, not TOML, or not a recipe; all faults are listed.
-    UsageError
-        An override that has no ``=`` or names no step.
+    ``path``: a ``.toml`` file of at most 1 MiB.
+    ``overrides``: ``"a.b=value"`` items: a is a top-level key or a step's name.
+    ``isolate``: False parses the text in this process, with the same checks.
+    Raises InputError: the file is missing, too large, not TOML, or not a recipe; all faults are listed. UsageError: an
+    override that has no ``=`` or names no step.
     """
     file = Path(path)
     if file.suffix.lower() in _REFUSED:
@@ -284,10 +262,8 @@ def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
     ``--set`` in the working directory first. Models, and plants in a file of Python, must lie in the recipe's folder or
     the folder above it, unless ``--set`` says otherwise.
 
-    Raises
-    ------
-    InputError
-        A file that is not there (with the places looked at), is no regular file, or lies where a recipe may not reach.
+    Raises InputError: a file that is not there (with the places looked at), is no regular file, or lies where a recipe
+    may not reach.
     """
     found: dict[str, Path] = {}
     for name, step in loaded.recipe.step.items():
@@ -358,10 +334,7 @@ def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
 def recipe_path(given: str) -> Path:
     """The file that ``robustlab run`` means by ``given``: a path, or the name of a shipped recipe.
 
-    Raises
-    ------
-    InputError
-        Neither a file nor a shipped name.
+    Raises InputError: neither a file nor a shipped name.
     """
     path = Path(given)
     if path.is_file() or path.suffix or len(path.parts) > 1:

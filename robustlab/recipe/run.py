@@ -156,18 +156,11 @@ def run_recipe(
     Files appear in ``out`` only when the run is through, ``result.json`` last: an interrupted run leaves the previous
     one as it was.
 
-    Parameters
-    ----------
-    out
-        The folder; files in it that are no result of an earlier run stay.
-    report
-        Called with name and kind of each step before it runs.
-
-    Raises
-    ------
-    InputError, UsageError, EnvironmentFault
-        A step cannot be done as the recipe says; the step is named. (A step that is done, but ends without a
-        trustworthy number, is no error: the run goes on with the steps that do not need it, and says so.)
+    ``out``: the folder; files in it that are no result of an earlier run stay.
+    ``report``: called with name and kind of each step before it runs.
+    Raises InputError, UsageError, EnvironmentFault: a step cannot be done as the recipe says; the step is named. (A
+    step that is done, but ends without a trustworthy number, is no error: the run goes on with the steps that do not
+    need it, and says so.).
     """
     started = time.monotonic()
     sources = find_files(loaded)
@@ -337,10 +330,7 @@ def _files_of_previous_run(target: Path) -> set[str]:
 def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
     """Content of ``result.json`` of a finished run; it is parsed in the reader process (or here, without ``isolate``).
 
-    Raises
-    ------
-    InputError
-        No such file, or not the result of a run.
+    Raises InputError: no such file, or not the result of a run.
     """
     path = Path(folder) / "result.json"
     try:

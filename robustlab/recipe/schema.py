@@ -125,24 +125,12 @@ def json_schema() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A requirement and what became of it.
+    """A requirement and what became of it."""
 
-    Attributes
-    ----------
-    requirement
-        The requirement.
-    value
-        What was found; None where the step gave no numbers.
-    met
-        True where it was found and fulfils the condition.
-    why_not
-        Why no value could be judged; empty where one was.
-    """
-
-    requirement: Requirement
-    value: Any
-    met: bool
-    why_not: str = ""
+    requirement: Requirement  # the requirement
+    value: Any  # what was found; None where the step gave no numbers
+    met: bool  # True where it was found and fulfils the condition
+    why_not: str = ""  # why no value could be judged; empty where one was
 
     def to_json(self) -> dict[str, Any]:
         """Plain types."""
@@ -162,17 +150,9 @@ class Judgement:
 def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> Judgement:
     """Judge one requirement.
 
-    Parameters
-    ----------
-    numbers
-        Step name -> its numbers.
-    missing
-        Step name -> why it has none.
-
-    Raises
-    ------
-    InputError
-        The step is done, but has no number of that name.
+    ``numbers``: step name -> its numbers.
+    ``missing``: step name -> why it has none.
+    Raises InputError: the step is done, but has no number of that name.
     """
     step = requirement.that.split(".")[0]
     if step in missing:
@@ -184,10 +164,7 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
     """The value at a dotted path through tables and lists, for example ``gap.outputs.q.fit`` or ``loop.poles.0``.
 
-    Raises
-    ------
-    InputError
-        There is nothing at that path, or a whole table; a whole list, unless ``lists`` asks for one.
+    Raises InputError: there is nothing at that path, or a whole table; a whole list, unless ``lists`` asks for one.
     """
     here: Any = numbers
     done: list[str] = []

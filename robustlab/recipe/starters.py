@@ -64,49 +64,25 @@ INPUT_UNITS = ("V",)
 
 @dataclass(frozen=True)
 class Channels:
-    """Which channels of a file a recipe takes, and what was only guessed.
+    """Which channels of a file a recipe takes, and what was only guessed."""
 
-    Attributes
-    ----------
-    record
-        The record as it is read with them.
-    inputs, outputs
-        As a record step takes them: names, or ``"u=SIGNAL"``.
-    clock
-        Channel with the times where it had to be guessed; None where the file says it.
-    units
-        Name -> unit that the file states and the plant does not use: converted when read.
-    unstated
-        Names whose unit neither the file nor anybody states.
-    guessed
-        What was guessed, a line each.
-    """
-
-    record: Record
+    record: Record  # the record as it is read with them
+    # inputs, outputs: as a record step takes them: names, or `"u=SIGNAL"`
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    clock: str | None
-    units: dict[str, str]
-    unstated: tuple[str, ...]
-    guessed: tuple[str, ...]
+    clock: str | None  # channel with the times where it had to be guessed; None where the file says it
+    units: dict[str, str]  # name -> unit that the file states and the plant does not use: converted when read
+    unstated: tuple[str, ...]  # names whose unit neither the file nor anybody states
+    guessed: tuple[str, ...]  # what was guessed, a line each
 
 
 def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float | None = None) -> Channels:
     """Times, inputs and outputs of a record, found by names and units; with a plant, its signals are looked for.
 
-    Parameters
-    ----------
-    path
-        The file.
-    plant
-        What knows its ``inputs`` and ``outputs``, or None.
-    clock, dt
-        As for `robustlab.Record.read`, where the user says them.
-
-    Raises
-    ------
-    InputError
-        What the reader refuses; no clock; a plant's input or all its outputs without a channel.
+    ``path``: the file.
+    ``plant``: what knows its ``inputs`` and ``outputs``, or None.
+    ``clock``, ``dt``: as for `robustlab.Record.read`, where the user says them.
+    Raises InputError: what the reader refuses; no clock; a plant's input or all its outputs without a channel.
     """
     clock_given, guessed = clock, []
     if clock is None and dt is None:
@@ -194,18 +170,11 @@ def _of_plant(
 def record_recipe(name: str, path: str, channels: Channels, plant: str = "", dt: float | None = None) -> str:
     """The text of a recipe that reads a record and, with a plant, compares the two, for ``robustlab run`` as it is.
 
-    Parameters
-    ----------
-    name
-        Of the recipe.
-    path
-        The record's file, as the recipe is to name it.
-    channels
-        What was recognised in it.
-    plant
-        Name of a plant, or ``file.py:name``; empty for none.
-    dt
-        Sample time in s where the user gave it.
+    ``name``: of the recipe.
+    ``path``: the record's file, as the recipe is to name it.
+    ``channels``: what was recognised in it.
+    ``plant``: name of a plant, or ``file.py:name``; empty for none.
+    ``dt``: sample time in s where the user gave it.
     """
     record = channels.record
     lines = [
@@ -299,12 +268,8 @@ def _texts(texts: Sequence[str]) -> str:
 def write_starter(name: str, text: str = "", force: bool = False) -> Path:
     """Write ``NAME.toml`` in the working directory, or in the folder before the name: the example, or ``text``.
 
-    Raises
-    ------
-    UsageError
-        A name that a recipe cannot have.
-    EnvironmentFault
-        The file exists already, and ``force`` is not given; there is no such folder.
+    Raises UsageError: a name that a recipe cannot have. EnvironmentFault: the file exists already, and ``force`` is not
+    given; there is no such folder.
     """
     path = Path(os.path.dirname(name), f"{stem_of(name)}.toml")  # noqa: PTH120  a slash at the end is no name
     if path.exists() and not force:

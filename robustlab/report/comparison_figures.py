@@ -384,10 +384,7 @@ def response_figure(comparison: Comparison, output: str | None = None) -> Figure
 def harmonics_figure(comparison: Comparison) -> Figure:
     """Lines of every judged signal: excited, even and odd ones that are not, over the noise.
 
-    Raises
-    ------
-    InputError
-        The excitation does not allow the test.
+    Raises InputError: the excitation does not allow the test.
     """
     test = comparison.nonlinearity
     if not test.signals:

@@ -48,27 +48,13 @@ CYCLE = ("sample", "nominal", "good", "limit")
 
 @dataclass(frozen=True, eq=False)
 class FunctionPanel:
-    """One closed-loop function of one or several designs over frequency.
+    """One closed-loop function of one or several designs over frequency."""
 
-    Attributes
-    ----------
-    name
-        Heading, for example ``"S: control error"``.
-    gains
-        Design -> largest singular value, shape (n_omega,).
-    allowed
-        ``1 / |W|``, what the weight asks for, shape (n_omega,); None without a weight.
-    proved
-        ``gamma / |W|``, below which the verified gamma keeps the function; None without.
-    unit
-        Of the gain; empty for a ratio.
-    """
-
-    name: str
-    gains: Mapping[str, Array]
-    allowed: Array | None = None
-    proved: Array | None = None
-    unit: str = ""
+    name: str  # heading, for example `"S: control error"`
+    gains: Mapping[str, Array]  # design -> largest singular value, shape (n_omega,)
+    allowed: Array | None = None  # `1 / |W|`, what the weight asks for, shape (n_omega,); None without a weight
+    proved: Array | None = None  # `gamma / |W|`, below which the verified gamma keeps the function; None without
+    unit: str = ""  # of the gain; empty for a ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,18 +113,11 @@ def loop_figure(
 ) -> Figure:
     """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
 
-    Parameters
-    ----------
-    closed_loop
-        Singular values, shape (n_omega, k).
-    peak
-        Frequency in rad/s and gamma.
-    controller
-        Largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
-    level
-        What the marked level is.
-    heading
-        Of the closed loop's panel.
+    ``closed_loop``: singular values, shape (n_omega, k).
+    ``peak``: frequency in rad/s and gamma.
+    ``controller``: largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
+    ``level``: what the marked level is.
+    ``heading``: of the closed loop's panel.
     """
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
@@ -265,10 +244,7 @@ def tracking_panels(
 ) -> list[FunctionPanel]:
     """S, K S and T of the nominal loop of a tracking problem under each controller.
 
-    Parameters
-    ----------
-    gamma
-        Verified gamma of the only controller: what it proves is drawn too.
+    ``gamma``: verified gamma of the only controller: what it proves is drawn too.
     """
     gains = {name: problem.gains(K, omega) for name, K in controllers.items()}
     allowed = problem.bounds(omega)
@@ -285,21 +261,11 @@ def tracking_panels(
 
 @dataclass(frozen=True)
 class WeightedResponse:
-    """Largest singular value of one closed-loop function over frequency, and the bound its weight asks for.
+    """Largest singular value of one closed-loop function over frequency, and the bound its weight asks for."""
 
-    Attributes
-    ----------
-    name
-        For example ``"S (control error)"``.
-    gain
-        Shape (n_omega,).
-    bound
-        ``gamma / |W|``, shape (n_omega,), or None where the function has no weight.
-    """
-
-    name: str
-    gain: Array
-    bound: Array | None
+    name: str  # for example `"S (control error)"`
+    gain: Array  # shape (n_omega,)
+    bound: Array | None  # `gamma / |W|`, shape (n_omega,), or None where the function has no weight
 
 
 def sensitivity_figure(omega: Array, responses: Sequence[WeightedResponse], gamma: float) -> Figure:
@@ -398,29 +364,19 @@ WORDS = ("before", "after")
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """What the picture shows; pairs are before and after.
+    """What the picture shows; pairs are before and after."""
 
-    Attributes
-    ----------
-    gap
-        ``t``, ``record``, ``origin`` (measured or simulated), ``curves`` (two simulations), ``rms`` and ``label`` of
-        a record; None without one.
-    radii
-        Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
-    held_out
-        ``before`` and ``after``: what held-out records need; None without such.
-    margins, mu
-        Margins of robust performance, and the mu that they prove.
-    t, curves, errors, unit, after
-        Of the referee, which is a simulation: time in s, tracking error over it, largest error of any member, unit, and
-        the time in s from which it counts.
-    """
-
+    # `t`, `record`, `origin` (measured or simulated), `curves` (two simulations), `rms` and `label` of a record; None
+    # without one.
     gap: Mapping[str, Any] | None
+    # Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
     radii: Sequence[float] | None
-    held_out: Mapping[str, float] | None
+    held_out: Mapping[str, float] | None  # `before` and `after`: what held-out records need; None without such
+    # margins, mu: margins of robust performance, and the mu that they prove
     margins: Sequence[Margin]
     mu: Sequence[float]
+    # t, curves, errors, unit, after: of the referee, which is a simulation: time in s, tracking error over it,
+    # largest error of any member, unit, and the time in s from which it counts
     t: Array
     curves: Sequence[Array]
     errors: Sequence[float]

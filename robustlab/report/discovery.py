@@ -160,10 +160,7 @@ def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
 def posterior_figure(discovery: Discovery) -> Figure:
     """Bars of the probability of the best sets of effects, with their log evidence behind the first.
 
-    Raises
-    ------
-    InputError
-        No sets were weighed.
+    Raises InputError: no sets were weighed.
     """
     if not discovery.posterior:
         raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
@@ -197,16 +194,10 @@ def residual_force_figure(
 ) -> Figure:
     """Residual force over each coordinate; below it, what share of it each explains.
 
-    Parameters
-    ----------
-    residual
-        Curves and shares.
-    unnamed
-        The map fitted to it, drawn over the same coordinates where it has a component that is no dry pair.
-    name
-        What the force is called on the axes.
-    before
-        The force before the named effects were in the model, drawn behind it.
+    ``residual``: curves and shares.
+    ``unnamed``: the map fitted to it, drawn over the same coordinates where it has a component that is no dry pair.
+    ``name``: what the force is called on the axes.
+    ``before``: the force before the named effects were in the model, drawn behind it.
     """
     curves = sorted(residual.curves.values(), key=_place)
     earlier = before.curves if before is not None else {}
@@ -436,10 +427,7 @@ def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None, 
 def force_of(discovery: Discovery) -> Figure:
     """The missing force over speed, position, time and input, before and after.
 
-    Raises
-    ------
-    InputError
-        No force is known.
+    Raises InputError: no force is known.
     """
     if discovery.residual_force is None or not discovery.residual_force.curves:
         raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")

@@ -182,13 +182,7 @@ def stem(name: str, number: int) -> str:
 
 
 def chosen(names: Sequence[str], asked: str | None, kind: str) -> str:
-    """The name asked for, the first one where none is.
-
-    Raises
-    ------
-    InputError
-        No such name, or nothing there.
-    """
+    """The name asked for, the first one where none is. Raises InputError: no such name, or nothing there."""
     from robustlab.errors import InputError, did_you_mean
 
     if not names:
@@ -217,15 +211,12 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Pa
 
     Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
 
+    Raises EnvironmentFault: the folder cannot be made, or a file not written.
+
     Returns
     -------
     tuple of Path
         The SVG and the PNG.
-
-    Raises
-    ------
-    EnvironmentFault
-        The folder cannot be made, or a file not written.
     """
     from robustlab.errors import EnvironmentFault
     from robustlab.files.atomic import atomic_write

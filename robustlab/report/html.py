@@ -104,17 +104,9 @@ def tone(step: Mapping[str, Any]) -> str:
 def render(result: Mapping[str, Any], folder: str | Path) -> str:
     """The page for a result as ``result.json`` holds it.
 
-    Parameters
-    ----------
-    result
-        Content of ``result.json``; see `robustlab.recipe.run`.
-    folder
-        The run's folder, with ``figures/*.svg``.
-
-    Raises
-    ------
-    InputError
-        A figure that the result names is not there, or the result lacks a part.
+    ``result``: content of ``result.json``; see `robustlab.recipe.run`.
+    ``folder``: the run's folder, with ``figures/*.svg``.
+    Raises InputError: a figure that the result names is not there, or the result lacks a part.
     """
     from jinja2 import UndefinedError
 

@@ -59,12 +59,8 @@ class _Drawn:
 def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Responses of every output to a unit step on every input.
 
-    Parameters
-    ----------
-    t
-        Times in s; eight time constants of the slowest decay where left out.
-    n, seed
-        Members of an uncertain model.
+    ``t``: times in s; eight time constants of the slowest decay where left out.
+    ``n``, ``seed``: members of an uncertain model.
     """
     drawn = _drawn(shown, n, seed)
     model = drawn.nominal
@@ -87,12 +83,8 @@ def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: 
 def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Magnitude and phase from every input to every output.
 
-    Parameters
-    ----------
-    omega
-        Frequencies in rad/s; a decade beyond the poles where left out.
-    n, seed
-        Members of an uncertain model.
+    ``omega``: frequencies in rad/s; a decade beyond the poles where left out.
+    ``n``, ``seed``: members of an uncertain model.
     """
     drawn = _drawn(shown, n, seed)
     model = drawn.nominal

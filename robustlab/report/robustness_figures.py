@@ -174,10 +174,7 @@ def replay_figure(replay: Replay, shown: int = 4) -> Figure:
 def margin_shares(margin: Margin) -> Figure:
     """Shares of a margin's blocks.
 
-    Raises
-    ------
-    InputError
-        The margin has none: its critical pole is not simple, or the loop is ill-posed there.
+    Raises InputError: the margin has none: its critical pole is not simple, or the loop is ill-posed there.
     """
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
@@ -206,20 +203,12 @@ def response_figure(
 ) -> Figure:
     """All responses of one output: the whole time on the left, the end of it enlarged on the right.
 
-    Parameters
-    ----------
-    t
-        Times in s, shape (n_t,).
-    samples
-        Responses of the members, shape (n_samples, n_t).
-    nominal
-        Nominal response, shape (n_t,).
-    envelope
-        Smallest and largest value of all members at each time, each of shape (n_t,).
-    output
-        Name and unit.
-    references
-        Known values and what they are, drawn as lines.
+    ``t``: times in s, shape (n_t,).
+    ``samples``: responses of the members, shape (n_samples, n_t).
+    ``nominal``: nominal response, shape (n_t,).
+    ``envelope``: smallest and largest value of all members at each time, each of shape (n_t,).
+    ``output``: name and unit.
+    ``references``: known values and what they are, drawn as lines.
     """
     figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
     with house_style():
@@ -353,18 +342,11 @@ def exceedance_figure(
 ) -> Figure:
     """Share of the samples worse than each value, with its upper confidence bound; the logarithmic axis shows the tail.
 
-    Parameters
-    ----------
-    values
-        Values of the metric from the best to the worst, shape (m,).
-    share
-        Share of the samples worse than each, shape (m,).
-    upper
-        One-sided 95 % bound of the probability that a member is worse than each, shape (m,).
-    metric
-        Its name and unit.
-    limit
-        A value to mark.
+    ``values``: values of the metric from the best to the worst, shape (m,).
+    ``share``: share of the samples worse than each, shape (m,).
+    ``upper``: one-sided 95 % bound of the probability that a member is worse than each, shape (m,).
+    ``metric``: its name and unit.
+    ``limit``: a value to mark.
     """
     figure, (axes,) = new_figure(height=3.4)
     seen = share > 0
@@ -386,10 +368,7 @@ def exceedance_figure(
 def violation_influence(found: ViolationProbability) -> Figure:
     """Which parameters matter for a limited metric.
 
-    Raises
-    ------
-    InputError
-        Too few samples to tell, or blocks that are not real scalars.
+    Raises InputError: too few samples to tell, or blocks that are not real scalars.
     """
     if found.influence is None:
         raise InputError("plot('influence')", "no influences", "32 samples at least, and real scalar blocks")

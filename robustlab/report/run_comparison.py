@@ -15,51 +15,29 @@ CLOCKED = ("seconds",)  # last part of a number that differs between any two run
 
 @dataclass(frozen=True)
 class Change:
-    """One thing of both runs.
+    """One thing of both runs."""
 
-    Attributes
-    ----------
-    what
-        Text of a requirement, name of a step, or dotted path of a number.
-    first, second
-        What each run found; None where it has no such thing.
-    condition
-        What is required; empty for others.
-    verdict
-        ``better``, ``WORSE``, ``same``, ``changed``, ``new`` or ``gone``.
-    why
-        The verdict in words, where a word is not enough.
-    """
-
-    what: str
+    what: str  # text of a requirement, name of a step, or dotted path of a number
+    # first, second: what each run found; None where it has no such thing
     first: Any
     second: Any
-    verdict: str
-    condition: str = ""
-    why: str = ""
+    verdict: str  # `better`, `WORSE`, `same`, `changed`, `new` or `gone`
+    condition: str = ""  # what is required; empty for others
+    why: str = ""  # the verdict in words, where a word is not enough
 
 
 @dataclass(frozen=True)
 class RunComparison:
-    """What differs between two runs.
+    """What differs between two runs."""
 
-    Attributes
-    ----------
-    requirements, steps
-        All of both runs, in the order of the second; a requirement that only the first states comes last.
-    numbers
-        Those that differ by more than the tolerance, the largest change first; and those that only one run has.
-    equal
-        How many numbers do not differ.
-    settings
-        What was run: recipe, settings, seed, inputs and versions, where they differ.
-    """
-
+    # requirements, steps: all of both runs, in the order of the second; a requirement that only the first states
+    # comes last
     requirements: Sequence[Change]
     steps: Sequence[Change]
+    # Those that differ by more than the tolerance, the largest change first; and those that only one run has.
     numbers: Sequence[Change]
-    equal: int
-    settings: Sequence[Change]
+    equal: int  # how many numbers do not differ
+    settings: Sequence[Change]  # what was run: recipe, settings, seed, inputs and versions, where they differ
 
     @property
     def worse(self) -> list[Change]:
@@ -79,12 +57,8 @@ def compare_runs(first: Mapping[str, Any], second: Mapping[str, Any], tolerance:
     ``tolerance`` times the larger of both numbers, or where a requirement that was met is no longer stated. A step got
     worse where its number can no longer be vouched for.
 
-    Parameters
-    ----------
-    first, second
-        Content of ``result.json``, see `robustlab.recipe.run`.
-    tolerance
-        Relative change below which two numbers count as the same.
+    ``first``, ``second``: content of ``result.json``, see `robustlab.recipe.run`.
+    ``tolerance``: relative change below which two numbers count as the same.
     """
     old, new = (dict(_numbers(run)) for run in (first, second))
     changes = [_number(path, old.get(path), new.get(path), tolerance) for path in {**new, **old}]

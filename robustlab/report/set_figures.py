@@ -151,13 +151,7 @@ def _least_tied(deltas: Array) -> tuple[int, int]:
 
 
 def blocks_of(made: EffectBlocks) -> Figure:
-    """What each block alone does.
-
-    Raises
-    ------
-    InputError
-        There are no blocks.
-    """
+    """What each block alone does. Raises InputError: there are no blocks."""
     figure = blocks_figure(made)
     if figure is None:
         raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")
@@ -216,10 +210,7 @@ def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
 def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one.
 
-    Raises
-    ------
-    InputError
-        The cover is exact: there is nothing uncertain in it.
+    Raises InputError: the cover is exact: there is nothing uncertain in it.
     """
     if cover.fit is not None:
         return weight_figure(cover, models)
@@ -283,10 +274,7 @@ def _response_figure(found: Validation, output: str) -> Figure:
 def delta_figure(found: Validation) -> Figure:
     """Size of each block over frequency, and gamma.
 
-    Raises
-    ------
-    InputError
-        A validation in the time domain, or no Delta explains the record.
+    Raises InputError: a validation in the time domain, or no Delta explains the record.
     """
     if found.domain != "frequency" or not np.isfinite(found.upper):
         raise InputError(

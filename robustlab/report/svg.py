@@ -50,10 +50,7 @@ _USED = re.compile(r"(?:(?<=url\()|^)#([^)]+)")
 def compact(svg: str) -> str:
     """The same picture with fewer characters.
 
-    Parameters
-    ----------
-    svg
-        A drawing written by matplotlib: paths of M, L, C, Q and z in absolute coordinates, styles in ``style``.
+    ``svg``: a drawing written by matplotlib: paths of M, L, C, Q and z in absolute coordinates, styles in ``style``.
     """
     ET.register_namespace("", SVG[1:-1])
     ET.register_namespace("xlink", HREF[1:-5])

@@ -1,6 +1,6 @@
 """Storage: format 1 and plain files to models, records and results, and back.
 
-`interchange` decides which object a file holds; `matrices`, `models`, `plants` and `results` know some kinds each.
+`interchange` decides which object a file holds; `matrices`, `models` and `plants` know some kinds each.
 `controller_export` writes controllers for other programs; `expression_files` reads parametric models.
 """
 

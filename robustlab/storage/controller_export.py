@@ -53,10 +53,7 @@ CHECKED = 3
 def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tuple[tuple[float, float], ...] | None:
     """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none.
 
-    Raises
-    ------
-    InputError
-        Unknown or missing outputs, limits that are no two numbers with ``low < high``.
+    Raises InputError: unknown or missing outputs, limits that are no two numbers with ``low < high``.
     """
     if saturation is None:
         return None
@@ -107,27 +104,16 @@ def c_source(
 ) -> str:
     """The C99 source of a discrete model.
 
-    Parameters
-    ----------
-    model
-        Discrete model with n states, m inputs and p outputs; at least one input and one output.
-    prefix
-        Of every name in the file: a lower-case letter, then letters, digits, underscores (31 at most).
-    limits
-        ``(low, high)`` of each output; the outputs are held between them, and back-calculation keeps the states from
-        winding up.
-    notes
-        Lines for the comment at the top.
-    anti_windup
-        Time T in s: during saturation modes that are slower are made to decay within it. Ten samples where left out;
-        inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for`` adds to
-        the states. Of no effect without limits.
-
-    Raises
-    ------
-    InputError
-        A continuous model, one in deviations from an operating point, one without inputs or outputs, a prefix that is
-        no identifier.
+    ``model``: discrete model with n states, m inputs and p outputs; at least one input and one output.
+    ``prefix``: of every name in the file: a lower-case letter, then letters, digits, underscores (31 at most).
+    ``limits``: ``(low, high)`` of each output; the outputs are held between them, and back-calculation keeps the states
+    from winding up.
+    ``notes``: lines for the comment at the top.
+    ``anti_windup``: time T in s: during saturation modes that are slower are made to decay within it. Ten samples where
+    left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for``
+    adds to the states. Of no effect without limits.
+    Raises InputError: a continuous model, one in deviations from an operating point, one without inputs or outputs, a
+    prefix that is no identifier.
 
     Examples
     --------

@@ -39,19 +39,10 @@ def controller_to_json(
 ) -> dict[str, Any]:
     """A controller as plain types (schema ``robustlab.controller/1``).
 
-    Parameters
-    ----------
-    controller
-        Controller with n states, at least one input and one output.
-    saturation
-        ``(low, high)`` of each output, or None.
-    origin
-        Where it comes from.
-
-    Raises
-    ------
-    InputError
-        A controller without inputs or outputs.
+    ``controller``: controller with n states, at least one input and one output.
+    ``saturation``: ``(low, high)`` of each output, or None.
+    ``origin``: where it comes from.
+    Raises InputError: a controller without inputs or outputs.
     """
     k = controller.K
     if not k.n_inputs * k.n_outputs:
@@ -87,19 +78,11 @@ def is_json(path: str | Path) -> bool:
 def read_controller_json(path: str | Path, limits: Limits | None = None, isolate: bool = True) -> LoadedController:
     """The controller in a JSON file, exactly as it was written.
 
-    Parameters
-    ----------
-    path
-        A file with schema ``robustlab.controller/1``.
-    limits
-        Its ``document`` is the largest size of the file.
-    isolate
-        False parses the text in this process, with the same checks.
-
-    Raises
-    ------
-    InputError
-        Not JSON, another schema or version, keys that are missing, unknown or written twice, NaN, wrong shapes.
+    ``path``: a file with schema ``robustlab.controller/1``.
+    ``limits``: its ``document`` is the largest size of the file.
+    ``isolate``: False parses the text in this process, with the same checks.
+    Raises InputError: not JSON, another schema or version, keys that are missing, unknown or written twice, NaN, wrong
+    shapes.
     """
     where, limits = str(path), limits or Limits()
     size = Path(path).stat().st_size

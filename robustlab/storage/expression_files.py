@@ -36,13 +36,9 @@ def load_parametric(path: str | Path, isolate: bool = True) -> UncertainModel:
 
     The text is parsed in the reader process; with ``isolate = False`` in this one, with the same checks.
 
-    Raises
-    ------
-    InputError
-        The file is missing, larger than 1 MiB, not TOML; keys that are unknown or missing; all that `parametric`
-        refuses. Every message begins with the file's name.
-    NoTrustworthyNumber
-        A denominator vanishes inside the ranges.
+    Raises InputError: the file is missing, larger than 1 MiB, not TOML; keys that are unknown or missing; all that
+    `parametric` refuses. Every message begins with the file's name. NoTrustworthyNumber: a denominator vanishes inside
+    the ranges.
     """
     data = _read(Path(path), isolate)
     unknown = [key for key in data if key not in KEYS]

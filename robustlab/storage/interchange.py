@@ -1,14 +1,20 @@
 """Loading and saving: which object a file holds, and which file an object becomes.
 
+A result becomes nested groups of what its ``to_json`` gave.
+
 What knows one kind of object is loaded where one is met: a command that reads a model needs no plants and no delays.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
@@ -16,10 +22,21 @@ from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
 from robustlab.files.records import CLOCK_NAMES, RecordOptions, decode_record, encode_record, read_record
 from robustlab.files.signature import Limits, content_of
-from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
+from robustlab.files.tree import (
+    Dataset,
+    Tree,
+    Unread,
+    check_header,
+    decode_provenance,
+    is_stamped,
+    link_name,
+    signal_name,
+    stamp,
+    text_attr,
+)
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
-from robustlab.result import Result
+from robustlab.result import Result, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.models import decode_pair, looks_like_a_pair
@@ -41,30 +58,17 @@ else:
 
 @dataclass(frozen=True)
 class Loaded:
-    """An object from a file, with what is known about the file.
+    """An object from a file, with what is known about the file."""
 
-    Attributes
-    ----------
-    object
-        StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, LPVModel, Controller, LPVController,
-        Record, Result, Plant; for
-        ``kind = "pair"`` (nominal, perturbed).
-    kind
-        Kind of format 1, or ``"pair"``.
-    verified
-        True where the content hash was there and matched.
-    warnings
-        What a reader should know; empty where all is well.
-    provenance
-        Where the file says it comes from; its note says so where no content hash verified the file. The object carries
-        the same (`robustlab.provenance.Traced`).
-    """
-
+    # StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData, LPVModel, Controller, LPVController,
+    # Record, Result, Plant; for `kind = "pair"` (nominal, perturbed).
     object: Any
-    kind: str
+    kind: str  # kind of format 1, or `"pair"`
     path: str
-    verified: bool
-    warnings: tuple[str, ...] = ()
+    verified: bool  # True where the content hash was there and matched
+    warnings: tuple[str, ...] = ()  # what a reader should know; empty where all is well
+    # Where the file says it comes from; its note says so where no content hash verified the file. The object carries
+    # the same (`robustlab.provenance.Traced`).
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
@@ -133,10 +137,7 @@ def load_pair(
 ) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each.
 
-    Raises
-    ------
-    InputError
-        Anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
+    Raises InputError: anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
     """
     tree = _tree(path, None, limits, isolate)
     return decode_pair(tree, Problems(str(path)), transpose)
@@ -148,13 +149,7 @@ def is_plant_file(name: str) -> bool:
 
 
 def load_plant(path: str) -> Any:
-    """The plant in a file.
-
-    Raises
-    ------
-    InputError
-        The file holds something else.
-    """
+    """The plant in a file. Raises InputError: the file holds something else."""
     from robustlab.dynamics.plant_contract import Plant
 
     found = load(path)
@@ -234,8 +229,6 @@ def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stor
     if kind == "record":
         return _record(decode_record(tree, tree.file), tree.file)
     if kind == "result":
-        from robustlab.storage.results import decode_result
-
         return decode_result(tree)
     if kind == "plant":
         from robustlab.storage.plants import decode_plant
@@ -354,7 +347,6 @@ def _encode(tree: Tree, obj: Any) -> str:
         encode_uncertain,
     )
     from robustlab.storage.plants import encode_plant
-    from robustlab.storage.results import encode_result
     from robustlab.synthesis.problem.design import Controller
     from robustlab.synthesis.scheduling.parameter_varying import LPVModel
     from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
@@ -406,3 +398,119 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
         variables[f"{side}Name"] = [s.name for s in signals]
         variables[f"{side}Unit"] = [s.unit for s in signals]
     return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))
+
+
+# --- results ---------------------------------------------------------------------------------------------------------
+
+
+def encode_result(tree: Tree, result: Any) -> None:
+    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table."""
+    data = dict(result.to_json())
+    if isinstance(result, Result):
+        data.pop("type")
+    data.pop("status", None)
+    tree.attrs.update(
+        type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
+    )
+    _table(tree.group("data"), data)
+
+
+def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
+    for key, value in data.items():
+        _put(tree, link_name(str(key)), value)
+
+
+def _put(tree: Tree, link: str, value: Any) -> None:
+    if hasattr(value, "to_json"):
+        value = value.to_json()
+    if isinstance(value, Enum):
+        value = value.value
+    if value is None:
+        tree.put(link, "", null=True)
+    elif isinstance(value, Mapping):
+        _table(tree.group(link), value)
+    elif isinstance(value, (list, tuple, set, frozenset)):
+        _put_list(tree, link, list(value))
+    elif isinstance(value, np.ndarray) and value.dtype == object:
+        _put_list(tree, link, value.tolist())
+    else:
+        tree.put(link, value)
+
+
+def _put_list(tree: Tree, link: str, items: list[Any]) -> None:
+    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
+    leaves = _leaf_types(items)
+    if leaves and len(leaves) == 1 and _is_rectangular(items):
+        tree.put(link, np.asarray(items))
+        return
+    group = tree.group(link)
+    group.attrs["sequence"] = len(items)
+    for i, item in enumerate(items):
+        _put(group, str(i), item)
+
+
+def _leaf_types(items: list[Any]) -> set[str]:
+    kinds: set[str] = set()
+    for item in items:
+        if isinstance(item, (list, tuple)):
+            kinds |= _leaf_types(list(item))
+        elif isinstance(item, str) and not isinstance(item, Enum):
+            kinds.add("text")
+        elif isinstance(item, (bool, np.bool_)):
+            kinds.add("bool")
+        elif isinstance(item, (int, float, np.integer, np.floating)):
+            kinds.add("number")
+        elif isinstance(item, (complex, np.complexfloating)):
+            kinds.add("complex")
+        else:
+            kinds.add(type(item).__name__)
+            kinds.add("other")
+    return kinds
+
+
+def _is_rectangular(items: list[Any]) -> bool:
+    try:
+        return np.asarray(items).dtype != object
+    except ValueError:
+        return False
+
+
+def decode_result(tree: Tree) -> Result:
+    """Inverse of `encode_result`; lists of numbers come back as arrays.
+
+    Raises InputError: no group ``data``, an unknown status.
+    """
+    text = str(np.asarray(tree.attrs.get("status", "")))
+    if text not in [status.value for status in Status]:
+        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(s.value for s in Status)}")
+    if "data" not in tree.groups:
+        raise InputError(tree.file, "missing /data")
+    data = _value(tree.groups["data"])
+    if not isinstance(data, dict):
+        raise InputError(tree.file, "/data is a sequence", "a table")
+    return Result(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
+
+
+def _value(node: Tree) -> Any:
+    if "sequence" in node.attrs:
+        length = np.asarray(node.attrs["sequence"])
+        if length.dtype.kind != "i" or length.size != 1:
+            raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
+        count = int(length.flat[0])
+        names = [str(i) for i in range(min(count, len(node.datasets) + len(node.groups)))]
+        return [_child(node, name) for name in names if name in node.datasets or name in node.groups]
+    return {signal_name(link): _child(node, link) for link in [*node.datasets, *node.groups]}
+
+
+def _child(node: Tree, link: str) -> Any:
+    return _leaf(node, link, node.datasets[link]) if link in node.datasets else _value(node.groups[link])
+
+
+def _leaf(node: Tree, link: str, dataset: Dataset) -> Any:
+    if isinstance(dataset.values, Unread):
+        raise InputError(node.file, f"{node.child_path(link)} has dtype {dataset.values.dtype}", "numbers or text")
+    if "null" in dataset.attrs:
+        return None
+    if dataset.values.ndim == 0 or dataset.values.dtype.kind == "U":
+        return dataset.values.tolist()
+    return dataset.values

@@ -24,24 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass
 class Problems:
-    """Findings about one file, in the order in which they were met.
+    """Findings about one file, in the order in which they were met."""
 
-    Attributes
-    ----------
-    file
-        What messages call the file.
-    lines
-        One finding each, beginning with the path in the file.
-    hint
-        What to do; the first hint given stays.
-    notes
-        What a reader should know of a file that is right.
-    """
-
-    file: str
-    lines: list[str] = field(default_factory=list)
-    hint: str | None = None
-    notes: list[str] = field(default_factory=list)
+    file: str  # what messages call the file
+    lines: list[str] = field(default_factory=list)  # one finding each, beginning with the path in the file
+    hint: str | None = None  # what to do; the first hint given stays
+    notes: list[str] = field(default_factory=list)  # what a reader should know of a file that is right
 
     def add(self, line: str, hint: str | None = None) -> None:
         """Note a finding."""
@@ -103,15 +91,10 @@ def decode_model(
 ) -> StateSpaceModel | None:
     """The model in ``node``, or None with the reasons in ``problems``; a descriptor form (with E) is noted there.
 
-    Parameters
-    ----------
-    transpose
-        The file was written column by column: swap the two axes of A, B, C, D and E.
-    like
-        A model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this one
-        has none.
-    dt
-        Sample time where ``node`` states none.
+    ``transpose``: the file was written column by column: swap the two axes of A, B, C, D and E.
+    ``like``: a model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this
+    one has none.
+    ``dt``: sample time where ``node`` states none.
     """
     found = len(problems.lines)
     matrices = _matrices(node, problems, transpose)

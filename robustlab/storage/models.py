@@ -45,10 +45,7 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric,
     ``origin`` only if some block says where it comes from, ``sign`` only if physics limits some parameter's sign.
 
-    Raises
-    ------
-    InputError
-        A kind of block that files do not know.
+    Raises InputError: a kind of block that files do not know.
     """
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
@@ -85,13 +82,7 @@ def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
 
 
 def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
-    """Inverse of `encode_uncertain`.
-
-    Raises
-    ------
-    InputError
-        With all that is missing or does not fit.
-    """
+    """Inverse of `encode_uncertain`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("M", "blocks"), problems, kind="group")
     model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
     blocks = decode_blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
@@ -172,13 +163,7 @@ def encode_controller(tree: Tree, controller: Controller) -> None:
 
 
 def decode_controller(tree: Tree, problems: Problems, transpose: bool = False) -> Controller:
-    """Inverse of `encode_controller`.
-
-    Raises
-    ------
-    InputError
-        With all that is missing or does not fit.
-    """
+    """Inverse of `encode_controller`. Raises InputError: with all that is missing or does not fit."""
     model: StateSpaceModel | None = decode_model(tree, problems, transpose)
     gamma = None
     if "gamma" in tree.attrs:
@@ -206,13 +191,7 @@ def encode_frequency_data(tree: Tree, data: UncertainFrequencyData) -> None:
 
 
 def decode_frequency_data(tree: Tree, problems: Problems) -> UncertainFrequencyData:
-    """Inverse of `encode_frequency_data`.
-
-    Raises
-    ------
-    InputError
-        With all that is missing or does not fit.
-    """
+    """Inverse of `encode_frequency_data`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("omega", "M"), problems, kind="dataset")
     find_children(tree, ("blocks",), problems, kind="group")
     omega = entries(tree, "omega", "fi", problems) if "omega" in tree.datasets else None
@@ -237,13 +216,7 @@ def encode_delayed(tree: Tree, model: DelayedModel) -> None:
 
 
 def decode_delayed(tree: Tree, problems: Problems, transpose: bool = False) -> DelayedModel:
-    """Inverse of `encode_delayed`.
-
-    Raises
-    ------
-    InputError
-        With all that is missing or does not fit.
-    """
+    """Inverse of `encode_delayed`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("H",), problems, kind="group")
     find_children(tree, ("delays",), problems, kind="dataset")
     model = decode_model(tree.groups["H"], problems, transpose) if "H" in tree.groups else None
@@ -284,13 +257,7 @@ def encode_lpv(tree: Tree, thing: LPVModel | LPVController) -> str:
 
 
 def decode_lpv(tree: Tree, problems: Problems, *, controller: bool) -> LPVModel | LPVController:
-    """Inverse of `encode_lpv`.
-
-    Raises
-    ------
-    InputError
-        With all that is missing or does not fit.
-    """
+    """Inverse of `encode_lpv`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("matrices", "deviation"), problems, kind="dataset")
     find_children(tree, ("parameters", "signals"), problems, kind="group")
     problems.raise_any()
@@ -373,10 +340,8 @@ def looks_like_a_pair(tree: Tree) -> bool:
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The models in groups ``nominal`` and ``perturbed``.
 
-    Raises
-    ------
-    InputError
-        With all that is missing, misspelt or does not fit, in both groups; `UnitMismatch` where only units disagree.
+    Raises InputError: with all that is missing, misspelt or does not fit, in both groups; `UnitMismatch` where only
+    units disagree.
     """
     find_children(tree, GROUPS, problems)
     dt = sample_time(tree, problems)
@@ -400,12 +365,7 @@ def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tupl
 def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
     """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit.
 
-    Raises
-    ------
-    UnitMismatch
-        A signal carries different units.
-    InputError
-        Sizes, sample times or signal names differ.
+    Raises UnitMismatch: a signal carries different units; InputError: sizes, sample times or signal names differ.
     """
     sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
     if sizes[0] != sizes[1]:
@@ -439,21 +399,13 @@ def _differences(side: str, a: Signal, b: Signal) -> list[str]:
 
 @dataclass(frozen=True)
 class Change:
-    """One entry of A, B, C or D that differs.
+    """One entry of A, B, C or D that differs."""
 
-    Attributes
-    ----------
-    matrix
-        ``"A"``, ``"B"``, ``"C"`` or ``"D"``.
-    row, column
-        Names of the signals: the entry says how ``column`` acts on ``row`` (on its derivative, in A and B).
-    first, second
-        The two values.
-    """
-
-    matrix: str
+    matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
+    # row, column: names of the signals: the entry says how `column` acts on `row` (on its derivative, in A and B)
     row: str
     column: str
+    # first, second: the two values
     first: float
     second: float
 
@@ -471,10 +423,7 @@ class Change:
 def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> tuple[Change, ...]:
     """Entries with ``|second - first| > rtol * max(|first|, |second|)``.
 
-    Raises
-    ------
-    InputError
-        The models have other sizes, signals, units or sample times; see `check_pair`.
+    Raises InputError: the models have other sizes, signals, units or sample times; see `check_pair`.
     """
     check_pair(first, second, "difference of two models")
     rows = {"A": first.state_names, "B": first.state_names, "C": first.output_names, "D": first.output_names}

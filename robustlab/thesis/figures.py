@@ -14,17 +14,6 @@ from robustlab.dynamics.stewart.kinematics import ConditionMap
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.runs import SineRun
 
-__all__ = [
-    "case_figure",
-    "condition_figure",
-    "excitation_figure",
-    "percent_figure",
-    "sine_figure",
-    "tracking_effort_figure",
-    "tracking_error_figure",
-    "tracking_path_figure",
-]
-
 # Six lines in one panel: colours of Okabe and Ito, the second three dashed, so that they are told apart in grey too.
 SIX = [("#0072B2", "-"), ("#D55E00", "-"), ("#009E73", "-"), ("#56B4E9", "--"), ("#E69F00", "--"), ("#CC79A7", "--")]
 # Curves that lie on one another: wide, dashed and thin, dotted and thinner.

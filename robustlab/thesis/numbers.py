@@ -35,8 +35,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.structural import controllability, drop_unconnected, observability
 from robustlab.thesis.runs import UP_TO, Case, SineRun, cases, lowest_stable_pole, sine_run, track
 
-__all__ = ["PublishedNumber", "published_numbers"]
-
 # Appendix B in mm, without the misprints of b6 (y 114,5) and of m2, m3 (x 163,3).
 BASE = ((165.3, -57.4), (32.9, 171.9), (-32.9, 171.9), (-165.3, -57.4), (-132.4, -114.5), (132.4, -114.5))
 PLATFORM_Y = (75.8, 113.0, 113.0, 75.8)

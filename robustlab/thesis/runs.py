@@ -21,8 +21,6 @@ from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["ALL", "Case", "LINK", "SineRun", "UP_TO", "cases", "lowest_stable_pole", "sine_run", "track"]
-
 LOW = (0.0, 0.0, 0.1062, 0.0, 0.0, 0.0)
 TORQUE, HERTZ = 0.1, 2.0  # N m, Hz; the sine of sections 8.2.1 and 10.3.1
 UP_TO = 0.0577  # s; chosen: with that sine the only length of run that fits items 13 and 16-18 together

@@ -89,12 +89,7 @@ def upper(M: Any, K: Any) -> UncertainModel:
     r"""Upper LFT :math:`F_u(M, K) = M_{22} + M_{21} K (I - M_{11} K)^{-1} M_{12}` of two sets: K closes the first
     channels (of the model's own signals; its blocks stay).
 
-    Raises
-    ------
-    InputError
-        K is larger than M.
-    NoTrustworthyNumber
-        The nominal loop is not well posed.
+    Raises InputError: K is larger than M; NoTrustworthyNumber: the nominal loop is not well posed.
     """
     m, k = as_uncertain(M, "upper"), as_uncertain(K, "upper")
     _check_inside("upper", k, m)

@@ -95,12 +95,8 @@ class Plan:
 def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], shape: tuple[int, int]) -> list[Plan]:
     """Ways to decompose a matrix, the smallest first.
 
-    Parameters
-    ----------
-    weight
-        Repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
-    shape
-        Rows and columns of the matrix (either may be 0).
+    ``weight``: repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
+    ``shape``: rows and columns of the matrix (either may be 0).
     """
     terms: Terms = {}
     for i, row in enumerate(matrix):
@@ -268,18 +264,10 @@ Exponents = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class MatrixPolynomial:
-    """A matrix polynomial.
+    """A matrix polynomial."""
 
-    Attributes
-    ----------
-    names
-        The variables.
-    terms
-        Exponents -> coefficient (m, n); the constant one is always there.
-    """
-
-    names: tuple[str, ...]
-    terms: Mapping[Exponents, Array]
+    names: tuple[str, ...]  # the variables
+    terms: Mapping[Exponents, Array]  # exponents -> coefficient (m, n); the constant one is always there
 
     def __call__(self, t: Array) -> Array:
         """The matrix (m, n) at t, shape (number of names,)."""
@@ -290,12 +278,8 @@ class MatrixPolynomial:
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
     """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give.
 
-    Parameters
-    ----------
-    scale
-        Natural magnitude of each entry, an outer product ``rows cols^T`` of positive numbers, (m, n).
-    tolerance
-        What is below this share of the natural magnitude is rounding, where ranks are taken.
+    ``scale``: natural magnitude of each entry, an outer product ``rows cols^T`` of positive numbers, (m, n).
+    ``tolerance``: what is below this share of the natural magnitude is rounding, where ranks are taken.
 
     Examples
     --------

@@ -152,17 +152,10 @@ def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None
 
 @dataclass(frozen=True)
 class EndpointResidual:
-    """How far the ends of a set are from the two models it was made of.
+    """How far the ends of a set are from the two models it was made of."""
 
-    Attributes
-    ----------
-    absolute
-        For each of A, B, C, D the largest ``|F_u(M, I) - perturbed|``.
-    relative
-        The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
-    """
-
-    absolute: dict[str, float]
+    absolute: dict[str, float]  # for each of A, B, C, D the largest `|F_u(M, I) - perturbed|`
+    # The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
     relative: dict[str, float]
 
     @property
@@ -263,8 +256,7 @@ def _elements(d: _Difference) -> list[_Part]:
     rows, cols = d.E.shape
     found = [(m, i, j) for m in "ABCD" for i, j in _nonzeros(d, m)]
     names = _unique(
-        [f"{m}[{d.row_names[i]},{d.col_names[j]}]" for m, i, j in found],
-        [f"{m}[{i},{j}]" for m, i, j in found],
+        [f"{m}[{d.row_names[i]},{d.col_names[j]}]" for m, i, j in found], [f"{m}[{i},{j}]" for m, i, j in found]
     )
     return [
         _Part(name, d.E[i, j] * _unit(rows, i)[:, None], _unit(cols, j)[None])
@@ -428,10 +420,7 @@ def check_pair(
 ) -> None:
     """Whether two models have the same sizes, sample time, signals and units; ``first``, ``second`` are their names.
 
-    Raises
-    ------
-    InputError, UnitMismatch
-        They have not.
+    Raises InputError, UnitMismatch: they have not.
     """
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
     wrong = [

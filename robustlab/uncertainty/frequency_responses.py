@@ -114,7 +114,7 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         ----------
         path
             The file: frequencies first, then columns such as ``y from u real``; see
-            `robustlab.files.response_table.read_response`.
+            `robustlab.files.text_table.read_response`.
         name
             Beginning of the names of the blocks, as for `frequency_data`.
         **options
@@ -125,7 +125,7 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         InputError
             What is wrong with the table, or with the numbers in it.
         """
-        from robustlab.files.response_table import read_response
+        from robustlab.files.text_table import read_response
 
         table = read_response(path, **options)
         try:

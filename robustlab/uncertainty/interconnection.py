@@ -55,10 +55,7 @@ class Wiring(NamedTuple):
 def join(parts: Sequence[Part], where: str) -> Joint:
     """All operands side by side, not yet wired.
 
-    Raises
-    ------
-    InputError
-        A block name that stands for two different uncertainties.
+    Raises InputError: a block name that stands for two different uncertainties.
     """
     plain = [
         StateSpaceModel(
@@ -111,10 +108,7 @@ def _merged(same: list[Block], where: str) -> Block:
 def wired(joint: Joint, wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str) -> Part:
     """Close the wires of an interconnection: y = C2 x + D21 w + D22 u with u = K y + E v.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The nominal loop is not well posed.
+    Raises NoTrustworthyNumber: the nominal loop is not well posed.
     """
     m, q, p = joint.model, joint.q, joint.p
     n = m.n_states
@@ -196,11 +190,8 @@ def weighted(
 
     ``read(weight, where)`` makes M and blocks of what was given as a weight, once it is known to be wanted.
 
-    Raises
-    ------
-    InputError
-        No such block, a real block (its range is its weight), a weight that is unstable, of another sample time or of
-        a size that does not fit.
+    Raises InputError: no such block, a real block (its range is its weight), a weight that is unstable, of another
+    sample time or of a size that does not fit.
     """
     if side not in ("z", "w"):
         raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")

@@ -87,27 +87,14 @@ def constant(value: Fraction | int) -> Laurent:
 
 @dataclass
 class Algebra:
-    """Expressions over given parameters; collects the denominators of several terms that occur.
+    """Expressions over given parameters; collects the denominators of several terms that occur."""
 
-    Attributes
-    ----------
-    parameters
-        Names that may occur.
-    exact
-        Those that have one value only: it takes their place.
-    nonzero
-        Those that are never zero in their range: a division by them is safe.
-    denominators
-        Name of a denominator (its text in parentheses) -> the denominator.
-    work
-        Pairs of terms multiplied so far.
-    """
-
-    parameters: tuple[str, ...]
-    exact: Mapping[str, Fraction] = field(default_factory=dict)
-    nonzero: frozenset[str] = frozenset()
+    parameters: tuple[str, ...]  # names that may occur
+    exact: Mapping[str, Fraction] = field(default_factory=dict)  # those that have one value only: it takes their place
+    nonzero: frozenset[str] = frozenset()  # those that are never zero in their range: a division by them is safe
+    # Name of a denominator (its text in parentheses) -> the denominator.
     denominators: dict[str, Laurent] = field(default_factory=dict)
-    work: int = 0
+    work: int = 0  # pairs of terms multiplied so far
 
     def variable(self, name: str) -> Laurent:
         """A parameter as an expression."""
@@ -224,10 +211,7 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
     """One matrix entry, a number or a text, in normal form.
 
-    Raises
-    ------
-    InputError
-        NaN, complex numbers, anything but ``+ - * / **``, parentheses, numbers and parameter names.
+    Raises InputError: NaN, complex numbers, anything but ``+ - * / **``, parentheses, numbers and parameter names.
 
     Examples
     --------

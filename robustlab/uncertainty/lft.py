@@ -353,10 +353,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
     """An uncertain model as it is; a model, a matrix or a number as one without blocks.
 
-    Raises
-    ------
-    InputError
-        None of these, complex entries, NaN or Inf.
+    Raises InputError: none of these, complex entries, NaN or Inf.
 
     Examples
     --------
@@ -384,12 +381,8 @@ def product(second: Any, first: Any) -> UncertainModel:
     A number multiplies every channel. The result has the inputs of ``first`` and the outputs of ``second``; the
     signals of a matrix or a number are not named, and the other side's are kept where sizes allow it.
 
-    Raises
-    ------
-    InputError
-        Sizes or sample times that do not fit; a block name that stands for two different uncertainties.
-    UnitMismatch
-        An output of ``first`` and the input of ``second`` that it drives carry different units.
+    Raises InputError: sizes or sample times that do not fit; a block name that stands for two different uncertainties.
+    UnitMismatch: an output of ``first`` and the input of ``second`` that it drives carry different units.
 
     Examples
     --------
@@ -424,12 +417,8 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
     A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
     for.
 
-    Raises
-    ------
-    InputError
-        Sizes or sample times that do not fit; a block name that stands for two different uncertainties.
-    UnitMismatch
-        Signals that are added carry different units.
+    Raises InputError: sizes or sample times that do not fit; a block name that stands for two different uncertainties.
+    UnitMismatch: signals that are added carry different units.
     """
     if sign not in (1, -1):
         raise InputError("parallel", f"sign {sign!r}", "1 or -1")
@@ -452,12 +441,8 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
 def feedback(forward: Any, back: Any = 1.0, sign: int = -1) -> UncertainModel:
     r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G.
 
-    Raises
-    ------
-    InputError
-        Sizes or sample times that do not fit.
-    NoTrustworthyNumber
-        The nominal loop is not well posed: ``I - sign D_G D_H`` is singular at Delta = 0.
+    Raises InputError: sizes or sample times that do not fit; NoTrustworthyNumber: the nominal loop is not well posed:
+    ``I - sign D_G D_H`` is singular at Delta = 0.
     """
     if sign not in (1, -1):
         raise InputError("feedback", f"sign {sign!r}", "1 or -1")
@@ -483,12 +468,7 @@ def feedback(forward: Any, back: Any = 1.0, sign: int = -1) -> UncertainModel:
 def inverse(system: Any) -> UncertainModel:
     """The set of the inverses of a square set; inputs and outputs change places.
 
-    Raises
-    ------
-    InputError
-        Not square.
-    NoTrustworthyNumber
-        D is singular at Delta = 0: the inverse is not proper there.
+    Raises InputError: not square; NoTrustworthyNumber: D is singular at Delta = 0: the inverse is not proper there.
 
     Examples
     --------

@@ -105,10 +105,7 @@ def parametric(
 def as_range(name: str, given: Any) -> ParameterRange | float:
     """A parameter's range from what users write; a plain number, or a range without width, is an exact value.
 
-    Raises
-    ------
-    InputError
-        Not a range: NaN, ``low >= high``, a nominal value outside, a relative tolerance of the value 0.
+    Raises InputError: not a range: NaN, ``low >= high``, a nominal value outside, a relative tolerance of the value 0.
 
     Examples
     --------
@@ -409,10 +406,7 @@ def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[Signa
 
 
 def _first_exact(
-    candidates: Sequence[UncertainModel],
-    table: Table,
-    ranges: Mapping[str, ParameterRange],
-    exact: Mapping[str, float],
+    candidates: Sequence[UncertainModel], table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
 ) -> UncertainModel:
     """The first candidate that gives the texts back, computed in floats at random values and at vertices.
 

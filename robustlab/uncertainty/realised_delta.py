@@ -154,14 +154,7 @@ def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> Stat
     # The Delta channels come last for lower_lft.
     w, z = np.r_[q : M.n_inputs, 0:q], np.r_[p : M.n_outputs, 0:p]
     turned = StateSpaceModel(
-        M.A,
-        M.B[:, w],
-        M.C[z],
-        M.D[z[:, None], w],
-        M.dt,
-        [M.inputs[i] for i in w],
-        [M.outputs[i] for i in z],
-        M.states,
+        M.A, M.B[:, w], M.C[z], M.D[z[:, None], w], M.dt, [M.inputs[i] for i in w], [M.outputs[i] for i in z], M.states
     )
     return lower_lft(turned, made)
 

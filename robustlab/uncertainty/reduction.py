@@ -56,10 +56,7 @@ class Reduced(NamedTuple):
 def reduced(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float, seed: int = 0) -> Reduced:
     """Block by block, then all blocks jointly, until nothing goes; and the evidence.
 
-    Raises
-    ------
-    InputError
-        A tolerance that is not between 0 and 1.
+    Raises InputError: a tolerance that is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
         raise InputError("reduction", f"tolerance {tolerance}", "a number between 0 and 1")
@@ -127,16 +124,11 @@ def reduce_blocks(
     Every reduced block is checked against the unreduced one at random deltas of the unit disc; where they differ by
     more than 1e-10, that block stays as it was. A scalar block without any effect vanishes, and its name with it.
 
-    Parameters
-    ----------
-    M
-        Model whose first q inputs and p outputs are the channels of the blocks.
-    tolerance
-        Singular values below ``tolerance`` times the largest count as zero.
-    names
-        Reduce these blocks only.
-    keep
-        A block without any effect stays, once and without any channel that reaches it, so that its name stays known.
+    ``M``: model whose first q inputs and p outputs are the channels of the blocks.
+    ``tolerance``: singular values below ``tolerance`` times the largest count as zero.
+    ``names``: reduce these blocks only.
+    ``keep``: a block without any effect stays, once and without any channel that reaches it, so that its name stays
+    known.
     """
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")

@@ -39,14 +39,10 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
     None of them is kept: a million samples take no memory.
 
-    Parameters
-    ----------
-    blocks
-        Structure of Delta.
-    n
-        Number of random samples; sample i is drawn from ``SeedSequence(seed, spawn_key=(i,))``.
-    signs
-        Vertices (n_v, k) of the k real scalars; complex and full blocks are put on their boundary there, at random.
+    ``blocks``: structure of Delta.
+    ``n``: number of random samples; sample i is drawn from ``SeedSequence(seed, spawn_key=(i,))``.
+    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are put on their boundary there, at
+    random.
     """
 
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
@@ -98,10 +94,8 @@ class Deltas(Sequence[Mapping[str, Any]]):
 def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
     """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
 
-    Parameters
-    ----------
-    boundary
-        Complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples inside).
+    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples
+    inside).
 
     Examples
     --------
@@ -143,10 +137,7 @@ class RealSet:
 
     `block` is how many members belong in one call.
 
-    Parameters
-    ----------
-    uncertain
-        A set whose blocks are all `RealScalar`.
+    ``uncertain``: a set whose blocks are all `RealScalar`.
     """
 
     def __init__(self, uncertain: UncertainModel) -> None:
@@ -175,13 +166,7 @@ class RealSet:
         return np.where(theta < 0, theta * self.below, theta)[:, self.of_channel]
 
     def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
-        """The members at some of the samples.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            One of them is ill-posed.
-        """
+        """The members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
         ensemble = self.members(deltas.numbers(part))
         if ensemble.ill_posed.any():
             index = part.start + int(np.argmax(ensemble.ill_posed))

@@ -48,20 +48,11 @@ def excitation(
 ) -> Excitation:
     """The clock and the inputs as arrays.
 
-    Parameters
-    ----------
-    inputs, dt
-        Inputs and sample time of the models that are driven.
-    t
-        Times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
-    u
-        Name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or
-        (n_t, n_u); None for a unit step on the only input.
-
-    Raises
-    ------
-    InputError
-        A clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
+    ``inputs``, ``dt``: inputs and sample time of the models that are driven.
+    ``t``: times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
+    ``u``: name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or (n_t,
+    n_u); None for a unit step on the only input.
+    Raises InputError: a clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
     """
     clock = real_array("t", t, 1, where)
     if len(clock) < 2:
@@ -115,10 +106,7 @@ def _column(where: str, value: Any, n: int) -> Array:
 def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
     """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
 
-    Raises
-    ------
-    InputError
-        The model is unstable: how long to look is the user's to say.
+    Raises InputError: the model is unstable: how long to look is the user's to say.
     """
     poles = model.poles()
     if model.is_discrete:
@@ -143,27 +131,17 @@ def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """k members of an uncertain model; real, or complex where a Delta is.
+    """k members of an uncertain model; real, or complex where a Delta is."""
 
-    Attributes
-    ----------
-    A, B, C, D
-        Shapes (k, n_x, n_x), (k, n_x, n_u), (k, n_y, n_x), (k, n_y, n_u).
-    dt
-        Sample time in s.
-    ill_posed
-        Shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
-    scale
-        Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
-        member's response does not depend on which others are computed with it.
-    """
-
+    # A, B, C, D: shapes (k, n_x, n_x), (k, n_x, n_u), (k, n_y, n_x), (k, n_y, n_u)
     A: NDArray[Any]
     B: NDArray[Any]
     C: NDArray[Any]
     D: NDArray[Any]
-    dt: float
-    ill_posed: Mask
+    dt: float  # sample time in s
+    ill_posed: Mask  # shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
+    # Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
+    # member's response does not depend on which others are computed with it.
     scale: Array
 
     def __len__(self) -> int:
@@ -259,14 +237,9 @@ def time_responses(ensemble: Ensemble, h: float, u: Array, x0: Array, hold: Hold
     exact for an input that is piecewise constant (``hold = "zoh"``, without the last term) or linear (``"foh"``).
     A member that outgrows double precision gives infinite or NaN samples.
 
-    Parameters
-    ----------
-    h
-        Step in s.
-    u
-        Input samples, shape (n_t, n_u).
-    x0
-        Initial state, shape (n_x,).
+    ``h``: step in s.
+    ``u``: input samples, shape (n_t, n_u).
+    ``x0``: initial state, shape (n_x,).
     """
     k, n_t = len(ensemble), len(u)
     y = np.empty((k, n_t, ensemble.C.shape[1]))
@@ -304,10 +277,7 @@ def transitions(
 
     Shapes (k, n_x, n_x), (k, n_x, n_u) and (k, n_x, n_u); the last is zero for ``hold = "zoh"``.
 
-    Parameters
-    ----------
-    used
-        The inputs that are wanted; n_u counts them only.
+    ``used``: the inputs that are wanted; n_u counts them only.
     """
     from scipy.linalg import expm
 
@@ -336,24 +306,17 @@ def transitions(
 
 
 class Lanes(NamedTuple):
-    """Members and what drives them, as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`.
+    """Members and what drives them, as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
 
-    Attributes
-    ----------
-    phi, gamma, c, d
-        Matrices of the recursion, shapes (n_groups, rows, columns, LANES).
-    c_entries, d_entries
-        Places (i, j) of C and D that are not zero in every member.
-    u, v, x0
-        Inputs of the outputs (n_t, n_used) and of the states (n_t - 1, ...), and the initial state (n_x,).
-    """
-
+    # phi, gamma, c, d: matrices of the recursion, shapes (n_groups, rows, columns, LANES)
     phi: Array
     gamma: Array
     c: Array
     d: Array
+    # c_entries, d_entries: places (i, j) of C and D that are not zero in every member
     c_entries: NDArray[np.int64]
     d_entries: NDArray[np.int64]
+    # u, v, x0: inputs of the outputs (n_t, n_used) and of the states (n_t - 1, ...), and the initial state (n_x,)
     u: Array
     v: Array
     x0: Array
@@ -416,10 +379,7 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
     A grid search with each member's own resonances in the grid and a zoom on its highest point: quick, and never above
     the H-infinity norm, which `robustlab.norms.hinf_norm` brackets.
 
-    Parameters
-    ----------
-    grid
-        Frequencies in rad/s, shape (n_omega,); mirrored for complex members, whose gain is not even in frequency.
+    ``grid``: frequencies in rad/s, shape (n_omega,); mirrored for complex members, whose gain is not even in frequency.
     """
     k, n, n_u = ensemble.B.shape
     if n == 0:

@@ -22,51 +22,25 @@ from robustlab.worst_case_analysis.ensemble import Ensemble, members
 
 
 class Evaluation(NamedTuple):
-    """A metric at one Delta.
+    """A metric at one Delta."""
 
-    Attributes
-    ----------
-    value
-        The metric; infinite where there is no bounded value.
-    at
-        Time in s or frequency in rad/s where it is attained; NaN where there is none.
-    accurate
-        False where the routine behind it lost digits.
-    reason
-        Why there is no bounded value; else empty.
-    """
-
-    value: float
-    at: float = np.nan
-    accurate: bool = True
-    reason: str = ""
+    value: float  # the metric; infinite where there is no bounded value
+    at: float = np.nan  # time in s or frequency in rad/s where it is attained; NaN where there is none
+    accurate: bool = True  # False where the routine behind it lost digits
+    reason: str = ""  # why there is no bounded value; else empty
 
 
 class Metric:
-    """A number for each member of a set.
+    """A number for each member of a set."""
 
-    Attributes
-    ----------
-    uncertain
-        The set, without what does not matter for the metric.
-    unit
-        Unit of the value; empty where not stated.
-    location
-        What ``at`` is: ``"t [s]"``, ``"omega [rad/s]"``, or empty.
-    sense
-        1 where the largest value is the worst, -1 where the smallest is. A member without a bounded value has
-        ``sense * inf``.
-    tolerance
-        Search and re-evaluation must agree to this share of the value.
-    one_sided
-        True where re-evaluation may find a worse value than the search saw (a peak between its grid points).
-    """
-
-    uncertain: UncertainModel
-    unit: str = ""
-    location: str = ""
+    uncertain: UncertainModel  # the set, without what does not matter for the metric
+    unit: str = ""  # unit of the value; empty where not stated
+    location: str = ""  # what `at` is: `"t [s]"`, `"omega [rad/s]"`, or empty
+    # 1 where the largest value is the worst, -1 where the smallest is. A member without a bounded value has `sense *
+    # inf`.
     sense: float = 1.0
-    tolerance: float = 1e-6
+    tolerance: float = 1e-6  # search and re-evaluation must agree to this share of the value
+    # True where re-evaluation may find a worse value than the search saw (a peak between its grid points).
     one_sided: bool = False
 
     @property

@@ -109,12 +109,8 @@ class UserMetric(Metric):
 def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = "worst_case") -> Metric:
     """The metric that a request names, made for a set.
 
-    Raises
-    ------
-    UsageError
-        Unknown metric, or several outputs and none named.
-    InputError, NoTrustworthyNumber
-        Signals, times or models that the metric cannot work with.
+    Raises UsageError: unknown metric, or several outputs and none named; InputError, NoTrustworthyNumber: signals,
+    times or models that the metric cannot work with.
     """
     if not isinstance(uncertain, UncertainModel):
         raise InputError(where, type(uncertain).__name__, "an UncertainModel")

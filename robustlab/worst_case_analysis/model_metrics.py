@@ -72,12 +72,8 @@ def finite_gramians(ensemble: Ensemble, duration: float, norm: float) -> Array:
 
     and of a discrete model the sum over ``round(T / dt)`` samples.
 
-    Parameters
-    ----------
-    duration
-        T in s.
-    norm
-        Size of A in 1/s, which decides the first step: one for all members of a set.
+    ``duration``: T in s.
+    ``norm``: size of A in 1/s, which decides the first step: one for all members of a set.
     """
     a, n = ensemble.A, ensemble.A.shape[1]
     q = ensemble.B @ ensemble.B.transpose(0, 2, 1)

@@ -22,12 +22,7 @@ from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
-from robustlab.worst_case_analysis.streaming import (
-    LABEL,
-    StreamedResponses,
-    blocks_of,
-    stream,
-)
+from robustlab.worst_case_analysis.streaming import LABEL, StreamedResponses, blocks_of, stream
 from robustlab.worst_case_analysis.tuning import TUNING
 
 # A response is kept whole: samples x times x outputs.
@@ -405,11 +400,7 @@ def _asked(
 
 
 def _respond(
-    samples: Samples,
-    t: ArrayLike,
-    u: Mapping[str, ArrayLike] | ArrayLike | None,
-    x0: ArrayLike | None,
-    hold: Hold,
+    samples: Samples, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, x0: ArrayLike | None, hold: Hold
 ) -> Responses:
     uncertain = samples.uncertain
     drive, start = _asked(uncertain, t, u, x0, hold, "respond")

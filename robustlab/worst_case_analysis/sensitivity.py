@@ -48,10 +48,7 @@ def response_slope(ensemble: Ensemble, drive: Excitation, hold: Hold, weights: A
 
     and from there to A and B through the exponential of the block matrix that gave Phi and Gamma.
 
-    Parameters
-    ----------
-    weights
-        ``dv / dy``, shape (n_t, n_y).
+    ``weights``: ``dv / dy``, shape (n_t, n_y).
     """
     h, u = drive.h, drive.u
     phi, gamma, ramp = (matrix[0] for matrix in transitions(ensemble, h, hold))

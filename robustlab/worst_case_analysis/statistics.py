@@ -144,12 +144,8 @@ class Influence(Tabular, Shown):
 def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
     """Influence of the parameters of a set of real scalars on a metric at its first samples.
 
-    Parameters
-    ----------
-    values
-        What ``batch`` gave for its first n samples, (n,).
-    worst
-        Index of the worst of them.
+    ``values``: what ``batch`` gave for its first n samples, (n,).
+    ``worst``: index of the worst of them.
     """
     theta = batch.theta(len(values))
     finite = bool(np.isfinite(values).all())

@@ -129,42 +129,25 @@ def in_order(function: Callable[[slice], T], parts: Sequence[slice], workers: in
 
 
 class Bins(NamedTuple):
-    """What responses are held against, each (n_t, n_y).
+    """What responses are held against, each (n_t, n_y)."""
 
-    Attributes
-    ----------
-    nominal
-        Nominal response.
-    low, per_bin
-        Bins of width ``1 / per_bin`` from ``low`` on; the first and the last take all beyond.
-    """
-
-    nominal: Array
+    nominal: Array  # nominal response
+    # low, per_bin: bins of width `1 / per_bin` from `low` on; the first and the last take all beyond
     low: Array
     per_bin: Array
 
 
 class Sums(NamedTuple):
-    """Running statistics per time and output, each (n_t, n_y); arrays that are added to in place.
+    """Running statistics per time and output, each (n_t, n_y); arrays that are added to in place."""
 
-    Attributes
-    ----------
-    lower, upper
-        Smallest and largest value.
-    total, squares
-        Sums of the deviation from nominal, and of its squares.
-    lost
-        How many values are not finite.
-    counts
-        How many fall into each bin, (n_t, n_y, n_bins).
-    """
-
+    # lower, upper: smallest and largest value
     lower: Array
     upper: Array
+    # total, squares: sums of the deviation from nominal, and of its squares
     total: Array
     squares: Array
-    lost: NDArray[np.int64]
-    counts: NDArray[Any]
+    lost: NDArray[np.int64]  # how many values are not finite
+    counts: NDArray[Any]  # how many fall into each bin, (n_t, n_y, n_bins)
 
     @classmethod
     def empty(cls, shape: tuple[int, int], n_bins: int, dtype: Any) -> Sums:

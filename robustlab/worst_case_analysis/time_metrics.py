@@ -30,14 +30,9 @@ from robustlab.worst_case_analysis.tuning import TUNING
 class TimeMetric(Metric):
     """What metrics of a response share. It starts from zero initial state.
 
-    Parameters
-    ----------
-    uncertain
-        Set with real blocks.
-    output
-        Name of the output.
-    drive, hold
-        Times, input, and what the input does between samples.
+    ``uncertain``: set with real blocks.
+    ``output``: name of the output.
+    ``drive``, ``hold``: times, input, and what the input does between samples.
     """
 
     name = "response"

@@ -48,32 +48,17 @@ from robustlab.errors import InputError, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["ControlledNonlinearPlant", "actuator_cascade", "controlled_nonlinear", "controlled_plant", "driver_in_loop"]
-
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
     """The plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs).
 
-    Parameters
-    ----------
-    plant
-        Continuous linear plant without direct term.
-    K
-        Continuous controller: an input for each reference and each measured output, in this order, an output for each
-        input of the plant.
-    controlled, measured
-        Names of outputs of the plant.
-
-    Returns
-    -------
-    LinearPlant
-        Inputs ``<name>_ref``; outputs those of the plant and its inputs; states those of the plant, then
-        ``controller_1`` ...
-
-    Raises
-    ------
-    InputError
-        Unknown outputs, a controller of other sizes or a discrete one, a plant with a direct term.
+    ``plant``: continuous linear plant without direct term.
+    ``K``: continuous controller: an input for each reference and each measured output, in this order, an output for
+    each input of the plant.
+    ``controlled``, ``measured``: names of outputs of the plant.
+    Returns: inputs ``<name>_ref``; outputs those of the plant and its inputs; states those of the plant, then
+    ``controller_1`` ...
+    Raises InputError: unknown outputs, a controller of other sizes or a discrete one, a plant with a direct term.
 
     Examples
     --------
@@ -140,22 +125,10 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     with :math:`K_p, K_d, K_i = (3 p^2, 3 p, p^3)\, J_t` for the whole inertia :math:`J_t` at the motor's shaft and the
     lower layer's gains for a motor that turns its rotor alone (`robustlab.dynamics.control.controllers.torque_gains`).
 
-    Parameters
-    ----------
-    plant
-        ``plant("linear-actuator")`` with a rotor inertia J > 0.
-    p_up, p_low
-        Triple poles of the layers in 1/s.
-
-    Returns
-    -------
-    StateSpaceModel
-        Inputs phi_ref [rad], phi [rad], omega [rad/s], i [A]; output u [V]; three states.
-
-    Raises
-    ------
-    InputError
-        Another plant, poles that are not positive, no rotor inertia.
+    ``plant``: ``plant("linear-actuator")`` with a rotor inertia J > 0.
+    ``p_up``, ``p_low``: triple poles of the layers in 1/s.
+    Returns: inputs phi_ref [rad], phi [rad], omega [rad/s], i [A]; output u [V]; three states.
+    Raises InputError: another plant, poles that are not positive, no rotor inertia.
 
     References
     ----------
@@ -194,29 +167,15 @@ def controlled_nonlinear(
 ) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
     """The plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs).
 
-    Parameters
-    ----------
-    plant
-        Without direct term; with effects at its joints and parameters or without.
-    K
-        Continuous controller in deviations from ``at``: an input for each reference and each measured output, in this
-        order, an output for each input of the plant.
-    controlled, measured
-        Names of outputs of the plant.
-    at
-        A rest of the plant.
-
-    Returns
-    -------
-    ControlledNonlinearPlant or ExtendedNonlinearPlant
-        Inputs ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
-        ``controller_1`` ...; the latter where the plant has effects.
-
-    Raises
-    ------
-    InputError
-        Unknown outputs, a controller of other sizes or a discrete one; an effect on an input or output, or one that
-        splits a joint: these act inside the loop, between controller and plant.
+    ``plant``: without direct term; with effects at its joints and parameters or without.
+    ``K``: continuous controller in deviations from ``at``: an input for each reference and each measured output, in
+    this order, an output for each input of the plant.
+    ``controlled``, ``measured``: names of outputs of the plant.
+    ``at``: a rest of the plant.
+    Returns: inputs ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
+    ``controller_1`` ...; the latter where the plant has effects.
+    Raises InputError: unknown outputs, a controller of other sizes or a discrete one; an effect on an input or output,
+    or one that splits a joint: these act inside the loop, between controller and plant.
     """
     model, c, m = loop_parts(plant, K, controlled, measured)
     base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())

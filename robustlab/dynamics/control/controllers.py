@@ -42,16 +42,6 @@ from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
-__all__ = [
-    "LayeredController",
-    "TorqueGains",
-    "TwoLayerController",
-    "closed_loop",
-    "measured",
-    "torque_gains",
-    "two_layer",
-]
-
 # Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
 ROTOR = 7.2e-6
 NUMBERS = range(1, 7)
@@ -106,10 +96,7 @@ class TwoLayerController:
 class LayeredController:
     """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed.
 
-    Raises
-    ------
-    InputError
-        An upper layer of other sizes, or a discrete one.
+    Raises InputError: an upper layer of other sizes, or a discrete one.
     """
 
     upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torques that it asks for; continuous
@@ -164,21 +151,12 @@ def two_layer(
 ) -> TwoLayerController:
     """Two-layer controller of a Stewart platform with motors.
 
-    Parameters
-    ----------
-    plant
-        ``plant("stewart-platform", motors=True)``, of either preset.
-    p_up, p_low
-        Triple poles of the upper and the lower layer in 1/s. 236 gives the tracking errors of section 9.1.3.
-    at
-        Trim to design at; home where left out.
-    rotor_J
-        Rotor inertia in kg m2 with which the lower layer is designed.
-
-    Raises
-    ------
-    InputError
-        A plant without motors, poles or an inertia that are not positive.
+    ``plant``: ``plant("stewart-platform", motors=True)``, of either preset.
+    ``p_up``, ``p_low``: triple poles of the upper and the lower layer in 1/s. 236 gives the tracking errors of section
+    9.1.3.
+    ``at``: trim to design at; home where left out.
+    ``rotor_J``: rotor inertia in kg m2 with which the lower layer is designed.
+    Raises InputError: a plant without motors, poles or an inertia that are not positive.
     """
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
@@ -212,10 +190,7 @@ def closed_loop(
 
     Its states are the machine's 18 and the controller's.
 
-    Parameters
-    ----------
-    at
-        Trim to linearise the machine at; the controller's own where left out.
+    ``at``: trim to linearise the machine at; the controller's own where left out.
     """
     model, k, c = linearise(plant, controller.at if at is None else at), controller.state_space(), measured(plant)
     from_r, from_y = k.B[:, :6], k.B[:, 6:]

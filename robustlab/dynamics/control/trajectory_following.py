@@ -35,40 +35,20 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-__all__ = ["MotorLimits", "SineTrajectory", "TrajectoryFollowing", "follow", "follow_with_torques", "torque_loop"]
-
 
 @dataclass(frozen=True, eq=False)
 class SineTrajectory:
     """A smooth lift followed by sines about the lifted pose.
 
-    Attributes
-    ----------
-    start
-        Pose (tx, ty, tz, ax, ay, az) at t = 0 in m and rad.
-    lift
-        Change of the pose during the first stage, (6,).
-    amplitude
-        Of the sines, (6,), signs included.
-    omega
-        Of the sines in rad/s.
-    lift_time
-        Length T of the first stage in s.
-    rise_time
-        Time T_r in s in which the sines grow to their amplitude; 0: at once.
-
-    Raises
-    ------
-    InputError
-        Wrong lengths, NaN, a lift_time or omega that is not positive, a negative rise_time.
+    Raises InputError: wrong lengths, NaN, a lift_time or omega that is not positive, a negative rise_time.
     """
 
-    start: ArrayLike
-    lift: ArrayLike = (0.0, 0.0, 5e-3, 0.0, 0.0, 0.0)
-    amplitude: ArrayLike = (5e-3, 5e-3, 5e-3, 20e-3, 20e-3, 20e-3)
-    omega: float = math.pi
-    lift_time: float = 2.0
-    rise_time: float = 0.0
+    start: ArrayLike  # pose (tx, ty, tz, ax, ay, az) at t = 0 in m and rad
+    lift: ArrayLike = (0.0, 0.0, 5e-3, 0.0, 0.0, 0.0)  # change of the pose during the first stage, (6,)
+    amplitude: ArrayLike = (5e-3, 5e-3, 5e-3, 20e-3, 20e-3, 20e-3)  # of the sines, (6,), signs included
+    omega: float = math.pi  # of the sines in rad/s
+    lift_time: float = 2.0  # length T of the first stage in s
+    rise_time: float = 0.0  # time T_r in s in which the sines grow to their amplitude; 0: at once
 
     def __post_init__(self) -> None:
         for name in ("start", "lift", "amplitude"):
@@ -191,21 +171,11 @@ def follow(
     Radau IIA of order 5 with the exact Jacobian, restarted where the trajectory is not smooth: the torque loops' poles
     of some 1000 /s would hold an explicit method to steps of less than a millisecond.
 
-    Parameters
-    ----------
-    t
-        Times in s to report, (n,).
-    limits
-        Only compared with; nothing is clipped. The thesis' motor where left out.
-    rtol
-        Relative local error.
-
-    Raises
-    ------
-    InputError
-        A trajectory that leaves the workspace, with the time.
-    NoTrustworthyNumber
-        The loop is unstable or leaves the poses that exist; the message names the time.
+    ``t``: times in s to report, (n,).
+    ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
+    ``rtol``: relative local error.
+    Raises InputError: a trajectory that leaves the workspace, with the time. NoTrustworthyNumber: the loop is unstable
+    or leaves the poses that exist; the message names the time.
     """
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
@@ -240,26 +210,14 @@ def follow_with_torques(
     Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
     stands (`robustlab.dynamics.extended.extended_plant`).
 
-    Parameters
-    ----------
-    plant
-        A Stewart platform without motors, perhaps with effects as after naming.
-    K
-        Controller from r, phi (6 each), or r, phi, phidot, to the six motor torques, in deviations from ``at``;
-        continuous.
-    t
-        Times in s to report, equally spaced, (n,).
-    at
-        Trim of the machine, at which it rests at the first time.
-    limits
-        Only compared with; nothing is clipped. The thesis' motor where left out.
-
-    Raises
-    ------
-    InputError
-        A machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with the time.
-    NoTrustworthyNumber
-        The loop is unstable or leaves the poses that exist; the message names the time.
+    ``plant``: a Stewart platform without motors, perhaps with effects as after naming.
+    ``K``: controller from r, phi (6 each), or r, phi, phidot, to the six motor torques, in deviations from ``at``;
+    continuous.
+    ``t``: times in s to report, equally spaced, (n,).
+    ``at``: trim of the machine, at which it rests at the first time.
+    ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
+    Raises InputError: a machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with
+    the time. NoTrustworthyNumber: the loop is unstable or leaves the poses that exist; the message names the time.
     """
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or machine.motors:

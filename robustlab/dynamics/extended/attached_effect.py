@@ -24,9 +24,6 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.statespace import real_array
 
-__all__ = ["AttachedEffect", "attach", "holding_force", "is_set_valued", "rest_band", "slopes", "steady_force"]
-
-
 ANY_TIME = math.inf
 
 
@@ -163,11 +160,8 @@ ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 class AttachedEffect:
     """One effect of a plant.
 
-    Raises
-    ------
-    InputError
-        A missing or unknown parameter, NaN, a negative value of a quantity that is positive by nature, a negative
-        standard deviation.
+    Raises InputError: a missing or unknown parameter, NaN, a negative value of a quantity that is positive by nature, a
+    negative standard deviation.
     """
 
     effect: Effect  # of the catalogue

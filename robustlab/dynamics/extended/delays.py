@@ -21,8 +21,6 @@ from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["HIGHEST_PADE", "delay_block", "delayed", "lag_block", "lagged"]
-
 # The order of a model's rational delays: more states than that say nothing new.
 HIGHEST_PADE = 8
 

@@ -58,8 +58,6 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
-__all__ = ["EffectBlocks", "effect_blocks", "with_forces"]
-
 
 @dataclass(frozen=True, eq=False)
 class EffectBlocks(Shown):
@@ -129,36 +127,21 @@ def effect_blocks(
 ) -> EffectBlocks:
     """The uncertain model of a plant with or without effects.
 
-    Parameters
-    ----------
-    plant
-        `LinearPlant` or `ExtendedPlant`.
-    outputs
-        Outputs to keep, all where left out.
-    sigmas
-        Half width of the range of a fitted value in its standard deviations.
-    amplitude
-        Name of a joint, position state, input or output -> amplitude of its signal at which the effects there are
-        described, or (least, largest) amplitude. Needed for a force that grows with the motion, and for a driver's or
-        sensor's sector. For dry friction the least that matters: the gain of its describing function is
-        4 Fc / (pi amplitude) there and falls from there on.
-    dry
-        What becomes of bounded forces such as dry friction: ``"load"`` an input, exact at every speed; ``"gain"`` a
-        gain with the range of its describing function; ``"both"``. Where left out, a gain where an amplitude is given,
-        else an input.
-    pade
-        Order of the Padé approximation of delays, 1..8.
-    unnamed
-        Bound and origin of a force at the first joint that nothing explains; none where left out.
-    tied
-        Groups of parameters that move together, as `robustlab.dynamics.linear_plant.tied_plant` takes them.
-
-    Raises
-    ------
-    InputError
-        An effect with a sector at a place without an amplitude; an amplitude at a place without an effect; no plant.
-    NoTrustworthyNumber
-        The blocks do not give back the plant's own linear model.
+    ``plant``: `LinearPlant` or `ExtendedPlant`.
+    ``outputs``: outputs to keep, all where left out.
+    ``sigmas``: half width of the range of a fitted value in its standard deviations.
+    ``amplitude``: name of a joint, position state, input or output -> amplitude of its signal at which the effects
+    there are described, or (least, largest) amplitude. Needed for a force that grows with the motion, and for a
+    driver's or sensor's sector. For dry friction the least that matters: the gain of its describing function is 4 Fc /
+    (pi amplitude) there and falls from there on.
+    ``dry``: what becomes of bounded forces such as dry friction: ``"load"`` an input, exact at every speed; ``"gain"``
+    a gain with the range of its describing function; ``"both"``. Where left out, a gain where an amplitude is given,
+    else an input.
+    ``pade``: order of the Padé approximation of delays, 1..8.
+    ``unnamed``: bound and origin of a force at the first joint that nothing explains; none where left out.
+    ``tied``: groups of parameters that move together, as `robustlab.dynamics.linear_plant.tied_plant` takes them.
+    Raises InputError: an effect with a sector at a place without an amplitude; an amplitude at a place without an
+    effect; no plant. NoTrustworthyNumber: the blocks do not give back the plant's own linear model.
     """
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     if width < 0:

@@ -36,8 +36,6 @@ from robustlab.record import Record
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EffectLoads", "effect_loads", "loaded_model", "resting_start"]
-
 
 @dataclass(frozen=True, eq=False)
 class EffectLoads:
@@ -188,24 +186,14 @@ def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[A
 def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
     """A plant with effects as its linear part with bounded loads.
 
-    Parameters
-    ----------
-    plant
-        `LinearPlant` (then there are no loads) or `ExtendedPlant`. Linear effects stay in the linear part; force laws
-        and drivers become loads; known noise of the sensors (quantisation) is left to the noise bounds.
-    sigmas
-        Half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
-    records
-        Where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these records;
-        its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
-    margin
-        That largest value counts so many times: another record may move a little faster.
-
-    Raises
-    ------
-    InputError
-        An effect that is neither linear nor bounded (backlash, saturation, a delay): for those `effect_blocks` has
-        sectors and weights. A force without a bound and without records.
+    ``plant``: `LinearPlant` (then there are no loads) or `ExtendedPlant`. Linear effects stay in the linear part; force
+    laws and drivers become loads; known noise of the sensors (quantisation) is left to the noise bounds.
+    ``sigmas``: half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
+    ``records``: where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these
+    records; its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
+    ``margin``: that largest value counts so many times: another record may move a little faster.
+    Raises InputError: an effect that is neither linear nor bounded (backlash, saturation, a delay): for those
+    `effect_blocks` has sectors and weights. A force without a bound and without records.
 
     Examples
     --------
@@ -245,23 +233,11 @@ def loaded_model(
 ) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
     """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads.
 
-    Parameters
-    ----------
-    at
-        A rest of the plant.
-    sigmas
-        Half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
-
-    Returns
-    -------
-    StateSpaceModel
-        The linear model at the rest (`robustlab.linearise`); its inputs are the loads, each over its bound, so that
-        they are at most one, then the plant's.
-
-    Raises
-    ------
-    InputError
-        An effect that is neither linear nor bounded whatever the motion.
+    ``at``: a rest of the plant.
+    ``sigmas``: half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
+    Returns: the linear model at the rest (`robustlab.linearise`); its inputs are the loads, each over its bound, so
+    that they are at most one, then the plant's.
+    Raises InputError: an effect that is neither linear nor bounded whatever the motion.
     """
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
     loads, columns = [], []

@@ -53,8 +53,6 @@ from robustlab.result import Status
 from robustlab.shown import listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
-__all__ = ["ExtendedEquations", "extended_model"]
-
 
 @dataclass(frozen=True)
 class Holding:

@@ -37,9 +37,6 @@ from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["ExtendedNonlinearPlant", "ExtendedPlant", "with_effects", "without_signals"]
-
-
 STILL = 1e-6  # rad, m, rad/s, m/s, A: a motion below it is none
 
 

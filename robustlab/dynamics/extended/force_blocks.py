@@ -37,17 +37,6 @@ from robustlab.dynamics.ports.port_model import Port
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
 
-__all__ = [
-    "Amplitude",
-    "Dry",
-    "ForceSector",
-    "NoiseInput",
-    "check_amplitudes",
-    "force_columns",
-    "force_parts",
-    "free_names",
-]
-
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
 
@@ -127,20 +116,12 @@ def force_parts(
 ) -> ForceParts:
     """Choose for every force law what stands in for it.
 
-    Parameters
-    ----------
-    amplitude
-        Name of a joint or current, or of a position state -> amplitude of that signal, or (least, largest) amplitude.
-    dry
-        For laws with a bounded force; where left out, ``gain`` where an amplitude is given, else ``load``. ``both`` of
-        a law that sees a position is ``load``.
-    width
-        Half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
-
-    Raises
-    ------
-    InputError
-        A law that needs an amplitude has none.
+    ``amplitude``: name of a joint or current, or of a position state -> amplitude of that signal, or (least, largest)
+    amplitude.
+    ``dry``: for laws with a bounded force; where left out, ``gain`` where an amplitude is given, else ``load``.
+    ``both`` of a law that sees a position is ``load``.
+    ``width``: half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
+    Raises InputError: a law that needs an amplitude has none.
     """
     sectors: list[ForceSector] = []
     bounded: list[tuple[NoiseInput, Port]] = []

@@ -36,8 +36,6 @@ from robustlab.dynamics.ports.motion_model import Course, exponentials_and_ramps
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = ["About", "Drive", "march", "point_model", "scaled", "somewhere", "with_linear_parts"]
-
 
 class About(NamedTuple):
     """A plant with its linear effects at a point: model there, rates (n_x,) without the laws, outputs (n_y,)."""

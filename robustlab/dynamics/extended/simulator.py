@@ -49,9 +49,6 @@ from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
 
-__all__ = ["Hold", "SampledInput", "Simulator", "Windows", "rising", "stepping"]
-
-
 Hold = Literal["zoh", "linear", "smooth"]
 DEGREE = 5
 
@@ -59,17 +56,10 @@ DEGREE = 5
 class SampledInput:
     """One input of a record.
 
-    Parameters
-    ----------
-    samples
-        Shape (n,).
-    hold
-        What it is between them.
+    ``samples``: shape (n,).
+    ``hold``: what it is between them.
 
-    Raises
-    ------
-    InputError
-        An unknown hold.
+    Raises InputError: an unknown hold.
     """
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
@@ -194,6 +184,8 @@ def stepping(plant: LinearPlant, dt: float) -> int:
 class Simulator:
     """One plant with effects at their sites, over one recorded input.
 
+    Raises InputError: no positive number of steps, not one hold for each input, an unknown hold.
+
     Parameters
     ----------
     plant
@@ -216,11 +208,6 @@ class Simulator:
         Steps are made once, not a second time in halves: a third of the time, and second order at best.
     motion
         Of a nonlinear plant: the states (n, n_x) at the samples about which it is linear.
-
-    Raises
-    ------
-    InputError
-        No positive number of steps, not one hold for each input, an unknown hold.
     """
 
     def __init__(
@@ -272,22 +259,14 @@ class Simulator:
     ) -> Motion:
         """Simulate all windows.
 
-        Parameters
-        ----------
-        factors
-            Plant parameter -> factor of the nominal value.
-        values
-            Parameters of each effect.
-        x0
-            Plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
-            over from window to window.
-        windows
-            Where they lie.
-        shift
-            Time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
-        near
-            Of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those of
-            these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
+        ``factors``: plant parameter -> factor of the nominal value.
+        ``values``: parameters of each effect.
+        ``x0``: plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
+        over from window to window.
+        ``windows``: where they lie.
+        ``shift``: time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
+        ``near``: of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those
+        of these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
         """
         return self.run_along(factors, values, x0, windows, shift, near)[0]
 

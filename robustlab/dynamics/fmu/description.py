@@ -18,8 +18,6 @@ from xml.etree import ElementTree as ET
 from robustlab.errors import InputError
 from robustlab.files.signature import MIB
 
-__all__ = ["CO_SIMULATION", "MODEL_EXCHANGE", "read_description", "unpack"]
-
 MODEL_EXCHANGE, CO_SIMULATION = "model-exchange", "co-simulation"
 # An archive: bytes of all its files, their number, bytes of the description, variables in it.
 MOST_BYTES, MOST_FILES, LARGEST_XML, MOST_VARIABLES = 2048 * MIB, 20_000, 32 * MIB, 200_000

@@ -32,9 +32,6 @@ from robustlab.shown import Facts, Shown
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.units import same_unit
 
-__all__ = ["FmuCoSimulation", "FmuPlant", "FreeRun", "fmu"]
-
-
 JOINT_KEYS = ("position", "input", "inertia", "unit")
 # Unit of what acts on a velocity or a current.
 ACTS = {"m/s": "N", "rad/s": "N m", "A": "V"}

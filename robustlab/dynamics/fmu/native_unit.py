@@ -18,8 +18,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.fmu.description import MODEL_EXCHANGE
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = ["NativeUnit"]
-
 DISCARD = 2  # status of a point that the unit cannot evaluate: a shorter step may be possible
 MOST_EVENT_ITERATIONS = 1000  # of one event; more is a unit that never settles
 
@@ -45,14 +43,9 @@ class _References:
 class NativeUnit:
     """One loaded library, and at most one instance of it.
 
-    Parameters
-    ----------
-    description
-        As of `robustlab.dynamics.fmu.description.read_description`.
-    kind
-        Model exchange or co-simulation.
-    folder
-        Where the archive was unpacked.
+    ``description``: as of `robustlab.dynamics.fmu.description.read_description`.
+    ``kind``: model exchange or co-simulation.
+    ``folder``: where the archive was unpacked.
     """
 
     def __init__(self, description: Mapping[str, Any], kind: str, folder: str) -> None:

@@ -33,9 +33,6 @@ from robustlab.errors import (
 )
 from robustlab.provenance import file_sha256
 
-__all__ = ["UnitProcess", "error_header", "receive", "send"]
-
-
 LARGEST_HEADER = 1 << 28  # bytes; a description of 200 000 variables has a third of it
 LARGEST_ARRAY = 1 << 33
 
@@ -51,10 +48,7 @@ def send(stream: BinaryIO, header: dict[str, Any], arrays: Sequence[Array] = ())
 
 
 def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Array]]:
-    """Read one message.
-
-    Raises EOFError: the other end is gone; ValueError: what came is no message.
-    """
+    """Read one message. Raises EOFError: the other end is gone; ValueError: what came is no message."""
     size = int.from_bytes(_exactly(stream, 8), "little")
     if size > LARGEST_HEADER:
         raise ValueError("no header")
@@ -95,19 +89,10 @@ START_LIMIT, STARTING = 60.0, ("describe", "load")
 class UnitProcess:
     """A unit in its child process, which is started when it is first asked and again after a crash.
 
-    Parameters
-    ----------
-    path
-        File of the unit. It must stay as it is.
-    time_limit
-        Seconds that the unit may take for one request.
+    ``path``: file of the unit. It must stay as it is.
+    ``time_limit``: seconds that the unit may take for one request.
 
-    Raises
-    ------
-    InputError
-        No such file.
-    DependencyMissing
-        FMPy is not installed.
+    Raises InputError: no such file; DependencyMissing: FMPy is not installed.
     """
 
     def __init__(self, path: str | Path, time_limit: float) -> None:

@@ -18,9 +18,6 @@ from robustlab.arrays import Array, Mask
 from robustlab.dynamics.fmu.native_unit import NativeUnit
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["evaluated", "integrated", "linear_matrices", "started", "stepped"]
-
-
 # Steps of the differences as shares of a state's or input's size: the first is the most exact for smooth equations, the
 # others stay in the domain of stiff ones. Richardson's two central differences leave an error of the fourth order.
 DIFFERENCE_STEPS = (1e-3, 1e-5, 1e-7)

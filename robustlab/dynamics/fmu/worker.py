@@ -18,8 +18,6 @@ from robustlab.dynamics.fmu.description import read_description, unpack
 from robustlab.dynamics.fmu.unit_process import error_header, receive, send
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-__all__ = ["main"]
-
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:
     """The two pipes under new numbers, with nothing left behind at 0, 1 and 2 for the unit."""

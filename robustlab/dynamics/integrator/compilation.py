@@ -8,8 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-__all__ = ["compiled"]
-
 # Kernels kept on disk load within this time; what takes longer is being compiled.
 PATIENCE = 6.0
 

@@ -14,8 +14,6 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.statespace import Signal, real_array
 
-__all__ = ["brushless_motor", "cart_travel", "dc_motor", "linear_actuator"]
-
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
 _COVER = f"{_SHEET}; tolerance: section 10.1.1"
 

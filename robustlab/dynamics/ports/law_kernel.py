@@ -43,30 +43,6 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-__all__ = [
-    "CLOSE",
-    "GQ",
-    "GV",
-    "Q0",
-    "SECANTS",
-    "STEP",
-    "TIME",
-    "V0",
-    "HeldSteps",
-    "Q",
-    "Run",
-    "V",
-    "bracket",
-    "drifts",
-    "dry_mean_force",
-    "guess",
-    "is_open",
-    "law",
-    "narrowed",
-    "step_windows",
-]
-
-
 # Entries of the vector that a law is given: position and velocity at the start of the step, both at its end without
 # the law's own force, the compliance of both, the length of the step in s, and the time at its start in s.
 Q0, V0, Q, V, GQ, GV, STEP, TIME = range(8)

@@ -24,16 +24,6 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
 
-__all__ = [
-    "Course",
-    "MotionModel",
-    "exponentials",
-    "exponentials_and_ramps",
-    "local_port_model",
-    "motion_model",
-    "with_factors",
-]
-
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
 SHARE = 1e-3  # of the largest push of a force, by which it may change over half a stride

@@ -34,9 +34,6 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["AnyPlant", "Port", "PortModel", "linear_plant_of", "parameter_groups", "port_model", "with_load_side"]
-
-
 AnyPlant = LinearPlant | NonlinearPlant
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
 INERTIA_UNITS = {"rad/s": "kg m2", "m/s": "kg"}

@@ -30,9 +30,6 @@ from robustlab.dynamics.parameters import Parameter, Sign
 from robustlab.errors import InputError, did_you_mean
 from robustlab.shown import Shown
 
-__all__ = ["CONSTANTS", "Geometry", "check_bodies", "constants", "geometry", "machine_parameters", "up"]
-
-
 Preset = Literal["thesis", "physical"]
 PRESETS = ("thesis", "physical")
 

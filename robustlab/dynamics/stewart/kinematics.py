@@ -51,32 +51,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import real_array
 
-__all__ = [
-    "ConditionMap",
-    "DirectPoses",
-    "LIMIT",
-    "SINGULAR",
-    "SLACK",
-    "acceleration_bias",
-    "assembly_poses",
-    "check_pose",
-    "condition_map",
-    "direct_kinematics",
-    "inside",
-    "inverse_kinematics",
-    "kernels",
-    "motion_kernels",
-    "nut_angles",
-    "poses_array",
-    "real_array_of_one",
-    "rotation",
-    "singularity",
-    "twist",
-    "velocity_jacobian",
-    "workspace_grid",
-]
-
-
 HERE = Path(__file__).parent
 TEXT = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
 
@@ -215,22 +189,11 @@ class DirectPoses:
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
     """Poses at which the actuators have these lengths.
 
-    Parameters
-    ----------
-    lengths
-        In m, shape (6,) or (n, 6).
-    start
-        Pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
-
-    Returns
-    -------
-    DirectPoses
-        Where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no other.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, NaN, a length that is not positive.
+    ``lengths``: in m, shape (6,) or (n, 6).
+    ``start``: pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
+    Returns: where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no
+    other.
+    Raises InputError: wrong shapes, NaN, a length that is not positive.
     """
     target, _ = poses_array(lengths, "lengths")
     if (target <= 0).any():

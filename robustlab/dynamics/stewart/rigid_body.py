@@ -53,22 +53,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import real_array
 
-__all__ = [
-    "bias_torque",
-    "friction_torques",
-    "kinetic_energy",
-    "mass_matrix",
-    "potential_energy",
-    "simulate_platform_with_friction",
-    "trim_torque",
-]
-
 
 def nut_to_twist(plant: StewartPlatform, pose: ArrayLike) -> Array:
-    """J^-1 of ``V = J^-1 dphi/dt``, shape (6, 6).
-
-    Raises NoTrustworthyNumber: a singular pose.
-    """
+    """J^-1 of ``V = J^-1 dphi/dt``, shape (6, 6). Raises NoTrustworthyNumber: a singular pose."""
     array = real_array_of_one(pose, plant.name)
     smallest, largest = singularity(plant.geometry, array)
     if not smallest > SINGULAR * largest:
@@ -156,32 +143,16 @@ def simulate_platform_with_friction(
 ) -> StickSlip:
     """Response of the platform, driven by torques, with dry friction at some of its nuts.
 
-    Parameters
-    ----------
-    plant
-        A Stewart platform without motors.
-    friction
-        One for each nut that has any: ``DryFriction("phidot_1", coulomb, static)``, torques at the nut in N m.
-    t
-        Sample times in s.
-    u
-        Motor torques at the samples, held until the next one.
-    x0
-        Start, home at rest where left out.
-    step
-        Longest time step in s.
-
-    Returns
-    -------
-    StickSlip
-        Events carry the end of the step in which they happened.
-
-    Raises
-    ------
-    InputError
-        A plant with motors, a velocity that is no nut rate, two frictions on one nut, a moving surface.
-    NoTrustworthyNumber
-        The platform leaves its workspace; the message names the time.
+    ``plant``: a Stewart platform without motors.
+    ``friction``: one for each nut that has any: ``DryFriction("phidot_1", coulomb, static)``, torques at the nut in N
+    m.
+    ``t``: sample times in s.
+    ``u``: motor torques at the samples, held until the next one.
+    ``x0``: start, home at rest where left out.
+    ``step``: longest time step in s.
+    Returns: events carry the end of the step in which they happened.
+    Raises InputError: a plant with motors, a velocity that is no nut rate, two frictions on one nut, a moving surface.
+    NoTrustworthyNumber: the platform leaves its workspace; the message names the time.
     """
     where = "simulate_platform_with_friction"
     if plant.motors:

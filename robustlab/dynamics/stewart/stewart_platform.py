@@ -47,9 +47,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
-__all__ = ["LinearModels", "StewartPlatform", "derivatives", "linear_models", "stewart_platform"]
-
-
 NAME = "stewart-platform"
 
 

@@ -19,8 +19,6 @@ from robustlab.errors import DependencyMissing, InputError, did_you_mean
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal
 
-__all__ = ["PlantEquations"]
-
 NONE = "none"
 ROLES = (*(role for role in get_args(Role) if role), NONE)
 # What physics allows of a parameter with a role, where the user states no sign.

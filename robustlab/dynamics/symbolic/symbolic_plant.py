@@ -27,8 +27,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unkn
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
-__all__ = ["Equations", "SymbolicPlant", "labels", "rest"]
-
 
 @dataclass(frozen=True, eq=False)
 class Equations:

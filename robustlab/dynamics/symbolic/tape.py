@@ -20,8 +20,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.errors import InputError
 
-__all__ = ["OPERATIONS", "Tape", "tape_kernels", "tape_of"]
-
 # Name of each operation; its place is its number on a tape, in files too: new ones go to the end. The names are those
 # of CasADi without OP_.
 OPERATIONS = (
@@ -40,10 +38,8 @@ Source = tuple[str, int]  # "input", "constant" or "result", and its number
 class Tape:
     """A function from n_in numbers to n_out numbers.
 
-    Raises
-    ------
-    InputError
-        An unknown operation, a place that does not come before its use, or a constant that is no finite number.
+    Raises InputError: an unknown operation, a place that does not come before its use, or a constant that is no finite
+    number.
 
     Examples
     --------

@@ -23,8 +23,6 @@ from robustlab.shown import Facts, Shown, bracket, listed
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
-__all__ = ["MuBounds", "matrix_stack", "mu"]
-
 
 @dataclass(frozen=True, eq=False)
 class MuBounds(Tabular, Shown):

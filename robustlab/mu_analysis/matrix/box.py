@@ -19,8 +19,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Box", "block_entries", "box_matrices", "box_model", "centre_matrix", "gauge", "lowest", "root_box"]
-
 
 @dataclass(frozen=True)
 class Box:

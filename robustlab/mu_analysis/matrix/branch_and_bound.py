@@ -32,18 +32,6 @@ from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = [
-    "Improved",
-    "MatrixProblem",
-    "Problem",
-    "Proof",
-    "Region",
-    "block_weights",
-    "by_regions",
-    "real_blocks",
-    "tighten",
-]
-
 
 @dataclass(frozen=True)
 class Improved:
@@ -72,25 +60,16 @@ class Region(Shown):
 
 @dataclass
 class Proof:
-    """What branch and bound has come to.
+    """What branch and bound has come to."""
 
-    Attributes
-    ----------
-    lower, upper
-        Bounds of the level (mu, or the worst gain).
-    values
-        What attains ``lower``, as in `Improved`; None where the lower bound that was given is still the best.
-    leaves
-        Regions proved, each with the frequencies that its ancestors had left to it.
-    solves
-        D-G problems solved.
-    """
-
+    # lower, upper: bounds of the level (mu, or the worst gain)
     lower: float
     upper: float
+    # What attains `lower`, as in `Improved`; None where the lower bound that was given is still the best.
     values: NDArray[Any] | None = None
+    # Regions proved, each with the frequencies that its ancestors had left to it.
     leaves: list[Region] = field(default_factory=list)
-    solves: int = 0
+    solves: int = 0  # D-G problems solved
 
 
 class Problem(Protocol):
@@ -129,12 +108,8 @@ def tighten(
     A wide gap is halved first, and halved again: each level costs several times the one before it, so that what is
     proved when the work is done is worth having, and the way there cost little.
 
-    Parameters
-    ----------
-    lower, upper
-        Level attained, and level proved already (inf: none).
-    budget
-        Where it is over, the search stops.
+    ``lower``, ``upper``: level attained, and level proved already (inf: none).
+    ``budget``: where it is over, the search stops.
     """
     proof = Proof(lower, upper)
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:

@@ -28,21 +28,6 @@ from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = [
-    "EPS",
-    "certified_level",
-    "certified_levels",
-    "delta_norm",
-    "has_structure",
-    "level",
-    "positive_definite",
-    "project",
-    "proves",
-    "singularity",
-    "certified_in_balls",
-]
-
-
 EPS = float(np.finfo(float).eps)
 
 
@@ -239,23 +224,12 @@ def certified_in_balls(M: ArrayLike, D: ArrayLike, G: ArrayLike, beta: float, D_
     Proved by the pivots of an LDL factorisation in ball arithmetic, all of whose balls lie right of zero. Together with
     the structure of D and G (`certificate.has_structure`) this proves ``mu(M) <= beta``.
 
-    Parameters
-    ----------
-    M
-        Matrix (p, q), finite.
-    D, D_z
-        Hermitian scalings (q, q) and (p, p); ``D_z = D`` where it is left out.
-    G
-        Scaling (q, p).
-    beta
-        The bound.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, D not Hermitian to the last bit, NaN or Inf.
-    DependencyMissing
-        python-flint is not installed.
+    ``M``: matrix (p, q), finite.
+    ``D``, ``D_z``: hermitian scalings (q, q) and (p, p); ``D_z = D`` where it is left out.
+    ``G``: scaling (q, p).
+    ``beta``: the bound.
+    Raises InputError: shapes that do not fit, D not Hermitian to the last bit, NaN or Inf; DependencyMissing:
+    python-flint is not installed.
 
     Examples
     --------

@@ -16,29 +16,15 @@ from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Component", "balancing_exponents", "block_norms", "components", "entries", "expand"]
-
 
 @dataclass(frozen=True)
 class Component:
-    """A strongly connected set of blocks of one matrix.
+    """A strongly connected set of blocks of one matrix."""
 
-    Attributes
-    ----------
-    members
-        Indices of its blocks.
-    depth
-        How many components lie before it on the longest path; w flows from a lower to a higher depth.
-    exponents
-        Scaling ``2^exponent`` per member: ``M_ij 2^(e_i - e_j)`` is balanced.
-    matrix
-        The balanced diagonal part of M.
-    """
-
-    members: tuple[int, ...]
-    depth: int
-    exponents: Array
-    matrix: ComplexArray
+    members: tuple[int, ...]  # indices of its blocks
+    depth: int  # how many components lie before it on the longest path; w flows from a lower to a higher depth
+    exponents: Array  # scaling `2^exponent` per member: `M_ij 2^(e_i - e_j)` is balanced
+    matrix: ComplexArray  # the balanced diagonal part of M
 
 
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:

@@ -10,31 +10,21 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["DeltaLayout", "delta_layout", "positive"]
-
 
 @dataclass(frozen=True, eq=False)
 class DeltaLayout:
-    """Index arrays of one block structure.
+    """Index arrays of one block structure."""
 
-    Attributes
-    ----------
-    q, p
-        Delta is q x p.
-    real, full
-        Which blocks are real scalars, and which are full blocks of more than one entry; shape (n_blocks,).
-    of_w, of_z
-        The block of each row and each column of Delta, shapes (q,), (p,).
-    entry_w, entry_z, entry_block
-        Row, column and block of every entry of Delta that may be non-zero.
-    """
-
+    # q, p: Delta is q x p
     q: int
     p: int
+    # real, full: which blocks are real scalars, and which are full blocks of more than one entry; shape (n_blocks,)
     real: Mask
     full: Mask
+    # of_w, of_z: the block of each row and each column of Delta, shapes (q,), (p,)
     of_w: Indices
     of_z: Indices
+    # entry_w, entry_z, entry_block: row, column and block of every entry of Delta that may be non-zero
     entry_w: Indices
     entry_z: Indices
     entry_block: Indices

@@ -19,8 +19,6 @@ from robustlab.mu_analysis.matrix.box import Box, centre_matrix
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Gain", "ascend", "ascend_corners", "gain_at", "largest_gain"]
-
 
 @dataclass(frozen=True)
 class Gain:

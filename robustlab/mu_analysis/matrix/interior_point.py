@@ -33,28 +33,18 @@ from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian, relative, supply
 from robustlab.mu_analysis.tuning import TUNING
 
-__all__ = ["path_following", "primal_dual"]
-
 
 def primal_dual(
     M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 40
 ) -> tuple[Array, Mask]:
     """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all.
 
-    Parameters
-    ----------
-    M
-        Balanced matrices.
-    tol
-        Stop where the estimated distance of t to its optimum falls below ``tol * t``.
-    target
-        Stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of reach.
-
-    Returns
-    -------
-    x, settled
-        ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid, another
-        method may find a better one.
+    ``M``: balanced matrices.
+    ``tol``: stop where the estimated distance of t to its optimum falls below ``tol * t``.
+    ``target``: stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of
+    reach.
+    Returns: ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid,
+    another method may find a better one.
     """
     from robustlab.mu_analysis.matrix import primal_dual_kernels as kernels
 

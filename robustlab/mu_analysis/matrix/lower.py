@@ -40,8 +40,6 @@ from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.uncertainty.blocks import Block, structure_size
 
-__all__ = ["lower_bound", "lower_bounds"]
-
 Found = tuple[float, ComplexArray | None]
 
 # Share of its upper bound by which a lower one may be below it and still be the answer.
@@ -54,14 +52,9 @@ SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
     """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``.
 
-    Parameters
-    ----------
-    M
-        Complex matrix (p, q).
-    seed
-        Seed of the starting directions; the same seed gives the same Delta.
-    restarts, steps
-        How many paths are followed, and the effort along each.
+    ``M``: complex matrix (p, q).
+    ``seed``: seed of the starting directions; the same seed gives the same Delta.
+    ``restarts``, ``steps``: how many paths are followed, and the effort along each.
     """
     return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
 

@@ -15,19 +15,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout
 from robustlab.mu_analysis.tuning import TUNING
 
-__all__ = [
-    "descended",
-    "first_steps",
-    "minimum_norm_paths",
-    "null_directions",
-    "restored",
-    "rows",
-    "sharpened",
-    "smallest_step",
-    "unit_rows",
-]
-
-
 # Shares of the way to the smallest step that descent tries.
 FRACTIONS = 0.5 ** np.arange(7)
 
@@ -37,16 +24,11 @@ def minimum_norm_paths(
 ) -> tuple[ComplexArray, Array]:
     """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none).
 
-    Parameters
-    ----------
-    M
-        Matrices (k, p, q), each of order one.
-    x, y
-        Starting directions (k, p).
-    steps
-        Steps of each path, the restoring ones included.
-    per_matrix
-        How many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to matrix.
+    ``M``: matrices (k, p, q), each of order one.
+    ``x``, ``y``: starting directions (k, p).
+    ``steps``: steps of each path, the restoring ones included.
+    ``per_matrix``: how many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to
+    matrix.
     """
     k = len(M)
     best, best_norm = np.zeros((k, layout.q, layout.p), dtype=complex), np.full(k, np.inf)

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["ScalingSpace", "hermitian", "relative", "scaling_space", "supply"]
-
 
 def hermitian(X: NDArray) -> NDArray:
     """Conjugate transpose over the last two axes."""
@@ -35,10 +33,7 @@ def supply(M: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> ComplexArray:
 def relative(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
     """``L^-1 Y L^-*`` for ``X = L L^*``: its eigenvalues are those of Y relative to the positive definite X.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        X is not positive definite.
+    Raises numpy.linalg.LinAlgError: X is not positive definite.
     """
     factor = np.linalg.cholesky(X)
     half = np.linalg.solve(factor, Y)

@@ -35,8 +35,6 @@ from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size
 
-__all__ = ["divided", "skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
-
 
 @told_as("skew_mu")
 @one_thread()

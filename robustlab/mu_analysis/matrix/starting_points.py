@@ -32,8 +32,6 @@ from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, positive
 from robustlab.mu_analysis.matrix.minimum_norm import unit_rows
 from robustlab.mu_analysis.tuning import TUNING
 
-__all__ = ["gain_ascent", "power_directions", "vertex_rays", "vertex_search"]
-
 
 def power_directions(
     M: ComplexArray, layout: DeltaLayout, b: ComplexArray, w: ComplexArray, steps: int

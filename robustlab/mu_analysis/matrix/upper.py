@@ -17,8 +17,6 @@ from robustlab.mu_analysis.tuning import TUNING
 from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
-__all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
-
 
 @dataclass(frozen=True)
 class UpperBound(Shown):

@@ -77,76 +77,40 @@ class Fact:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step leaves behind.
+    """What a step leaves behind."""
 
-    Attributes
-    ----------
-    value
-        What later steps get when they refer to this one.
-    summary
-        One sentence: what was done.
-    numbers
-        What requirements refer to (``step.key.key``); plain types.
-    facts
-        The key numbers in words.
-    status
-        How much the numbers can be trusted; None for a step that only builds, reads, writes or draws.
-    notes
-        What the reader must know to judge the numbers.
-    text
-        A longer account for reading, line by line.
-    story
-        What a reader wants to know first, a handful at most; shown before all else.
-    """
-
-    value: Any
-    summary: str
-    numbers: Mapping[str, Any] = field(default_factory=dict)
-    facts: tuple[Fact, ...] = ()
+    value: Any  # what later steps get when they refer to this one
+    summary: str  # one sentence: what was done
+    numbers: Mapping[str, Any] = field(default_factory=dict)  # what requirements refer to (`step.key.key`); plain types
+    facts: tuple[Fact, ...] = ()  # the key numbers in words
+    # How much the numbers can be trusted; None for a step that only builds, reads, writes or draws.
     status: rl.Status | None = None
-    notes: tuple[str, ...] = ()
-    text: str = ""
-    story: tuple[Fact, ...] = ()
+    notes: tuple[str, ...] = ()  # what the reader must know to judge the numbers
+    text: str = ""  # a longer account for reading, line by line
+    story: tuple[Fact, ...] = ()  # what a reader wants to know first, a handful at most; shown before all else
 
 
 @dataclass
 class Workspace:
-    """What a step may use: the values of earlier steps, the files found for it, the seed, and a folder to write to.
+    """What a step may use: the values of earlier steps, the files found for it, the seed, and a folder to write to."""
 
-    Attributes
-    ----------
-    folder
-        Where this run writes; `files` lists what was written, relative to it.
-    values
-        Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
-    sources
-        Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_files`.
-    seed
-        Seed of the recipe.
-    unfinished
-        Folder for what outlives an interrupted run, so that the next one can go on with it; it may not exist yet.
-    step
-        Name of the step that runs now.
-    figures
-        Step name -> its figures as (file stem, caption).
-    simulated
-        Names of the steps whose records are simulated, not measured.
-    discoveries
-        Step name -> the whole discovery, of which later steps otherwise get the updated plant.
-    """
-
-    folder: Path
+    folder: Path  # where this run writes; `files` lists what was written, relative to it
+    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_files`.
     sources: Mapping[str, Path]
-    seed: int
+    seed: int  # seed of the recipe
+    # Folder for what outlives an interrupted run, so that the next one can go on with it; it may not exist yet.
     unfinished: Path
+    # Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
     values: dict[str, Any] = field(default_factory=dict)
     numbers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
+    # Step name -> its figures as (file stem, caption).
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    # Step name -> the whole discovery, of which later steps otherwise get the updated plant.
     discoveries: dict[str, Discovery] = field(default_factory=dict)
-    simulated: set[str] = field(default_factory=set)
-    step: str = ""
+    simulated: set[str] = field(default_factory=set)  # names of the steps whose records are simulated, not measured
+    step: str = ""  # name of the step that runs now
 
     def uncertain(self, name: str) -> rl.UncertainModel:
         """The uncertain model that an earlier step gave; a loaded file may hold something else."""

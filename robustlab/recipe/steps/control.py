@@ -85,7 +85,6 @@ class TrackingProblemStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """A weighted tracking problem, and what its weights allow."""
         from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
         from robustlab.synthesis.specifications.weight_design import error_weight
 
@@ -149,7 +148,6 @@ class CascadeStep(Step):
     p_low: Positive = 3000.0
 
     def run(self, work: Workspace) -> Outcome:
-        """The thesis' layers as a controller of the same signals as any other."""
         from robustlab.dynamics.control.controlled_plant import actuator_cascade
         from robustlab.dynamics.control.controllers import two_layer
         from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
@@ -185,7 +183,6 @@ class RobustPerformanceStep(Step):
     points: Annotated[int, Field(ge=2, le=10_000)] = Field(120, description="Frequencies of the curves in the figure.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Certified mu and worst-case gain of one problem under each controller."""
         from robustlab.report.design_figures import mu_comparison_figure
         from robustlab.synthesis.specifications.loop_functions import frequencies
 
@@ -271,7 +268,6 @@ class SimulateControlStep(Step):
         return t, self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t), fine
 
     def run(self, work: Workspace) -> Outcome:
-        """A sine followed under each controller: nominal with effects, and further members of the set."""
         import numpy as np
 
         from robustlab.dynamics import LinearPlant

@@ -68,7 +68,6 @@ class DataCoverStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """The smallest unmodelled dynamics with which the plant could have produced its records."""
         from robustlab.report.set_figures import validation_figure
 
         def thinned(name: str) -> Any:
@@ -137,7 +136,6 @@ class StoryStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """Gap, uncertainty, robust performance and the simulated machine's error, before and after."""
         from robustlab.report.design_figures import Story, fall_in_words, fall_percent, story_figure, times_in_words
 
         mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(self.performance, self.controllers, strict=True)]
@@ -146,9 +144,7 @@ class StoryStep(Step):
             "mu": {"before": mu[0], "after": mu[1], "fall_percent": fall_percent(*mu)},
             "error": {"before": errors[0], "after": errors[1], "ratio": _ratio(*errors)},
         }
-        facts = [
-            Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}"),
-        ]
+        facts = [Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}")]
         gap = None
         if self.record is not None and self.plants is not None:
             gap = _simulated(self, work)

@@ -47,7 +47,6 @@ class MixsynStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
         model = work.values[self.of]
         makers = ((self.W1, rl.performance_weight), (self.W2, rl.control_weight), (self.W3, rl.complementary_weight))
         weights = [None if given is None else make(**given.model_dump()) for given, make in makers]
@@ -98,7 +97,6 @@ class HinfStep(DesignStep):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """An H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
         P, *channels = self.generalised(work, nominal=self.nominal)
         found = rl.hinf(P, *channels, gamma_rel=self.gamma_rel, effort=self.effort, time_limit=self.time_limit)
         _draw_loop(found, work)
@@ -116,7 +114,6 @@ class CloseLoopStep(Step):
     controller: ToController
 
     def run(self, work: Workspace) -> Outcome:
-        """The uncertain tracking loop: reference in; controlled outputs and control signals out."""
         loop = tracking_loop(work.values[self.of], work.values[self.controller])
         abscissa = loop.nominal.spectral_abscissa()
         numbers = {**uncertain_numbers(loop), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
@@ -136,7 +133,6 @@ class H2Step(DesignStep):
     do: Literal["h2"]
 
     def run(self, work: Workspace) -> Outcome:
-        """An H2 controller of the nominal plant, verified in the loop rebuilt from it."""
         P, *channels = self.generalised(work, nominal=True)
         found = rl.h2(P, *channels, effort=self.effort, time_limit=self.time_limit)
         _draw_loop(found, work)
@@ -170,7 +166,6 @@ class LqgStep(Step):
     regulated: list[str] | None = Field(None, description="Outputs that it must leave; all where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """An LQG controller, verified in the loop rebuilt from it."""
         import numpy as np
 
         from robustlab.report.design_figures import functions_picture
@@ -208,7 +203,6 @@ class NcfStep(Step):
     follow: list[str] | None = Field(None, description="Outputs that follow it; all where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
         from robustlab.report.design_figures import functions_picture
 
         options: dict[str, Any] = {"factor": self.factor}
@@ -239,7 +233,6 @@ class DkStep(DesignStep):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """A robust controller; mu proved at all frequencies."""
         from robustlab.report.design_figures import history_picture
         from robustlab.synthesis.laws.controller_structures import structure_in_words
         from robustlab.synthesis.problem.partition import as_generalized_plant
@@ -274,7 +267,6 @@ class FixedStep(DesignStep):
     starts: Annotated[int, Field(ge=0, le=1000)] = Field(3, description="Number of random starts.")
 
     def run(self, work: Workspace) -> Outcome:
-        """A controller of a given structure, verified in the loop rebuilt from it."""
         from robustlab.synthesis.laws.controller_structures import structure_in_words
         from robustlab.synthesis.problem.partition import as_generalized_plant
 
@@ -323,7 +315,6 @@ class TuneStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """A controller for goals; what was reached of each is verified."""
         from robustlab.statespace import as_model
         from robustlab.synthesis.fixed.design_goals import goal_in_words
         from robustlab.synthesis.laws.controller_structures import structure_in_words
@@ -356,7 +347,6 @@ class ReduceControllerStep(DesignStep):
     measure: Literal["hinf", "h2", "mu"] = Field("hinf", description="mu: robust performance, with the plant's Delta.")
 
     def run(self, work: Workspace) -> Outcome:
-        """A controller of lower order whose loop was verified anew."""
         from robustlab.statespace import as_model
 
         P, n_meas, n_con = self.generalised(work, nominal=self.measure != "mu")
@@ -383,7 +373,6 @@ class LqrStep(Step):
     controls: dict[str, Positive] = Field({}, description="Weights on controls by name; 1 where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """The gain, and the poles that it leaves."""
         from robustlab.statespace import as_model
         from robustlab.synthesis.h2.named_weights import integral_weights
         from robustlab.synthesis.h2.state_feedback import gain_controller
@@ -411,7 +400,6 @@ class LqiStep(Step):
     controls: dict[str, Positive] = Field({}, description="Weights on controls by name; 1 where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Gains, and the loop rebuilt from them with its steady-state error."""
         from robustlab.statespace import as_model
         from robustlab.synthesis.h2.named_weights import integral_weights
 
@@ -436,7 +424,6 @@ class KalmanStep(Step):
     measurement: Weights = Field(description="Intensities of the noise on each output by name; discrete: variances.")
 
     def run(self, work: Workspace) -> Outcome:
-        """The filter with the standard deviations of its errors."""
         import numpy as np
 
         from robustlab.statespace import as_model

@@ -12,14 +12,7 @@ import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, step
 from robustlab.recipe.steps.design import designed
-from robustlab.recipe.steps.vocabulary import (
-    GUARD,
-    Effort,
-    Positive,
-    TimeLimit,
-    ToController,
-    ToDesignable,
-)
+from robustlab.recipe.steps.vocabulary import GUARD, Effort, Positive, TimeLimit, ToController, ToDesignable
 
 FORMATS = (".c", ".json", ".mat", ".h5")
 
@@ -47,7 +40,6 @@ class DiscretiseStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """The digital controller with the proved norm of the sampled loop, and mu of its uncertain one."""
         from robustlab.statespace import as_model
 
         K = as_model(work.values[self.of], self.of)
@@ -75,7 +67,6 @@ class ExportStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """The files of a controller, with its provenance."""
         from robustlab.provenance import file_sha256
         from robustlab.statespace import as_model
 

@@ -65,7 +65,6 @@ class PlantStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """A plant from physics, with its parameters and where they come from."""
         from robustlab.dynamics.plant_file import code_of, plant_from_file, unit_reference
 
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
@@ -105,7 +104,6 @@ class LineariseStep(Step):
     outputs: list[str] | None = None
 
     def run(self, work: Workspace) -> Outcome:
-        """The state-space model of a plant."""
         from robustlab.dynamics import LinearPlant
         from robustlab.structural import drop_unconnected
 
@@ -139,7 +137,6 @@ class LoadStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """An object from an HDF5 file, checked by the reader."""
         from robustlab.storage import read
 
         path = work.sources[work.step] if self.saved is None else work.values[self.saved]
@@ -168,7 +165,6 @@ class SaveStep(Step):
     file: FileName
 
     def run(self, work: Workspace) -> Outcome:
-        """An object to an HDF5 file in the output folder, with its provenance."""
         from robustlab.dynamics import NonlinearPlant
         from robustlab.provenance import file_sha256
 
@@ -197,7 +193,6 @@ class StructuralStep(Step):
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        """Controllability and observability, by a method that does not form powers of A."""
         model = work.values[self.of]
         parts = {"controllability": rl.controllability(model), "observability": rl.observability(model)}
         numbers: dict[str, Any] = {
@@ -219,7 +214,6 @@ class ZerosStep(Step):
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        """Transmission zeros and hidden modes, each looked at in the pencil of the model as given."""
         from robustlab.statespace import as_model
 
         model = as_model(work.values[self.of], self.of)
@@ -229,10 +223,7 @@ class ZerosStep(Step):
             "values": found.values, "kinds": list(found.kinds), "normal_rank": found.normal_rank, "count": len(found),
             "not_minimum_phase": int(outside.sum()),
         }  # fmt: skip
-        facts = (
-            *facts_of(found),
-            Fact("On the boundary or beyond", str(int(outside.sum()))),
-        )
+        facts = (*facts_of(found), Fact("On the boundary or beyond", str(int(outside.sum()))))
         return Outcome(None, f"Zeros of {self.of}.", numbers, facts, found.status)
 
 
@@ -246,7 +237,6 @@ class SteadyStateStep(Step):
     outputs: list[str] | None = None
 
     def run(self, work: Workspace) -> Outcome:
-        """Outputs in steady state: the dc gain times the constant inputs."""
         import numpy as np
 
         from robustlab.statespace import as_model
@@ -297,7 +287,6 @@ class UncertainStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """The LFT of a plant over the ranges of the named parameters; all others are taken as exact."""
         from robustlab.dynamics import LinearPlant
 
         given = work.values[self.of]
@@ -340,7 +329,6 @@ class ReduceModelStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """A model of lower order with its certified error and what theory promises."""
         weights = {
             name: None if given is None else work.values[given]
             for name, given in (("input_weight", self.input_weight), ("output_weight", self.output_weight))
@@ -371,7 +359,6 @@ class ResampleStep(Step):
     method: Literal["zoh", "foh", "tustin"] = "zoh"
 
     def run(self, work: Workspace) -> Outcome:
-        """The model, and for a discrete one how well discretising gives it back."""
         from robustlab.statespace import as_model
 
         model = as_model(work.values[self.of], self.of)
@@ -403,7 +390,6 @@ class ConnectStep(Step):
     sums: list[Text] = Field([], description='Summing junctions: "e = r - y" makes the signal e.')
 
     def run(self, work: Workspace) -> Outcome:
-        """The parts in one model, from the asked inputs to the asked outputs."""
         from robustlab.statespace import as_model
         from robustlab.uncertainty.named_wiring import connected
 
@@ -429,7 +415,6 @@ class ElementwiseStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """The set of models between a nominal and a maximally perturbed one, checked at its two ends."""
         from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
         from robustlab.uncertainty.elementwise import endpoint_residual
 
@@ -517,7 +502,6 @@ class DelaysStep(Step):
     weight_order: Annotated[int, Field(ge=1, le=81)] = Field(3, description="Of the weight of their error.")
 
     def run(self, work: Workspace) -> Outcome:
-        """A set with blocks for what rational delays and a model without some miss, proved to hold the exact ones."""
         given = work.values[self.of]
         found = rl.uncertain_delays(
             rl.linearise(given) if hasattr(given, "parameters") else given,

@@ -11,14 +11,7 @@ from pydantic_core import PydanticCustomError
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.steps.vocabulary import (
-    Positive,
-    PriorTolerance,
-    Text,
-    ToModel,
-    ToOneModel,
-    ToRecord,
-)
+from robustlab.recipe.steps.vocabulary import Positive, PriorTolerance, Text, ToModel, ToOneModel, ToRecord
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.comparison_result import Comparison
@@ -58,7 +51,6 @@ class RecordStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """A record, measured or simulated; gaps, clocks that run backwards and NaN are refused by the reader."""
         options: dict[str, Any] = {"units": self.units} if self.units else {}
         if self.clock is not None:
             options["clock"] = self.clock
@@ -95,7 +87,6 @@ class FrequencyResponseStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        """The data, with the largest gain of the nominal response."""
         import numpy as np
 
         from robustlab.report.result_figures import measured_response_figure
@@ -129,7 +120,6 @@ class JoinStep(Step):
     dt: Positive | None = Field(None, description="s; the coarser of the two where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """The signals of two loggers on one clock."""
         from robustlab.identification.record_check.resampling import join_clocks
 
         if work.simulated & {self.first, self.second}:
@@ -284,7 +274,6 @@ class DiscoverStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """The effects that the records show beyond the model, with their evidence; gives the updated plant."""
         from robustlab.dynamics.effects.catalogue import effect
         from robustlab.identification.naming.discovery_result import headline
         from robustlab.report.discovery import caption, discovery_figures, facts, story

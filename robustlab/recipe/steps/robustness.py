@@ -37,7 +37,6 @@ class HinfNormStep(Step):
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        """H-infinity norm of a model, as a proved bracket."""
         return _peak(rl.hinf_norm(work.values[self.of]), "H-infinity norm", self.of)
 
 
@@ -50,7 +49,6 @@ class LinfNormStep(Step):
     band: Band | None = Field(None, description="[low, high] in rad/s; all frequencies where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Peak gain over the frequency axis or a band, as a proved bracket."""
         title = "L-infinity norm" if self.band is None else f"Peak gain from {self.band[0]:g} to {self.band[1]:g} rad/s"
         return _peak(rl.linf_norm(work.values[self.of], band=as_pair(self.band)), title, self.of)
 
@@ -72,7 +70,6 @@ class H2NormStep(Step):
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        """H2 norm by both Gramians and by the integral over the frequency axis."""
         norm = rl.h2_norm(work.values[self.of])
         facts = [Fact("H2 norm, by the Gramians", quantity(norm.value, digits=8))]
         if norm.integral is not None:
@@ -89,7 +86,6 @@ class PassivityStep(Step):
     of: ToModel = Field(description="A square model, input k belonging to output k.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Relative passivity index, as a proved bracket; below 1 the model is passive."""
         found = rl.passivity(work.values[self.of])
         numbers = picked(found, "lower", "upper", "frequency") | {"passive": found.passive}
         facts = [
@@ -114,7 +110,6 @@ class RobustStabilityStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """Robust stability margin with both bounds, over the whole frequency axis."""
         from robustlab.frequency import default_grid
         from robustlab.report.robustness_figures import mu_figure, shares_figure
 
@@ -158,7 +153,6 @@ class RobustnessAtStep(Step):
     what: Literal["margin", "gain"] = Field("margin", description="Stability margin, or largest gain.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Bounds at each frequency, with the Delta of the worst."""
         system = work.values[self.of]
         if self.controller is not None:
             k = work.values[self.controller]
@@ -184,7 +178,6 @@ class RobustGainStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """Robust gain margin: the part of the set whose members keep the level."""
         uncertain = work.uncertain(self.of)
         found = rl.robust_gain(uncertain, self.level, effort=self.effort, time_limit=self.time_limit, seed=work.seed)
         work.keep(found)
@@ -208,7 +201,6 @@ class ClassicalMarginsStep(Step):
     sign: Literal[-1, 1] = Field(-1, description="-1 for negative feedback, 1 for positive.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Least margins of the loops, each with the others closed."""
         loop = work.values[self.of]
         of_loop = rl.delay_classical_margins if isinstance(loop, rl.DelayedModel) else rl.classical_margins
         found = of_loop(loop, sign=self.sign)
@@ -266,7 +258,6 @@ class IqcGainStep(NonlinearStep):
     outputs: list[Text] | None = Field(None, description="Outputs to keep; all where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Worst L2 gain by integral quadratic constraints, with both bounds."""
         found = rl.iqc_gain(
             work.values[self.of], self.natures(work), self.inputs, self.outputs, self.order, None, self.time_limit,
             self.effort,
@@ -285,7 +276,6 @@ class IqcStabilityStep(NonlinearStep):
     do: Literal["iqc-stability"]
 
     def run(self, work: Workspace) -> Outcome:
-        """Margin of stability by integral quadratic constraints."""
         found = rl.iqc_stability(
             work.values[self.of], self.natures(work), self.order, None, self.time_limit, self.effort
         )
@@ -313,7 +303,6 @@ class EffectGainStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """Proved gain with the effects as what they are, and the gain of the same ranges as constants."""
         found = rl.effect_gain(
             work.values[self.of], work.values[self.controller], self.outputs, self.amplitude, self.stick_speed,
             self.sign, self.order, self.time_limit, self.effort,
@@ -345,7 +334,6 @@ class AntiWindupStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """The gain, its proved L2 gain, and those without anti-windup and with back-calculation."""
         from robustlab.statespace import as_model
 
         K = as_model(work.values[self.controller], self.controller)

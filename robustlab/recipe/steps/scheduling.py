@@ -47,7 +47,6 @@ class LpvGainStep(ScheduledStep):
     do: Literal["lpv-gain"]
 
     def run(self, work: Workspace) -> Outcome:
-        """A bound of the induced gain."""
         found = rl.lpv_gain(self.scheduled(work), **self.options)
         return told(found, None, f"Induced gain of {self.of}.", {"lower": found.lower, "upper": found.upper}, work)
 
@@ -62,7 +61,6 @@ class LpvHinfStep(ScheduledStep):
     controls: Annotated[int, Field(ge=1)] = Field(description="How many of the last inputs are controls.")
 
     def run(self, work: Workspace) -> Outcome:
-        """A scheduled controller."""
         found = rl.lpv_hinf(self.scheduled(work), self.measurements, self.controls, **self.options)
         numbers = {"gamma": found.gamma, "lmi_gamma": found.lmi_gamma, "frozen": found.frozen}
         return told(found, found.controller, f"Scheduled controller for {self.of}.", numbers, work)

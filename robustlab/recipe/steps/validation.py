@@ -58,7 +58,6 @@ class DataSheetStep(Step):
     points: Annotated[list[SheetPointEntry], Field(min_length=1, max_length=100)]
 
     def run(self, work: Workspace) -> Outcome:
-        """Printed operating points against a plant's equilibrium: what contradicts it, and which effect would not."""
         from robustlab.identification.record_check.steady_state import SheetPoint, compare_steady_state
 
         points = [SheetPoint(**vars(p)) for p in self.points]
@@ -92,7 +91,6 @@ class CoverStep(Step):
     seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Whether a record lies in the envelope of an uncertain model's members, and by how much it does not."""
         from robustlab.identification.comparison.envelope import cover as cover_record
         from robustlab.report.set_figures import envelope_figure
 
@@ -158,7 +156,6 @@ class ValidateStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """Bounds of the smallest scaling of Delta that explains a record; ``gamma`` is the one that was shown to."""
         from robustlab.report.set_figures import validation_figures
 
         found = rl.validate(
@@ -223,7 +220,6 @@ class PublishedNumbersStep(Step):
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
 
     def run(self, work: Workspace) -> Outcome:
-        """All rows of the thesis, computed from parameters; figures of chapters 8, 9 and 10."""
         from robustlab.thesis.numbers import published_numbers as compute
 
         found = compute()
@@ -262,7 +258,6 @@ class ThesisCaseStep(Step):
     n: Count = Field(0, description="Random members in the picture with nominal and worst Δ; no picture where 0.")
 
     def run(self, work: Workspace) -> Outcome:
-        """The uncertain platform of one case, with gravity as an input of its own (figure 10.5), and its picture."""
         from robustlab.dynamics.stewart.stewart_platform import stewart_platform
         from robustlab.thesis.runs import cases
 

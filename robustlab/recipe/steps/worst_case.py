@@ -69,7 +69,6 @@ class SampleStep(ResponseStep):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """Responses of seeded members and of vertices, with their envelope; members not drawn may do otherwise."""
         model = work.uncertain(self.of)
         known = [s.name for s in model.outputs]
         for name in self.outputs or []:
@@ -161,7 +160,6 @@ class WorstCaseStep(MetricStep):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        """The worst value of a metric that a search over Delta found, evaluated again at that Delta."""
         import numpy as np
 
         from robustlab.report.robustness_figures import worst_case_figure
@@ -209,7 +207,6 @@ class ViolationStep(MetricStep):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        """Probability that random members violate a limit, with its bounds, and which parameters matter."""
         from robustlab.report.robustness_figures import distribution_figure, influence_figure
 
         limit = self.limit if self.unit is None else f"{self.limit!r} {self.unit}"
@@ -351,7 +348,6 @@ class CampaignStep(MetricStep):
     time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
 
     def run(self, work: Workspace) -> Outcome:
-        """A metric of many members, each stored as it comes; a recipe that was interrupted goes on where it was."""
         from robustlab.campaign import CampaignSettings, Crew, run_campaign
         from robustlab.campaign.settings import Identity
 

@@ -24,8 +24,6 @@ from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
 from robustlab.synthesis.dk.riccati_level import Branches, Level
 from robustlab.synthesis.dk.robust_problem import RobustProblem
 
-__all__ = ["grown", "minimised"]
-
 
 class _Objective:
     """``log beta`` by theta, for scalings of one form, as the largest of several smooth branches."""

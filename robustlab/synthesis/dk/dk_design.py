@@ -15,35 +15,17 @@ from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
-__all__ = ["DKStep", "DKSynthesis"]
-
 
 @dataclass(frozen=True)
 class DKStep:
-    """One iterate of the search.
+    """One iterate of the search."""
 
-    Attributes
-    ----------
-    stage
-        ``"start"``, ``"nominal start"``, ``"D-K"``, ``"direct"`` or ``"D-G-K"``.
-    gamma
-        What the scalings of the iterate prove for mu at all frequencies.
-    mu
-        Largest upper bound of mu at single frequencies, complex blocks; NaN where it was not computed.
-    order
-        States of the controller.
-    scaling_orders
-        Orders of D (and G) of each block.
-    work
-        Work done since the start, in units of about a microsecond; see `robustlab.budget`.
-    """
-
-    stage: str
-    gamma: float
-    mu: float
-    order: int
-    scaling_orders: tuple[int, ...]
-    work: float
+    stage: str  # `"start"`, `"nominal start"`, `"D-K"`, `"direct"` or `"D-G-K"`
+    gamma: float  # what the scalings of the iterate prove for mu at all frequencies
+    mu: float  # largest upper bound of mu at single frequencies, complex blocks; NaN where it was not computed
+    order: int  # states of the controller
+    scaling_orders: tuple[int, ...]  # orders of D (and G) of each block
+    work: float  # work done since the start, in units of about a microsecond; see `robustlab.budget`
 
     def to_json(self) -> dict[str, object]:
         """All attributes."""

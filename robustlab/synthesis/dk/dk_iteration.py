@@ -30,17 +30,14 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     unit_scalings,
 )
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
-from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, StructuredProblem, nominal_start
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
-from robustlab.synthesis.dk.structured_problem import StructuredProblem
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
-
-__all__ = ["dk", "structure_with_performance"]
 
 
 @told_as("synth dk")

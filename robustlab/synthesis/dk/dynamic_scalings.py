@@ -44,33 +44,14 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = [
-    "BlockScaling",
-    "CoprimePair",
-    "DynamicScalings",
-    "Factor",
-    "loop_at_level",
-    "plant_at_level",
-    "proved_level",
-    "reference_block",
-    "unit_scalings",
-]
-
 
 @dataclass(frozen=True)
 class Factor:
-    """One scalar factor d(s) by its logarithms; 2 numbers a first-order section, 4 a second-order one.
+    """One scalar factor d(s) by its logarithms; 2 numbers a first-order section, 4 a second-order one."""
 
-    Attributes
-    ----------
-    log_gain
-        ``log d(0)``.
-    sections
-        ``(log z, log p)`` or ``(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)``, frequencies in rad/s; sections of
-        second order come first.
-    """
-
-    log_gain: float = 0.0
+    log_gain: float = 0.0  # `log d(0)`
+    # `(log z, log p)` or `(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)`, frequencies in rad/s; sections of second
+    # order come first.
     sections: tuple[tuple[float, ...], ...] = ()
 
     @property
@@ -148,14 +129,9 @@ def _log_modulus(values: tuple[float, ...], omega: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True)
 class CoprimePair:
-    """G_M and G_N of one real channel.
+    """G_M and G_N of one real channel."""
 
-    Attributes
-    ----------
-    sections
-        ``(log p, log q)`` or ``(log w_p, log 2 zeta_p, log w_q, log 2 zeta_q)`` of V and U; none: G = 0.
-    """
-
+    # `(log p, log q)` or `(log w_p, log 2 zeta_p, log w_q, log 2 zeta_q)` of V and U; none: G = 0.
     sections: tuple[tuple[float, ...], ...] = ()
 
     @property
@@ -190,21 +166,12 @@ def _extended(sections: tuple[tuple[float, ...], ...], one: float, two: float) -
 
 @dataclass(frozen=True, eq=False)
 class BlockScaling:
-    """Scalings of one block.
+    """Scalings of one block."""
 
-    Attributes
-    ----------
-    factors
-        One for a full block, one a channel for a repeated scalar, none for the block whose D is one.
-    mixing
-        Entries of T above the diagonal, row by row.
-    g
-        For each channel of a real scalar its G.
-    """
-
+    # One for a full block, one a channel for a repeated scalar, none for the block whose D is one.
     factors: tuple[Factor, ...]
-    mixing: tuple[float, ...] = ()
-    g: tuple[CoprimePair, ...] = ()
+    mixing: tuple[float, ...] = ()  # entries of T above the diagonal, row by row
+    g: tuple[CoprimePair, ...] = ()  # for each channel of a real scalar its G
 
     @property
     def order(self) -> int:

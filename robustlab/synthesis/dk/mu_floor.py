@@ -29,25 +29,16 @@ from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
 
-__all__ = ["MuFloor", "mu_floor", "why_not_less"]
-
 # Closer than this to a limit, or to what the search began with, counts as there.
 NEAR = 0.01
 
 
 @dataclass(frozen=True)
 class MuFloor:
-    """A proved bound for every controller, and where H-infinity synthesis alone stands for the same channels.
+    """A proved bound for every controller, and where H-infinity synthesis alone stands for the same channels."""
 
-    Attributes
-    ----------
-    bound
-        No stabilising controller has a smaller peak of mu.
-    channels
-        The plant with the channels of that block and member alone; None where nothing bounds mu.
-    """
-
-    bound: GammaBound
+    bound: GammaBound  # no stabilising controller has a smaller peak of mu
+    # The plant with the channels of that block and member alone; None where nothing bounds mu.
     channels: PlantMatrices | None
 
     def nominal_level(self, budget: Budget, tuning: DKTuning = TUNING) -> float:
@@ -69,18 +60,11 @@ def mu_floor(
 ) -> MuFloor:
     """A lower bound, at most ``gamma``, of the peak of mu under every stabilising controller.
 
-    Parameters
-    ----------
-    plant
-        Continuous plant without D22, whose w and z are the channels of the blocks.
-    blocks
-        The structure; members are those of its real scalars.
-    gamma
-        Size ``1 / gamma`` of the set that members are taken from: the level that a design has reached.
-    delta
-        Where the search for the worst member begins: values by block name (of real blocks), scaled to that size.
-    dt
-        Sample time in s of the discrete plant whose image ``plant`` is.
+    ``plant``: continuous plant without D22, whose w and z are the channels of the blocks.
+    ``blocks``: the structure; members are those of its real scalars.
+    ``gamma``: size ``1 / gamma`` of the set that members are taken from: the level that a design has reached.
+    ``delta``: where the search for the worst member begins: values by block name (of real blocks), scaled to that size.
+    ``dt``: sample time in s of the discrete plant whose image ``plant`` is.
     """
     real = np.array([b.interval is not None for b in blocks])
     start = np.array([float(delta.get(b.name, 0.0)) if r else 0.0 for b, r in zip(blocks, real, strict=True)])
@@ -143,16 +127,12 @@ def why_not_less(
 ) -> str:
     """One sentence: what was gained over the first controller, and what ends the way down.
 
-    Parameters
-    ----------
-    smallest
-        The smallest peak of mu that was proved.
-    start_mu
-        Peak of mu, at single frequencies, of the controller that the search began with.
-    first_level
-        What the scalings that it began with prove for that controller: the norm of its loop where they are one.
-    floor, alone
-        What no controller gets below, and what H-infinity synthesis of the same channels alone reaches (`MuFloor`).
+    ``smallest``: the smallest peak of mu that was proved.
+    ``start_mu``: peak of mu, at single frequencies, of the controller that the search began with.
+    ``first_level``: what the scalings that it began with prove for that controller: the norm of its loop where they are
+    one.
+    ``floor``, ``alone``: what no controller gets below, and what H-infinity synthesis of the same channels alone
+    reaches (`MuFloor`).
     """
     gained = 1 - smallest / start_mu if start_mu > 0 else 0.0
     come = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"

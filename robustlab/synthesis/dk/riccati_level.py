@@ -33,9 +33,6 @@ from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = ["Branches", "Level", "LevelSearch"]
-
-
 # Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.
 TEST_WORK, FORM_WORK = 300, 250
 
@@ -72,34 +69,19 @@ class Branches:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Smallest level of given scalings.
+    """Smallest level of given scalings."""
 
-    Attributes
-    ----------
-    beta
-        The level.
-    smooth
-        Whether it is where ``rho(X Y) = 1``; else a Riccati equation loses its solution there.
-    pair
-        The solutions at a level a little above.
-    """
-
-    beta: float
-    smooth: bool
-    pair: _Pair
+    beta: float  # the level
+    smooth: bool  # whether it is where `rho(X Y) = 1`; else a Riccati equation loses its solution there
+    pair: _Pair  # the solutions at a level a little above
 
 
 class LevelSearch:
     """Smallest levels of ``plant(theta, beta)`` in the units of one numerical scaling.
 
-    Parameters
-    ----------
-    plant
-        The scaled plant for parameters theta at a level beta.
-    scaling
-        Numerical scaling of its states and channels, held fixed.
-    budget
-        Every test is counted there, and it is asked between tests. None: no limit.
+    ``plant``: the scaled plant for parameters theta at a level beta.
+    ``scaling``: numerical scaling of its states and channels, held fixed.
+    ``budget``: every test is counted there, and it is asked between tests. None: no limit.
     """
 
     def __init__(

@@ -13,14 +13,15 @@ small disturbance d on the controls asks for feedback:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.certificate import level as certificate_level
@@ -31,12 +32,14 @@ from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.search import Search, soften
+from robustlab.synthesis.laws.controller_laws import Law, model_of
+from robustlab.synthesis.laws.controller_structures import as_structure
+from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_start, polished
 from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
-from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-
-__all__ = ["Iterate", "RobustProblem", "nominal_start"]
+from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
 
 
 def nominal_start(
@@ -76,27 +79,13 @@ def _effort(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, K: StateSpaceMod
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A controller with what its scalings prove.
+    """A controller with what its scalings prove."""
 
-    Attributes
-    ----------
-    K
-        In the units and the time domain of the plant as given, D22 included.
-    loop
-        The closed loop rebuilt with it, mapped to continuous time where the plant is discrete.
-    scalings
-        D, G whose scaled loop proves ``level``.
-    level
-        mu of the loop is at most this, at all frequencies.
-    p
-        Parameters of a controller of given structure.
-    """
-
-    K: StateSpaceModel
-    loop: StateSpaceModel
-    scalings: DynamicScalings
-    level: float
-    p: AnyArray | None = None
+    K: StateSpaceModel  # in the units and the time domain of the plant as given, D22 included
+    loop: StateSpaceModel  # the closed loop rebuilt with it, mapped to continuous time where the plant is discrete
+    scalings: DynamicScalings  # D, G whose scaled loop proves `level`
+    level: float  # mu of the loop is at most this, at all frequencies
+    p: AnyArray | None = None  # parameters of a controller of given structure
 
     @property
     def pace(self) -> float:
@@ -107,13 +96,9 @@ class Iterate:
 class RobustProblem:
     """Plant, structure and regularisation of a robust-performance synthesis.
 
-    Parameters
-    ----------
-    plant
-        Generalised plant as given; its w and z are exactly the channels of the structure.
-    budget
-        What is done is counted there, and it is asked between steps; each stage of a search may put its own. None: no
-        limit.
+    ``plant``: generalised plant as given; its w and z are exactly the channels of the structure.
+    ``budget``: what is done is counted there, and it is asked between steps; each stage of a search may put its own.
+    None: no limit.
     """
 
     def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None, tuning: DKTuning = TUNING) -> None:
@@ -307,3 +292,89 @@ class RobustProblem:
 def _mapped(model: StateSpaceModel) -> StateSpaceModel:
     """In continuous time."""
     return bilinear_to_continuous(model) if model.is_discrete else model
+
+
+# --- a controller of given structure ---------------------------------------------------------------------------------
+
+
+class StructuredProblem(RobustProblem):
+    """See `RobustProblem`; an `Iterate` has the parameters of its controller, too.
+
+    ``plant``, ``budget``, ``tuning``: as there.
+    ``structure``: as for `robustlab.fixed_structure`.
+    ``starts``, ``seed``: random starts of the first search, for D = I.
+    """
+
+    def __init__(
+        self, plant: GeneralizedPlant, structure: Any, starts: int, seed: int, budget: Budget, tuning: DKTuning
+    ) -> None:
+        super().__init__(plant, budget, tuning)
+        rate = common_scaling([plant])[0].rate
+        self.law: Law = as_structure(structure, rate).law(plant.measurements, plant.controls, plant.model.dt)
+        self.starts, self.seed = starts, seed
+        self._last: AnyArray = np.array([q.start for q in self.law.parameters], dtype=float)
+
+    def values(self, iterate: Iterate) -> dict[str, float]:
+        """The parameters of an iterate by name."""
+        assert iterate.p is not None
+        return {q.name: float(x) for q, x in zip(self.law.parameters, iterate.p, strict=True)}
+
+    def first(self, given: Mapping[str, float] | None, scalings: DynamicScalings) -> list[Iterate]:
+        """The best ends of a search from many starts for the plant without scalings, or what the given values make."""
+        if given is not None:
+            found = [self._given(given)]
+        else:
+            problem = DesignProblem([self.plant], self.law, "hinf", (), self.budget)
+            ends = multi_start(problem, [], self.starts, self.seed, lambda _: None)
+            found = [end.p for end in ends if np.isfinite(end.gamma)][: self.tuning.structured_ends]
+        proved = [self._proved(p, scalings, 1.0) for p in found]
+        return [iterate for iterate in proved if iterate is not None]
+
+    def follow(self, iterate: Iterate) -> None:
+        """Go on from this one."""
+        assert iterate.p is not None
+        self._last = iterate.p
+
+    def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
+        """Descent of the scaled loop's norm from the parameters followed; those themselves where nothing is better."""
+        scaled = self._scaled(scalings, 1.0)
+        if self.plant.model.is_discrete:
+            model = bilinear_to_discrete(scaled.model, self.plant.model.dt)
+            scaled = GeneralizedPlant(model, scaled.n_meas, scaled.n_con)
+        problem = DesignProblem([scaled], self.law, "hinf", (), self.budget)
+        v = problem.variables(self._last)
+        if np.isfinite(problem.norm(v)[0]):
+            v, _ = central_path(problem, v, problem.tuning.barrier_known)
+            p, _ = polished(problem, problem.parameters(v)[0])
+            found = self._proved(p, scalings, start)
+            if found is not None:
+                self._last = p
+                return found
+        return self._proved(self._last, scalings, start)
+
+    def softened(self, iterate: Iterate, limit: float) -> Iterate:
+        """The iterate itself: its structure says how fast it may be."""
+        return iterate
+
+    def regularise(self, iterate: Iterate, share: float) -> None:
+        """Nothing: a descent needs no regular plant."""
+
+    def _proved(self, p: AnyArray, scalings: DynamicScalings, guess: float) -> Iterate | None:
+        try:
+            K = model_of(self.law, p, self.plant.model.dt)
+        except (InputError, NoTrustworthyNumber):  # entries overflow
+            return None
+        found = self.proved(K, scalings, guess)
+        if found is None:
+            return None
+        return replace(found, p=p)
+
+    def _given(self, values: Mapping[str, float]) -> AnyArray:
+        names = [q.name for q in self.law.parameters]
+        p = self._last.copy()
+        for name, value in values.items():
+            if name not in names:
+                where, known = f"synth dk: K0: parameter {name!r}", ", ".join(names[:20])
+                raise InputError(where, "no such parameter", f"one of {known}", did_you_mean(name, names))
+            p[names.index(name)] = float(value)
+        return p

@@ -27,8 +27,6 @@ from robustlab.synthesis.dk.dynamic_scalings import (
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["MuCurve", "as_complex", "fitted_scalings", "mu_curve"]
-
 FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
 
 
@@ -37,21 +35,11 @@ FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the squar
 
 @dataclass(frozen=True, eq=False)
 class MuCurve:
-    """Upper bounds of mu with their D, G at frequencies in rad/s.
+    """Upper bounds of mu with their D, G at frequencies in rad/s."""
 
-    Attributes
-    ----------
-    omega
-        Frequencies, shape (n_omega,), rising.
-    response
-        The loop there, shape (n_omega, p, q).
-    bounds
-        The bounds there.
-    """
-
-    omega: AnyArray
-    response: AnyArray
-    bounds: tuple[UpperBound, ...]
+    omega: AnyArray  # frequencies, shape (n_omega,), rising
+    response: AnyArray  # the loop there, shape (n_omega, p, q)
+    bounds: tuple[UpperBound, ...]  # the bounds there
 
     @property
     def levels(self) -> AnyArray:

@@ -22,36 +22,16 @@ from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.specifications.weight_design import performance_weight
 
-__all__ = [
-    "GainGoal",
-    "Goal",
-    "MarginGoal",
-    "OvershootGoal",
-    "SensitivityGoal",
-    "StandardLoop",
-    "TrackingGoal",
-    "VarianceGoal",
-    "goal_in_words",
-]
-
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")
 
 
 @dataclass(frozen=True, eq=False)
 class StandardLoop:
-    """A plant in the loop ``u = K (r - y)``, before K closes it.
+    """A plant in the loop ``u = K (r - y)``, before K closes it."""
 
-    Attributes
-    ----------
-    g
-        The plant.
-    model
-        From (r, d, n, u) to (y, u, u + d, r - y, and what K takes, r - y - n).
-    """
-
-    g: StateSpaceModel
-    model: StateSpaceModel
+    g: StateSpaceModel  # the plant
+    model: StateSpaceModel  # from (r, d, n, u) to (y, u, u + d, r - y, and what K takes, r - y - n)
 
     @classmethod
     def of(cls, g: StateSpaceModel) -> StandardLoop:
@@ -308,10 +288,7 @@ GOALS: Mapping[str, type[Goal]] = {
 def goal_in_words(word: str, options: Mapping[str, Any], hard: bool = False) -> Goal:
     """A goal by its word and its numbers, as commands and recipes give it.
 
-    Raises
-    ------
-    InputError
-        An unknown word or option, or one that is missing.
+    Raises InputError: an unknown word or option, or one that is missing.
     """
     if word not in GOALS:
         raise InputError(f"goal {word!r}", "unknown", f"one of {', '.join(GOALS)}", did_you_mean(word, list(GOALS)))

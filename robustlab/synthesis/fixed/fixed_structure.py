@@ -35,18 +35,6 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = [
-    "FixedSynthesis",
-    "LimitValue",
-    "ParameterValue",
-    "bounded_law",
-    "fixed_structure",
-    "check_starts",
-    "given_starts",
-    "not_found",
-    "require_finite_h2",
-]
-
 WHERE = "synth fixed"
 # A limit that is met up to this share counts as kept: the search stays strictly inside.
 KEPT = 1e-9

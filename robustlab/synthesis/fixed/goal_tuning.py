@@ -45,26 +45,17 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
 from robustlab.tables import Table, Tabular
 
-__all__ = ["GoalValue", "TunedSynthesis", "tune"]
-
 
 @dataclass(frozen=True)
 class GoalValue:
-    """A goal, and what the design reaches of it.
+    """A goal, and what the design reaches of it."""
 
-    Attributes
-    ----------
-    text, hard
-        The goal in words, and whether it had to be met.
-    values
-        Verified norm of its weighted loop for every plant (H-infinity: upper bound): met where at most 1.
-    floor
-        Proved for every controller of any structure: no value is below it; NaN where it was not asked for.
-    """
-
+    # text, hard: the goal in words, and whether it had to be met
     text: str
     hard: bool
+    # Verified norm of its weighted loop for every plant (H-infinity: upper bound): met where at most 1.
     values: tuple[float, ...]
+    # Proved for every controller of any structure: no value is below it; NaN where it was not asked for.
     floor: float = float("nan")
 
     @property

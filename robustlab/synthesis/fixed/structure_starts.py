@@ -24,23 +24,16 @@ from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_sta
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 
-__all__ = ["informed_starts"]
-
 
 def informed_starts(
     problem: DesignProblem, seed: int, progress: Callable[[str], None], tuning: FixedTuning = TUNING
 ) -> list[tuple[str, AnyArray]]:
     """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
 
-    Parameters
-    ----------
-    problem
-        The search that follows; at most half of what is left of its budget is used here. Its plants have no
-        uncertainty, and the full-order design is that of the first.
-    seed
-        Of that search.
-    progress
-        Called with a line after every start of the static search.
+    ``problem``: the search that follows; at most half of what is left of its budget is used here. Its plants have no
+    uncertainty, and the full-order design is that of the first.
+    ``seed``: of that search.
+    ``progress``: called with a line after every start of the static search.
     """
     law, budget = problem.law, problem.budget
     if not isinstance(law, AffineLaw) or not _is_given_order(law):

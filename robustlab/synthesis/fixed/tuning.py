@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from robustlab.budget import MILLION
 
-__all__ = ["TUNING", "FixedTuning"]
-
 
 @dataclass(frozen=True)
 class FixedTuning:

@@ -25,8 +25,6 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import HinfSynthesis, hinf
 from robustlab.uncertainty.algebra import star
 
-__all__ = ["DelayedDesign", "delay_hinf", "verify_delayed_loop"]
-
 ORDERS = (2, 4, 6, 8)  # of Padé's approximations of the plant that designs are made for, one after the other
 
 

@@ -28,9 +28,6 @@ from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = ["LmiOutcome", "Outer", "Slopes", "lmi_controllers", "projection", "reconstructed", "shared", "solve_conic"]
-
-
 # Singular values below it, relative to the largest, span a null space.
 NULL = 1e-10
 
@@ -103,14 +100,9 @@ def lmi_controllers(
 ) -> tuple[list[Realisation], str]:
     """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
 
-    Parameters
-    ----------
-    p
-        Continuous plant without D22.
-    scaling
-        Scaling in which the LMIs are solved.
-    budget
-        Every solve is counted there, and none is begun once it is over.
+    ``p``: continuous plant without D22.
+    ``scaling``: scaling in which the LMIs are solved.
+    ``budget``: every solve is counted there, and none is begun once it is over.
     """
     n = p.sizes[0]
     if not n:  # matrices without rows are no variables of an LMI
@@ -152,15 +144,10 @@ def projection(
 ) -> tuple[float | None, Outer | None, LmiOutcome]:
     """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``.
 
-    Parameters
-    ----------
-    plants
-        Of equal sizes, without D22.
-    level, coupling
-        The level asked for, and t.
-    varying, slopes
-        Which of the two varies with the plant, and how it may move at each: ``- dR/dt`` stands in the first inequality,
-        ``dS/dt`` in the second.
+    ``plants``: of equal sizes, without D22.
+    ``level``, ``coupling``: the level asked for, and t.
+    ``varying``, ``slopes``: which of the two varies with the plant, and how it may move at each: ``- dR/dt`` stands in
+    the first inequality, ``dS/dt`` in the second.
     """
     import cvxpy as cp
 

@@ -38,8 +38,6 @@ from robustlab.uncertainty.distances.coprime import (
     four_block,
 )
 
-__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_default_performance"]
-
 
 @dataclass(frozen=True, eq=False)
 class ObserverForm:
@@ -294,10 +292,7 @@ def with_default_performance(plant: GeneralizedPlant, where: str) -> Generalized
     """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
     and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
 
-    Raises
-    ------
-    InputError
-        Disturbances without performance outputs, or the other way round.
+    Raises InputError: disturbances without performance outputs, or the other way round.
     """
     if not plant.n_w and not plant.n_z:
         return four_block_plant(plant.model)

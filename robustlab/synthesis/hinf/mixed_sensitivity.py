@@ -14,8 +14,6 @@ from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = ["mixed_sensitivity_plant", "mixsyn", "weight_on_channels"]
-
 
 @told_as("synth mixsyn")
 def mixsyn(

@@ -22,18 +22,6 @@ from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude
 
-__all__ = [
-    "Candidate",
-    "Portfolio",
-    "Regularisation",
-    "Search",
-    "portfolio",
-    "smallest",
-    "soften",
-    "trial_loop",
-    "trial_norm",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Regularisation:
@@ -53,24 +41,12 @@ class Regularisation:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A controller whose loop is stable, as far as the search can tell.
+    """A controller whose loop is stable, as far as the search can tell."""
 
-    Attributes
-    ----------
-    K
-        For the continuous plant without D22, in its units.
-    gamma
-        Gain of its loop, attained at a frequency.
-    pace
-        Largest modulus of its poles in rad/s: what makes it hard to build.
-    decay
-        Decay rate of the loop's slowest mode in 1/s.
-    """
-
-    K: Realisation
-    gamma: float
-    pace: float
-    decay: float
+    K: Realisation  # for the continuous plant without D22, in its units
+    gamma: float  # gain of its loop, attained at a frequency
+    pace: float  # largest modulus of its poles in rad/s: what makes it hard to build
+    decay: float  # decay rate of the loop's slowest mode in 1/s
 
     @property
     def stiffness(self) -> float:
@@ -81,18 +57,11 @@ class Candidate:
 class Search:
     """Trials on one scaled plant; every controller that stabilises is kept.
 
-    Parameters
-    ----------
-    plant
-        Continuous plant without D22.
-    scaling
-        Its scaling.
-    budget
-        Trials and gamma tests are counted there, and it is asked between them.
-    floor
-        Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
-    D22
-        The direct term that was left out of the plant: what is found must be able to take it back in.
+    ``plant``: continuous plant without D22.
+    ``scaling``: its scaling.
+    ``budget``: trials and gamma tests are counted there, and it is asked between them.
+    ``floor``: proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
+    ``D22``: the direct term that was left out of the plant: what is found must be able to take it back in.
     """
 
     def __init__(
@@ -303,21 +272,11 @@ def smallest(candidates: list[Candidate]) -> Candidate | None:
 
 @dataclass(frozen=True, eq=False)
 class Portfolio:
-    """The searches over two scalings.
+    """The searches over two scalings."""
 
-    Attributes
-    ----------
-    leader
-        The search that found the smallest gamma.
-    other
-        The other one.
-    disagree
-        Relative difference of the gammas they reached; NaN where one found none or was not asked.
-    """
-
-    leader: Search
-    other: Search
-    disagree: float
+    leader: Search  # the search that found the smallest gamma
+    other: Search  # the other one
+    disagree: float  # relative difference of the gammas they reached; NaN where one found none or was not asked
 
     def estimated_optimum(self) -> float:
         """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell.

@@ -34,8 +34,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_posit
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable
 from robustlab.uncertainty.distances.coprime import CoprimeMargin, coprime_margin, coprime_riccati
 
-__all__ = ["TwoDegreeSynthesis", "two_degree_design", "two_degree_plant"]
-
 # The steady state of the rebuilt loop may differ from the reference model's by this share.
 STEADY = 1e-6
 

@@ -19,9 +19,6 @@ from robustlab.matrix_equations import care, hamiltonian_riccati
 from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
-__all__ = ["RiccatiPair", "TwoRiccatiProblem"]
-
-
 # Smallest singular value of D12 or D21, relative to the largest, that is none.
 RANK = 1e-13
 LARGEST = 1e150  # direct term whose square, of many channels, is still a number
@@ -40,19 +37,12 @@ class RiccatiPair:
 class TwoRiccatiProblem:
     """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it.
 
-    Parameters
-    ----------
-    plant
-        The plant, D12 of full column rank and D21 of full row rank.
-    careful
-        Solve each equation in two ways where the quick one fails: slower, for plants on which rounding decides.
-    budget
-        Every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
+    ``plant``: the plant, D12 of full column rank and D21 of full row rank.
+    ``careful``: solve each equation in two ways where the quick one fails: slower, for plants on which rounding
+    decides.
+    ``budget``: every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        D12 has no full column rank or D21 no full row rank, or the square of D11 overflows.
+    Raises NoTrustworthyNumber: D12 has no full column rank or D21 no full row rank, or the square of D11 overflows.
     """
 
     def __init__(
@@ -164,10 +154,7 @@ class TwoRiccatiProblem:
     def central_controller(self, pair: RiccatiPair) -> Realisation:
         """The central controller of a pair, (19) to (27) without its free parameter, from y to u of the plant given.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            A factor of it is singular: gamma is too close to its limit.
+        Raises NoTrustworthyNumber: a factor of it is singular: gamma is too close to its limit.
         """
         a, b, g2 = self.a, self.b, pair.gamma**2
         D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]

@@ -15,46 +15,20 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.statespace import StateSpaceModel
 
-__all__ = [
-    "AffineBuilder",
-    "AffineLaw",
-    "DiagonalLaw",
-    "FilteredLaw",
-    "Law",
-    "Parameter",
-    "RelabelledLaw",
-    "SeriesLaw",
-    "model_of",
-    "sum_law",
-    "unpacked",
-]
-
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a controller.
+    """A parameter of a controller."""
 
-    Attributes
-    ----------
-    name, unit
-        For people and files; an empty unit means not stated.
-    low, high
-        Bounds.
-    start
-        Where a search starts.
-    size
-        How much it may sensibly change; 0: found from the plant's scaling.
-    centre
-        Where random starts are centred, in units of its size and relative to ``start``.
-    """
-
+    # name, unit: for people and files; an empty unit means not stated
     name: str
     unit: str = ""
+    # low, high: bounds
     low: float = -np.inf
     high: float = np.inf
-    start: float = 0.0
-    size: float = 0.0
-    centre: float = 0.0
+    start: float = 0.0  # where a search starts
+    size: float = 0.0  # how much it may sensibly change; 0: found from the plant's scaling
+    centre: float = 0.0  # where random starts are centred, in units of its size and relative to `start`
 
 
 class Law(Protocol):

@@ -28,23 +28,6 @@ from robustlab.synthesis.laws.controller_laws import (
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 
-__all__ = [
-    "PID",
-    "Decentralised",
-    "FixedOrder",
-    "FixedPoles",
-    "MultichannelPID",
-    "Part",
-    "Series",
-    "StaticGain",
-    "Structure",
-    "Sum",
-    "WORDS",
-    "as_structure",
-    "structure_in_words",
-]
-
-
 Signals = tuple[Signal, ...]
 WHERE = "fixed structure"
 
@@ -70,15 +53,9 @@ def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
 
 @dataclass(frozen=True, eq=False)
 class StaticGain(Structure):
-    """``u = K y`` with a constant gain.
+    """``u = K y`` with a constant gain."""
 
-    Attributes
-    ----------
-    mask
-        Which entries of K are free, shape (n_con, n_meas); the others are zero. All where left out.
-    """
-
-    mask: Any = None
+    mask: Any = None  # which entries of K are free, shape (n_con, n_meas); the others are zero. All where left out.
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         """See `Structure`."""
@@ -103,21 +80,11 @@ def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
 
 @dataclass(frozen=True)
 class FixedOrder(Structure):
-    """A controller of a given number of states.
+    """A controller of a given number of states."""
 
-    Attributes
-    ----------
-    order
-        Number of states.
-    strictly_proper
-        True for D_K = 0: the gain falls off at high frequencies.
-    form
-        ``"tridiagonal"`` (any A_K with simple poles has this form; few parameters) or ``"full"``.
-    """
-
-    order: int
-    strictly_proper: bool = False
-    form: str = "tridiagonal"
+    order: int  # number of states
+    strictly_proper: bool = False  # True for D_K = 0: the gain falls off at high frequencies
+    form: str = "tridiagonal"  # `"tridiagonal"` (any A_K with simple poles has this form; few parameters) or `"full"`
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         """See `Structure`."""
@@ -323,19 +290,12 @@ def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any =
 
 @dataclass(frozen=True, eq=False)
 class FixedPoles(Structure):
-    r"""Given poles, free residues and free direct term: :math:`K = D + \sum_i R_i/(s - p_i)`.
+    r"""Given poles, free residues and free direct term: :math:`K = D + \sum_i R_i/(s - p_i)`."""
 
-    Attributes
-    ----------
-    poles
-        Poles in rad/s (of a sampled controller: in the z-plane); complex ones in conjugate pairs. Each is used once
-        per measurement, so that the residues have full rank.
-    strictly_proper
-        True for no direct term.
-    """
-
+    # Poles in rad/s (of a sampled controller: in the z-plane); complex ones in conjugate pairs. Each is used once per
+    # measurement, so that the residues have full rank.
     poles: Sequence[complex]
-    strictly_proper: bool = False
+    strictly_proper: bool = False  # True for no direct term
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         """See `Structure`."""
@@ -378,14 +338,9 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Decentralised(Structure):
-    """Controllers side by side, each on its own channels.
+    """Controllers side by side, each on its own channels."""
 
-    Attributes
-    ----------
-    parts
-        `Part` objects with the names of their channels; or structures alone, one per channel in order.
-    """
-
+    # `Part` objects with the names of their channels; or structures alone, one per channel in order.
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
@@ -424,19 +379,12 @@ class Sum(Structure):
 
 @dataclass(frozen=True, eq=False)
 class Series(Structure):
-    """``second * first``: the first sees the measurements, the second drives the controls.
+    """``second * first``: the first sees the measurements, the second drives the controls."""
 
-    Attributes
-    ----------
-    first, second
-        The structures.
-    signals
-        Names, or (name, unit) pairs, of the signals between them.
-    """
-
+    # first, second: the structures
     first: Structure
     second: Structure
-    signals: Sequence[Any]
+    signals: Sequence[Any]  # names, or (name, unit) pairs, of the signals between them
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         """See `Structure`."""
@@ -484,19 +432,11 @@ GAINS = ("full", "diagonal", "scalar")
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it.
 
-    Parameters
-    ----------
-    text
-        ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20`` (rad/s);
-        ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
-        ``decentralised:WORD``, the same structure for every channel by itself.
-    plant
-        Its channels, and its time scale for the filters of derivatives.
-
-    Raises
-    ------
-    InputError
-        An unknown word, a number that is none.
+    ``text``: ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20``
+    (rad/s); ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
+    ``decentralised:WORD``, the same structure for every channel by itself.
+    ``plant``: its channels, and its time scale for the filters of derivatives.
+    Raises InputError: an unknown word, a number that is none.
 
     Examples
     --------

@@ -19,8 +19,6 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 
-__all__ = ["Descent", "Function", "Piece", "bfgs", "sequential_linear"]
-
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
 Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
 
@@ -157,14 +155,9 @@ def sequential_linear(
 ) -> tuple[AnyArray, float]:
     """The best point found from x within the bounds, and its value, by linear programs over all active pieces.
 
-    Parameters
-    ----------
-    value_of
-        The function; infinite where it has no value.
-    pieces_of
-        ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
-    low, high
-        Bounds of the parameters.
+    ``value_of``: the function; infinite where it has no value.
+    ``pieces_of``: ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
+    ``low``, ``high``: bounds of the parameters.
 
     References
     ----------

@@ -18,9 +18,6 @@ from robustlab.synthesis.nonsmooth.objectives import bilinear, crossings, resolv
 from robustlab.synthesis.problem.partition import Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = ["Bandwidth", "Damping", "Decay", "Limit", "RollOff", "StableController"]
-
-
 # The c of a limit for a packed controller, with its gradient.
 LimitAt = tuple[float, AnyArray]
 

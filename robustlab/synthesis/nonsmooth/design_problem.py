@@ -17,8 +17,6 @@ from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
 
-__all__ = ["DesignProblem"]
-
 
 @dataclass(frozen=True)
 class _Coordinate:
@@ -62,20 +60,13 @@ class _Coordinate:
 class DesignProblem:
     """The closed loops of all plants as functions of the search variables v of a law.
 
-    Parameters
-    ----------
-    plants
-        Generalised plants with the same measurements, controls and sample time.
-    law
-        The controller.
-    objective
-        ``"hinf"`` or ``"h2"``: the largest norm over the plants; or one of them for each plant.
-    limits
-        What the design must keep, strictly.
-    budget
-        Every evaluation is counted there. None: no limit.
-    limited
-        Plants whose loops the limits are about, where those of ``plants`` have poles of weights; these where left out.
+    ``plants``: generalised plants with the same measurements, controls and sample time.
+    ``law``: the controller.
+    ``objective``: ``"hinf"`` or ``"h2"``: the largest norm over the plants; or one of them for each plant.
+    ``limits``: what the design must keep, strictly.
+    ``budget``: every evaluation is counted there. None: no limit.
+    ``limited``: plants whose loops the limits are about, where those of ``plants`` have poles of weights; these where
+    left out.
     """
 
     def __init__(

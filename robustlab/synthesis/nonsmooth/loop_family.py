@@ -19,18 +19,9 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.matrix_equations import lapack
-from robustlab.synthesis.nonsmooth.objectives import (
-    PeakFinder,
-    bilinear,
-    bilinear_pullback,
-    entropy,
-    resolvent_point,
-)
+from robustlab.synthesis.nonsmooth.objectives import PeakFinder, bilinear, bilinear_pullback, entropy, resolvent_point
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-
-__all__ = ["LoopFamily", "Pole"]
-
 
 # An I - D22 Theta with a larger condition number is no loop to look at.
 ILL_POSED = 1e10
@@ -64,25 +55,14 @@ class _Member:
 class LoopFamily:
     """The closed loops ``F_l(P, K)`` of one plant for all controllers K of ``order`` states.
 
-    Parameters
-    ----------
-    plant
-        Matrices of the plant without D22.
-    D22
-        Its direct term from u to y.
-    order
-        States of the controller.
-    discrete
-        True for a sampled plant.
+    ``plant``: matrices of the plant without D22.
+    ``D22``: its direct term from u to y.
+    ``order``: states of the controller.
+    ``discrete``: True for a sampled plant.
     """
 
     def __init__(
-        self,
-        plant: PlantMatrices,
-        D22: AnyArray,
-        order: int,
-        discrete: bool,
-        tuning: NonsmoothTuning = TUNING,
+        self, plant: PlantMatrices, D22: AnyArray, order: int, discrete: bool, tuning: NonsmoothTuning = TUNING
     ) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
         k = order

@@ -22,8 +22,6 @@ from robustlab.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import Realisation
 
-__all__ = ["Entropy", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "entropy", "resolvent_point"]
-
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
 
@@ -280,14 +278,9 @@ def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothT
 
     whose derivatives these are.
 
-    Parameters
-    ----------
-    loop
-        A continuous loop.
-    gamma
-        The level.
-    s0
-        Where the factor is evaluated, in rad/s: frequencies about it weigh most.
+    ``loop``: a continuous loop.
+    ``gamma``: the level.
+    ``s0``: where the factor is evaluated, in rad/s: frequencies about it weigh most.
 
     References
     ----------

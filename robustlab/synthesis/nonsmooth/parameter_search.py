@@ -26,32 +26,17 @@ from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = ["Start", "central_path", "descend", "law_around", "multi_start", "polished", "stabilised"]
-
 
 @dataclass(frozen=True)
 class Start:
-    """What became of one start.
+    """What became of one start."""
 
-    Attributes
-    ----------
-    kind
-        ``"given"``, ``"static"``, ``"reduced"``, ``"structure"`` (its own start) or ``"random"``.
-    instability
-        Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
-    gamma
-        Norm at its end, in the plant's units, before verification; inf where it was never stable.
-    p
-        Its parameters.
-    values
-        Norms on the way.
-    """
-
-    kind: str
+    kind: str  # `"given"`, `"static"`, `"reduced"`, `"structure"` (its own start) or `"random"`
+    # Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     instability: float
-    gamma: float
-    p: AnyArray
-    values: tuple[float, ...]
+    gamma: float  # norm at its end, in the plant's units, before verification; inf where it was never stable
+    p: AnyArray  # its parameters
+    values: tuple[float, ...]  # norms on the way
 
     def to_json(self) -> dict[str, Any]:
         """All but the parameters."""
@@ -297,21 +282,13 @@ def descend(
     K0 is written in modal coordinates (or keeps its own where the modes almost coincide) and all its entries move. Of
     very many (`NonsmoothTuning.many`) only its inputs, outputs and direct term do.
 
-    Parameters
-    ----------
-    plant
-        The generalised plant.
-    K0
-        A stabilising controller, ``u = K y`` with positive feedback.
-    budget
-        Evaluations are counted there; once it is over the descent ends.
-    weights
-        Weights of the barrier, largest first: larger ones look further around. Left out: K0 is near its optimum.
-
-    Returns
-    -------
-    StateSpaceModel
-        K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller does.
+    ``plant``: the generalised plant.
+    ``K0``: a stabilising controller, ``u = K y`` with positive feedback.
+    ``budget``: evaluations are counted there; once it is over the descent ends.
+    ``weights``: weights of the barrier, largest first: larger ones look further around. Left out: K0 is near its
+    optimum.
+    Returns: K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller
+    does.
     """
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"

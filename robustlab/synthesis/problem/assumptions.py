@@ -12,8 +12,6 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 
-__all__ = ["broken_assumptions", "require_stabilisable"]
-
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
 # order one).
 PBH_TOLERANCE = 1e-11
@@ -32,18 +30,10 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
 
     .. math:: \mathrm{rank}\,[A - \lambda I,\ B_2] = n, \qquad \mathrm{rank}\,[A - \lambda I;\ C_2] = n
 
-    Parameters
-    ----------
-    p
-        Scaled plant; its time unit is ``1/rate`` s.
-    states
-        Names of its states, for the message.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        A mode fails; the message says which, whether the controls cannot move it or the measurements do not see it, and
-        the state that takes part in it most.
+    ``p``: scaled plant; its time unit is ``1/rate`` s.
+    ``states``: names of its states, for the message.
+    Raises NoTrustworthyNumber: a mode fails; the message says which, whether the controls cannot move it or the
+    measurements do not see it, and the state that takes part in it most.
     """
     if not p.A.size:
         return
@@ -104,12 +94,8 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
 
     None of them is fatal: the search adds small penalties and noises where one is broken.
 
-    Parameters
-    ----------
-    p
-        Scaled plant; its time unit is ``1/rate`` s.
-    plant
-        The plant as given, for the names.
+    ``p``: scaled plant; its time unit is ``1/rate`` s.
+    ``plant``: the plant as given, for the names.
 
     References
     ----------

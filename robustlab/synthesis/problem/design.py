@@ -19,15 +19,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = [
-    "Controller",
-    "HinfSynthesis",
-    "Synthesis",
-    "design_budget",
-    "limiting_channels",
-    "told",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Controller(Shown, Traced):
@@ -56,11 +47,7 @@ class Controller(Shown, Traced):
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        return [
-            ("gamma", number(self.gamma, digits=6)),
-            ("method", self.method),
-            *self.K.facts(),
-        ]
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
         """K and what was verified, as plain types."""
@@ -226,10 +213,7 @@ class HinfSynthesis(Synthesis):
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
     """The budget of a design; a time limit of zero is refused, because there is no design without a search.
 
-    Raises
-    ------
-    InputError
-        An effort or a time limit that is not a positive number.
+    Raises InputError: an effort or a time limit that is not a positive number.
     """
     if time_limit is not None and not time_limit > 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")
@@ -239,14 +223,9 @@ def design_budget(where: str, work: float, effort: float, time_limit: float | No
 def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
     """Status and reason of a design, with what ended its search where that was the budget and not the method.
 
-    Parameters
-    ----------
-    status
-        What was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
-    parts
-        What else there is to say.
-    smaller
-        What a longer search might find.
+    ``status``: what was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
+    ``parts``: what else there is to say.
+    ``smaller``: what a longer search might find.
     """
     reason, ended = "; ".join(parts), ""
     if budget.struck:

@@ -18,8 +18,6 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 
-__all__ = ["DoubleDouble", "inverse", "sum_of_products"]
-
 SPLIT = 134217729.0  # 2^27 + 1
 
 

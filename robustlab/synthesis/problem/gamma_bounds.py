@@ -25,9 +25,6 @@ from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
-__all__ = ["GammaBound", "point_in_words", "pointwise_bound"]
-
-
 # Taken off every bound for rounding; an error of eps over CONDITION is far below it.
 MARGIN = 1e-7
 # In the plant's own time unit, a point nearer to zero than this is called zero.
@@ -38,21 +35,11 @@ CONDITION = 1e-7
 
 @dataclass(frozen=True)
 class GammaBound:
-    """A lower bound of gamma and how it is known.
+    """A lower bound of gamma and how it is known."""
 
-    Attributes
-    ----------
-    value
-        No stabilising controller reaches a closed-loop norm below it; 0 where nothing was found.
-    known
-        One sentence: proved at which point, or estimated how.
-    proved
-        False for an estimate.
-    """
-
-    value: float
-    known: str
-    proved: bool
+    value: float  # no stabilising controller reaches a closed-loop norm below it; 0 where nothing was found
+    known: str  # one sentence: proved at which point, or estimated how
+    proved: bool  # False for an estimate
 
     def to_json(self) -> dict[str, object]:
         """All fields."""
@@ -64,15 +51,10 @@ def pointwise_bound(
 ) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
 
-    Parameters
-    ----------
-    p
-        Continuous plant without D22.
-    scalings
-        Scalings of it. Points are searched on the first; a bound counts only as far as all of them give it, because
-        they round differently.
-    dt
-        Sample time in s of the discrete plant whose bilinear image p is; points are told in its z plane.
+    ``p``: continuous plant without D22.
+    ``scalings``: scalings of it. Points are searched on the first; a bound counts only as far as all of them give it,
+    because they round differently.
+    ``dt``: sample time in s of the discrete plant whose bilinear image p is; points are told in its z plane.
     """
     first = scalings[0]
     scaled = first.apply(p)

@@ -24,8 +24,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
-__all__ = ["AGREEMENT", "SecondVoice", "first_confirmed", "h2_voice", "hinf_voice", "norm_doubt", "separate_responses"]
-
 # Relative disagreement, and relative error bound, from which on a norm counts as not verified.
 AGREEMENT = 1e-3
 # Share of the size of T's terms that counts as zero.
@@ -38,39 +36,21 @@ _Candidate = TypeVar("_Candidate")
 
 @dataclass(frozen=True)
 class SecondVoice:
-    """What P(jw) and K(jw) say of a norm.
+    """What P(jw) and K(jw) say of a norm."""
 
-    Attributes
-    ----------
-    lower, upper
-        Of the largest gain at the frequencies evaluated (of the H2 norm: by quadrature): the value less and plus the
-        bound of its error.
-    value
-        The largest gain itself.
-    error
-        ``upper - value`` or ``value - lower``, whichever is larger.
-    frequency
-        Where the gain is largest, in rad/s; NaN for the H2 norm.
-    rouche
-        Largest relative difference of the characteristic polynomials of the true and of the rebuilt loop; below 0.1
-        the true loop is as stable as the rebuilt one.
-    stable
-        Whether that one is proved stable.
-    n_frequencies
-        How many were evaluated.
-    floor
-        What rounding of the two terms of T alone makes of a loop without any gain.
-    """
-
+    # lower, upper: of the largest gain at the frequencies evaluated (of the H2 norm: by quadrature): the value less
+    # and plus the bound of its error
     lower: float
     upper: float
-    value: float
-    error: float
-    frequency: float
+    value: float  # the largest gain itself
+    error: float  # `upper - value` or `value - lower`, whichever is larger
+    frequency: float  # where the gain is largest, in rad/s; NaN for the H2 norm
+    # Largest relative difference of the characteristic polynomials of the true and of the rebuilt loop; below 0.1 the
+    # true loop is as stable as the rebuilt one.
     rouche: float
-    stable: bool
-    n_frequencies: int
-    floor: float = 0.0
+    stable: bool  # whether that one is proved stable
+    n_frequencies: int  # how many were evaluated
+    floor: float = 0.0  # what rounding of the two terms of T alone makes of a loop without any gain
 
     def doubt(self, lower: float, upper: float) -> str:
         """Why a norm that is claimed to lie between the two is not verified; empty where the second voice agrees."""
@@ -151,14 +131,9 @@ def hinf_voice(
     """The H-infinity norm of the loop of P and K at 0, at infinity, at ``peaks``, at the frequencies of the poles of P,
     K and the rebuilt loop, on a grid between them, and between the highest of these.
 
-    Parameters
-    ----------
-    plant, K
-        As given, and as returned: ``u = K y``.
-    loop
-        The realisation that was rebuilt from them, of which the poles and the characteristic polynomial are used.
-    peaks
-        Frequencies in rad/s at which the norm is claimed to be attained.
+    ``plant``, ``K``: as given, and as returned: ``u = K y``.
+    ``loop``: the realisation that was rebuilt from them, of which the poles and the characteristic polynomial are used.
+    ``peaks``: frequencies in rad/s at which the norm is claimed to be attained.
     """
     separate = SeparateLoop(plant, K, loop, tuning)
     omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))
@@ -198,11 +173,7 @@ def _between(omega: AnyArray, gain: AnyArray, tuning: ProblemTuning) -> AnyArray
 
 
 def h2_voice(
-    plant: GeneralizedPlant,
-    K: StateSpaceModel,
-    loop: StateSpaceModel,
-    claimed: float,
-    tuning: ProblemTuning = TUNING,
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, claimed: float, tuning: ProblemTuning = TUNING
 ) -> SecondVoice:
     r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles (`axis_integral`).
 

@@ -20,16 +20,6 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "GeneralizedPlant",
-    "PlantMatrices",
-    "Realisation",
-    "as_generalized_plant",
-    "generalized_plant",
-    "require_performance",
-    "signal_positions",
-]
-
 
 class Realisation(NamedTuple):
     """Bare matrices of a loop or a controller inside a search."""
@@ -193,10 +183,7 @@ def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: s
 def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERFORMANCE) -> None:
     """Refuse a plant whose loop has no gain to judge it by: without w, or without z, every norm is 0 and says nothing.
 
-    Raises
-    ------
-    InputError
-        It names which of the two is missing.
+    Raises InputError: it names which of the two is missing.
     """
     if plant.n_w and plant.n_z:
         return

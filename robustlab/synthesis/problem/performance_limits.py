@@ -20,16 +20,6 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
 
-__all__ = [
-    "Mode",
-    "PerformanceLimits",
-    "WeightedBound",
-    "limits_in_words",
-    "limits_of",
-    "performance_limits",
-]
-
-
 # Zeros and poles this close to the boundary, relative to the largest, count as on it and bind nothing.
 BOUNDARY = 1e-9
 # Beyond this multiple of the largest pole a zero is one at infinity.
@@ -40,18 +30,11 @@ PEAK = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A zero or pole in the right half plane (outside the unit circle) with its directions at the plant.
+    """A zero or pole in the right half plane (outside the unit circle) with its directions at the plant."""
 
-    Attributes
-    ----------
-    value
-        In rad/s, or in the z plane.
-    output, input
-        Unit vectors, shapes (n_y,), (n_u,): a zero blocks ``output^H G(z) = 0``; a pole is seen in ``output`` and
-        driven through ``input``.
-    """
-
-    value: complex
+    value: complex  # in rad/s, or in the z plane
+    # output, input: unit vectors, shapes (n_y,), (n_u,): a zero blocks `output^H G(z) = 0`; a pole is seen in
+    # `output` and driven through `input`
     output: AnyArray
     input: AnyArray
 

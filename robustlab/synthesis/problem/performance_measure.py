@@ -32,16 +32,6 @@ from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "MeasureName",
-    "Performance",
-    "PerformanceMeasure",
-    "Scalings",
-    "given_scalings",
-    "make_measure",
-    "plant_with_scalings",
-]
-
 MeasureName = Literal["hinf", "h2", "mu"]
 Evidence = HinfNorm | H2Norm | Margin
 Scalings = tuple[StateSpaceModel, StateSpaceModel]
@@ -66,27 +56,15 @@ class Performance:
 
 @dataclass(frozen=True, eq=False)
 class PerformanceMeasure:
-    """A measure of closed loops of one generalised plant; small is good.
+    """A measure of closed loops of one generalised plant; small is good."""
 
-    Attributes
-    ----------
-    plant
-        The plant as given.
-    name
-        ``"hinf"``, ``"h2"`` or ``"mu"``.
-    blocks
-        Perturbation blocks of the plant's first inputs and outputs, without the performance block; for ``"mu"``.
-    scaled
-        The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
-    budget
-        Estimates and proofs are counted there.
-    """
-
-    plant: GeneralizedPlant
-    name: MeasureName
+    plant: GeneralizedPlant  # the plant as given
+    name: MeasureName  # `"hinf"`, `"h2"` or `"mu"`
+    # Perturbation blocks of the plant's first inputs and outputs, without the performance block; for `"mu"`.
     blocks: tuple[Block, ...] = ()
+    # The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
     scaled: GeneralizedPlant | None = None
-    budget: Budget = field(default_factory=Budget)
+    budget: Budget = field(default_factory=Budget)  # estimates and proofs are counted there
     tuning: ProblemTuning = TUNING
 
     @property
@@ -104,10 +82,7 @@ class PerformanceMeasure:
     def certified(self, K: StateSpaceModel) -> Performance:
         """The measure of the loop with K, proved; infinite where the loop is not stable.
 
-        Raises
-        ------
-        InputError
-            The loop is not well posed.
+        Raises InputError: the loop is not well posed.
         """
         if self.name == "mu" and self.scaled is None:
             return self._margin(self.plant.close(K), K)

@@ -19,18 +19,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 
-__all__ = [
-    "balanced_states",
-    "moderate_states",
-    "named_controller",
-    "rebuilt_loop",
-    "separated_modes",
-    "surely_stable",
-    "with_direct_term",
-    "well_posed_neighbours",
-]
-
-
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
 # Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
@@ -44,10 +32,7 @@ HIDDEN = 1e6
 def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
     r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        I + D_K D22 is singular.
+    Raises NoTrustworthyNumber: I + D_K D22 is singular.
     """
     if not D22.any():
         return K
@@ -68,12 +53,8 @@ def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
 
     .. math:: \Delta D_K = D_{22}^+ \, U \max(\delta - \Sigma, 0) V^T
 
-    Parameters
-    ----------
-    K
-        Controller for the plant without D22.
-    D22
-        The direct term, shape (n_y, n_u).
+    ``K``: controller for the plant without D22.
+    ``D22``: the direct term, shape (n_y, n_u).
     """
     with np.errstate(all="ignore"):
         back = np.eye(len(D22)) + D22 @ K.D

@@ -18,9 +18,6 @@ from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_po
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
-__all__ = ["Scaling", "by_magnitude", "common_scaling", "equilibrated", "in_ordinary_units", "paths_first"]
-
-
 # Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
 FASTER, LIMIT = 40, 1000
 
@@ -44,10 +41,7 @@ class Scaling:
     def gain(self) -> float:
         """Factor from a closed-loop gain of the plant to that of the scaled plant.
 
-        Raises
-        ------
-        NoTrustworthyNumber
-            No floating-point number is that small or that large.
+        Raises NoTrustworthyNumber: no floating-point number is that small or that large.
         """
         gain = float(self.w) * float(self.z)
         if not TINY <= gain <= 1 / TINY:
@@ -136,10 +130,7 @@ def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
     The unit of time is that of A, or of the loops that u and y can close where these are faster by far; a discrete
     plant keeps its steps.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        Factors that no floating-point number is: the controller would have such gains.
+    Raises NoTrustworthyNumber: factors that no floating-point number is: the controller would have such gains.
     """
     t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
     rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
@@ -195,10 +186,7 @@ def _exactly(
 ) -> StateSpaceModel:
     """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        An entry overflows, vanishes, or loses digits.
+    Raises NoTrustworthyNumber: an entry overflows, vanishes, or loses digits.
     """
     t, out = np.broadcast_to(states, m.n_states), np.broadcast_to(out, m.n_outputs)[:, None]
     exponents = -t[:, None] + t - rate, -t[:, None] + into - rate, t + out, out + into

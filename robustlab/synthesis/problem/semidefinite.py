@@ -11,8 +11,6 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
 
-__all__ = ["SemidefiniteAnswer", "solve_semidefinite", "triangle"]
-
 # Endings whose numbers are worth a look; whoever asked checks them outside of the solver.
 ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 
@@ -40,12 +38,8 @@ def solve_semidefinite(
 ) -> SemidefiniteAnswer:
     r"""Minimise ``cost x`` with ``right - rows x`` in the cone of ``positive`` numbers, then matrices of ``sizes``.
 
-    Parameters
-    ----------
-    rows
-        Dense or sparse, by triangles (`triangle`).
-    budget, steps, work
-        Every step of the solver counts as ``work``; ``steps`` of them at most.
+    ``rows``: dense or sparse, by triangles (`triangle`).
+    ``budget``, ``steps``, ``work``: every step of the solver counts as ``work``; ``steps`` of them at most.
     """
     import clarabel
     from scipy import sparse

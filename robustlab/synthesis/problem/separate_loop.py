@@ -36,8 +36,6 @@ from robustlab.synthesis.problem.scaling import in_ordinary_units
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
-__all__ = ["ROUCHE", "SeparateLoop", "SeparateValues", "frobenius", "poles_in_s"]
-
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
 # Steps towards an enclosure of the error.

@@ -19,9 +19,6 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import lyapunov
 
-__all__ = ["proved_stable"]
-
-
 EPS = float(np.finfo(float).eps)
 EXTENDED = float(np.finfo(np.longdouble).eps)
 # Backward error of the QR algorithm in units of eps |A|.
@@ -32,12 +29,8 @@ NEWTON_STEPS = 3
 def proved_stable(A: AnyArray, discrete: bool = False) -> bool:
     """True where all eigenvalues are proved to lie in the open left half plane, or in the open unit disk.
 
-    Parameters
-    ----------
-    A
-        Shape (n, n).
-    discrete
-        Which of the two regions.
+    ``A``: shape (n, n).
+    ``discrete``: which of the two regions.
 
     Examples
     --------

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from robustlab.budget import MILLION
 
-__all__ = ["TUNING", "ProblemTuning"]
-
 
 @dataclass(frozen=True)
 class ProblemTuning:

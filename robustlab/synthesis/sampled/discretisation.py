@@ -30,8 +30,6 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.synthesis.sampled.held_delays import held_delays
 
-__all__ = ["METHODS", "MergedModes", "Method", "discretise", "merged_modes"]
-
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 
@@ -235,20 +233,11 @@ def _section(num: AnyArray, den: AnyArray) -> StateSpaceModel:
 
 @dataclass(frozen=True)
 class MergedModes:
-    """Two modes of a plant that sampling makes one: pathological sampling.
+    """Two modes of a plant that sampling makes one: pathological sampling."""
 
-    Attributes
-    ----------
-    modes
-        The two eigenvalues in rad/s.
-    multiple
-        By how many sampling frequencies they differ.
-    stable
-        True where the modes decay: then they are only out of reach, else no digital controller stabilises the plant.
-    """
-
-    modes: tuple[complex, complex]
-    multiple: int
+    modes: tuple[complex, complex]  # the two eigenvalues in rad/s
+    multiple: int  # by how many sampling frequencies they differ
+    # True where the modes decay: then they are only out of reach, else no digital controller stabilises the plant.
     stable: bool
 
     def __str__(self) -> str:

@@ -26,8 +26,6 @@ from robustlab.errors import InputError
 from robustlab.signals import Signal
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["held_delays"]
-
 # A delay this near to a whole number of samples, relative to one, is one: what a decimal number rounds to.
 WHOLE = 1e-9
 
@@ -35,10 +33,8 @@ WHOLE = 1e-9
 def held_delays(model: DelayedModel, dt: float) -> StateSpaceModel:
     """The discrete model; its states are those of H, samples of the inputs, and samples of what delayed outputs show.
 
-    Raises
-    ------
-    InputError
-        A delay inside a loop or between dynamic parts: no model with finitely many states is exact; too many samples.
+    Raises InputError: a delay inside a loop or between dynamic parts: no model with finitely many states is exact; too
+    many samples.
     """
     held = _Held(model, dt)
     H, n, N, m = model.H, held.n, held.N, held.m

@@ -31,9 +31,6 @@ from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import mean_and_variance
 from robustlab.synthesis.sampled.tuning import TUNING
 
-__all__ = ["ChannelGroup", "HeldInterval", "held_interval", "thin_rows"]
-
-
 # Relative difference of energies by quadrature and by doubling that is still rounding.
 AGREE = 1e-8
 # Directions this far below the largest are rounding.
@@ -45,45 +42,27 @@ WHERE, SLOWER = "sampled uncertain plant", "a shorter sample time, or leave out 
 
 @dataclass(frozen=True, eq=False)
 class ChannelGroup:
-    """Inputs and outputs that belong together: those of one perturbation block, or disturbances and performance.
+    """Inputs and outputs that belong together: those of one perturbation block, or disturbances and performance."""
 
-    Attributes
-    ----------
-    w, z
-        Their positions among the plant's inputs and outputs.
-    """
-
+    # w, z: their positions among the plant's inputs and outputs
     w: NDArray[np.intp]
     z: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
 class HeldInterval:
-    """One interval; v = (x, coefficients of all free inputs degree by degree, constant inputs).
+    """One interval; v = (x, coefficients of all free inputs degree by degree, constant inputs)."""
 
-    Attributes
-    ----------
-    length
-        h in s.
-    move
-        State at the end, (n, n_v).
-    means
-        Coefficients of all outputs, degree by degree, (m n_z, n_v).
-    rests
-        For each group R with ``|z_0| <= |R v|`` for what its outputs have beyond the polynomials.
-    kicks
-        For each group K, (n + m n_z, any): what the rest of its inputs does to state and coefficients is ``K q`` with
-        ``|q| <= |w_0|``.
-    gains
-        ``gains[i, j]`` bounds the gain from the rest of group j's inputs to the rest of group i's outputs within the
-        interval, direct terms left out.
-    """
-
-    length: float
-    move: AnyArray
-    means: AnyArray
+    length: float  # h in s
+    move: AnyArray  # state at the end, (n, n_v)
+    means: AnyArray  # coefficients of all outputs, degree by degree, (m n_z, n_v)
+    # For each group R with `|z_0| <= |R v|` for what its outputs have beyond the polynomials.
     rests: tuple[AnyArray, ...]
+    # For each group K, (n + m n_z, any): what the rest of its inputs does to state and coefficients is `K q` with
+    # `|q| <= |w_0|`.
     kicks: tuple[AnyArray, ...]
+    # `gains[i, j]` bounds the gain from the rest of group j's inputs to the rest of group i's outputs within the
+    # interval, direct terms left out.
     gains: AnyArray
 
 
@@ -97,23 +76,13 @@ def held_interval(
 ) -> HeldInterval:
     """The interval of a continuous model.
 
-    Parameters
-    ----------
-    model
-        Continuous model with n states; its first ``n_z`` outputs are looked at.
-    groups
-        Groups that hold every free input and every of those outputs once.
-    constant
-        Positions of the inputs that are constant over the interval.
-    length
-        h in s.
-    degree
-        m, number of polynomials.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        ``e^(A t)`` overflows within the interval, modes too fast for it, or energies that do not agree.
+    ``model``: continuous model with n states; its first ``n_z`` outputs are looked at.
+    ``groups``: groups that hold every free input and every of those outputs once.
+    ``constant``: positions of the inputs that are constant over the interval.
+    ``length``: h in s.
+    ``degree``: m, number of polynomials.
+    Raises NoTrustworthyNumber: ``e^(A t)`` overflows within the interval, modes too fast for it, or energies that do
+    not agree.
     """
     free = np.concatenate([g.w for g in groups])
     nodes = _Nodes.of(model.poles(), length)

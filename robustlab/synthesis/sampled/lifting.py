@@ -30,8 +30,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.tuning import TUNING
 
-__all__ = ["HeldControls", "LiftedPlant", "Rest", "lift", "mean_and_variance"]
-
 
 class HeldControls:
     """Controls that act a delay after their sample: which one when, and those of the past that the states remember.
@@ -70,52 +68,33 @@ class HeldControls:
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What the parts of w of mean zero can do, at most.
+    """What the parts of w of mean zero can do, at most."""
 
-    Attributes
-    ----------
-    kick
-        Factor (n, n): they move the state at the end of a period by ``kick v`` with ``|v| <= |w0|``.
-    mean, variance
-        Largest gains from w0 to the means, and to the rests, of z in the same period.
-    """
-
-    kick: AnyArray
+    kick: AnyArray  # factor (n, n): they move the state at the end of a period by `kick v` with `|v| <= |w0|`
+    # mean, variance: largest gains from w0 to the means, and to the rests, of z in the same period
     mean: float
     variance: float
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """The plant over whole periods.
+    """The plant over whole periods."""
 
-    Attributes
-    ----------
-    model
-        Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
-        its states are those of the plant and the controls that are still under way.
-    n_intervals, n_means, n_rests
-        Number of intervals; sizes of the two groups of outputs.
-    n_w, n_kick
-        Sizes of the first two groups of inputs together, and of the kick.
-    n_meas, n_con
-        Sizes of y and u.
-    held
-        Positions of the disturbances that are constant over whole periods.
-    rest
-        What the disturbance between the means can add.
-    """
-
+    # Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
+    # its states are those of the plant and the controls that are still under way.
     model: StateSpaceModel
+    # n_intervals, n_means, n_rests: number of intervals; sizes of the two groups of outputs
     n_intervals: int
     n_means: int
     n_rests: int
+    # n_w, n_kick: sizes of the first two groups of inputs together, and of the kick
     n_w: int
     n_kick: int
+    # n_meas, n_con: sizes of y and u
     n_meas: int
     n_con: int
-    held: tuple[int, ...]
-    rest: Rest
+    held: tuple[int, ...]  # positions of the disturbances that are constant over whole periods
+    rest: Rest  # what the disturbance between the means can add
 
     def generalized_plant(self) -> GeneralizedPlant:
         """The discrete plant for synthesis: without the kick."""
@@ -131,16 +110,10 @@ class LiftedPlant:
 def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
     """The plant with its controls held from ``k dt + delay`` on, over whole periods.
 
-    Parameters
-    ----------
-    plant
-        Continuous generalised plant.
-    dt
-        Sample time in s.
-    n_intervals
-        Number of intervals in a period; one more where a fractional delay ends between two.
-    delay
-        Time in s from the sample to the change of the control, of any number of periods.
+    ``plant``: continuous generalised plant.
+    ``dt``: sample time in s.
+    ``n_intervals``: number of intervals in a period; one more where a fractional delay ends between two.
+    ``delay``: time in s from the sample to the change of the control, of any number of periods.
     """
     m = plant.model
     n, n_u, n_y = m.n_states, plant.n_con, plant.n_meas

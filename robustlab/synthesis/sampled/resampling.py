@@ -34,8 +34,6 @@ from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.sampled.discretisation import discretise
 
-__all__ = ["HOLDS", "Resampled", "d2c", "d2d"]
-
 Hold = Literal["zoh", "foh", "tustin"]
 HOLDS: tuple[Hold, ...] = ("zoh", "foh", "tustin")
 

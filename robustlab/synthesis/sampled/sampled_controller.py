@@ -32,39 +32,22 @@ from robustlab.synthesis.sampled.sampled_norm import (
 )
 from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 
-__all__ = ["SampledController", "SampledMethod", "SampledTrial", "discretise_controller"]
-
 WHERE = "discretise_controller"
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 
 
 @dataclass(frozen=True)
 class SampledTrial:
-    """One digital controller with the proved norm of its sampled loop.
+    """One digital controller with the proved norm of its sampled loop."""
 
-    Attributes
-    ----------
-    method
-        What made it.
-    order
-        Its number of states.
-    lower, upper
-        Bracket of the sampled-data norm; inf where the loop is not stable.
-    loss
-        ``upper / norm of the continuous loop - 1``.
-    status
-        Status of the bracket.
-    reason
-        Why there is no finite norm, or no controller; else empty.
-    """
-
-    method: str
-    order: int
+    method: str  # what made it
+    order: int  # its number of states
+    # lower, upper: bracket of the sampled-data norm; inf where the loop is not stable
     lower: float
     upper: float
-    loss: float
-    status: Status
-    reason: str = ""
+    loss: float  # `upper / norm of the continuous loop - 1`
+    status: Status  # status of the bracket
+    reason: str = ""  # why there is no finite norm, or no controller; else empty
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""

@@ -34,16 +34,6 @@ from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
 from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 
-__all__ = [
-    "SampledDataNorm",
-    "check_sampling",
-    "norm_work",
-    "plant_and_controller",
-    "sampled_data_norm",
-    "sampled_loop_norm",
-    "with_antialiasing",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class SampledDataNorm(Shown):

@@ -32,8 +32,6 @@ from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["SampledRobustness", "sampled_robustness"]
-
 WHERE = "sampled_robustness"
 # A member may attain more than was proved by rounding, and no more.
 AGREE = 1e-5

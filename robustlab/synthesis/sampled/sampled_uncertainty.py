@@ -45,36 +45,22 @@ from robustlab.synthesis.sampled.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["REST", "SampledUncertainPlant", "sample_uncertain_plant"]
-
-
 REST = "rest of the real blocks"
 
 
 @dataclass(frozen=True, eq=False)
 class SampledUncertainPlant:
-    """The uncertain discrete plant over whole periods.
+    """The uncertain discrete plant over whole periods."""
 
-    Attributes
-    ----------
-    uncertain
-        From [w of the blocks; disturbances; u] to [z of the blocks; performance; y], discrete. Real blocks keep their
-        names, with more repetitions; one more block covers what they do beyond the polynomials.
-    degree
-        m, the number of polynomials on each interval.
-    held
-        Names of the disturbances that are taken as constant over a period, because they reach the sampler directly.
-    widened
-        Names of blocks that a larger one covers: repeated complex scalars became full.
-    looseness
-        Gain from the loop to the rests of the real blocks and back, for Delta of norm one: what the cover may add to
-        the loop.
-    """
-
+    # From [w of the blocks; disturbances; u] to [z of the blocks; performance; y], discrete. Real blocks keep their
+    # names, with more repetitions; one more block covers what they do beyond the polynomials.
     uncertain: UncertainModel
-    degree: int
+    degree: int  # m, the number of polynomials on each interval
+    # Names of the disturbances that are taken as constant over a period, because they reach the sampler directly.
     held: tuple[str, ...]
-    widened: tuple[str, ...]
+    widened: tuple[str, ...]  # names of blocks that a larger one covers: repeated complex scalars became full
+    # Gain from the loop to the rests of the real blocks and back, for Delta of norm one: what the cover may add to
+    # the loop.
     looseness: float
 
 
@@ -83,25 +69,13 @@ def sample_uncertain_plant(
 ) -> SampledUncertainPlant:
     """The plant with its controls held from ``k dt + delay`` on.
 
-    Parameters
-    ----------
-    plant
-        Continuous generalised plant with its blocks; the channels of Delta come first.
-    dt
-        Sample time in s.
-    degree
-        Number of polynomials, at least one.
-    delay
-        Time in s from the sample to the change of the control, of any number of periods.
-    size
-        Norm of Delta for which the cover of the rests is tightest; it holds for every norm.
-
-    Raises
-    ------
-    InputError
-        A dynamic block that reaches the sampler directly: samples of its output have no bound.
-    NoTrustworthyNumber
-        See `held_interval`.
+    ``plant``: continuous generalised plant with its blocks; the channels of Delta come first.
+    ``dt``: sample time in s.
+    ``degree``: number of polynomials, at least one.
+    ``delay``: time in s from the sample to the change of the control, of any number of periods.
+    ``size``: norm of Delta for which the cover of the rests is tightest; it holds for every norm.
+    Raises InputError: a dynamic block that reaches the sampler directly: samples of its output have no bound;
+    NoTrustworthyNumber: see `held_interval`.
     """
     channels = _Channels.of(plant)
     period = _Period(plant, channels, dt, degree, delay)

@@ -8,8 +8,6 @@ import numpy as np
 
 from robustlab.budget import MILLION
 
-__all__ = ["TUNING", "SampledTuning"]
-
 
 @dataclass(frozen=True)
 class SampledTuning:

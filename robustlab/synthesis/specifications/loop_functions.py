@@ -20,16 +20,6 @@ from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.specifications.weight_design import smallest_gain
 
-__all__ = [
-    "FUNCTIONS",
-    "LoopCurves",
-    "LoopFunctions",
-    "frequencies",
-    "loop_curves",
-    "loop_functions",
-    "loop_functions_of",
-]
-
 POINTS, SPAN = 400, 1e3  # of a picture: frequencies, and how far from the middle pole others still stretch it
 # Which weight of a mixed-sensitivity problem bounds which function.
 FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
@@ -214,30 +204,16 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
 
 @dataclass(frozen=True, eq=False)
 class LoopCurves:
-    """Curves of a design.
+    """Curves of a design."""
 
-    Attributes
-    ----------
-    omega
-        Frequencies in rad/s, (n,).
-    closed_loop
-        Singular values of the weighted loop, largest first, (n, k).
-    peak
-        Frequency in rad/s and height of the highest point: gamma, where that bounds the norm of the loop.
-    level
-        What that height is.
-    controller
-        Norm of the controller's column of each measurement, (n, n_y), in control units per unit of the measurement.
-    measurements
-        Names of the measurements.
-    """
-
-    omega: Array
-    closed_loop: Array
+    omega: Array  # frequencies in rad/s, (n,)
+    closed_loop: Array  # singular values of the weighted loop, largest first, (n, k)
+    # Frequency in rad/s and height of the highest point: gamma, where that bounds the norm of the loop.
     peak: tuple[float, float]
+    # Norm of the controller's column of each measurement, (n, n_y), in control units per unit of the measurement.
     controller: Array
-    measurements: tuple[str, ...]
-    level: str
+    measurements: tuple[str, ...]  # names of the measurements
+    level: str  # what that height is
 
 
 def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | None = None) -> Array:

@@ -33,39 +33,27 @@ from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lowe
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["TrackingProblem", "tracking_problem"]
-
 Sizes = float | Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingProblem:
-    """A weighted tracking problem.
+    """A weighted tracking problem."""
 
-    Attributes
-    ----------
-    uncertain
-        From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
-        controller sees.
-    signals
-        The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
-    controlled, measured
-        Outputs that are to follow the references, and those that the controller sees beside the references.
-    weights
-        Weight of one channel, by name ``"W1"``, ``"W2"``, ``"W3"``; those that were given.
-    shape
-        F, what the references do over frequency; 1 where they have no bandwidth.
-    reference, disturbance, noise, loads
-        Sizes of these signals, by name of the output or input they belong to; empty where there is none. Loads are
-        inputs of the plant that are no controls.
-    """
-
+    # From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
+    # controller sees.
     uncertain: UncertainModel
+    # The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
     signals: UncertainModel
+    # controlled, measured: outputs that are to follow the references, and those that the controller sees beside the
+    # references
     controlled: tuple[Signal, ...]
     measured: tuple[Signal, ...]
+    # Weight of one channel, by name `"W1"`, `"W2"`, `"W3"`; those that were given.
     weights: Mapping[str, StateSpaceModel]
-    shape: StateSpaceModel
+    shape: StateSpaceModel  # F, what the references do over frequency; 1 where they have no bandwidth
+    # reference, disturbance, noise, loads: sizes of these signals, by name of the output or input they belong to;
+    # empty where there is none. Loads are inputs of the plant that are no controls.
     reference: Mapping[str, float]
     disturbance: Mapping[str, float]
     noise: Mapping[str, float]
@@ -110,12 +98,8 @@ class TrackingProblem:
     def close(self, K: Any) -> UncertainModel:
         """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z.
 
-        Raises
-        ------
-        InputError
-            K has other numbers of inputs and outputs, or another sample time.
-        NoTrustworthyNumber
-            The loop is not well posed.
+        Raises InputError: K has other numbers of inputs and outputs, or another sample time; NoTrustworthyNumber: the
+        loop is not well posed.
         """
         return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
 
@@ -167,32 +151,21 @@ def tracking_problem(
 ) -> TrackingProblem:
     """The weighted tracking problem of a plant; see this module for the signals.
 
-    Parameters
-    ----------
-    G
-        Plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
-        python-control object.
-    controlled, measured
-        Names of outputs of G.
-    W1, W2, W3
-        Stable weights of one input and one output, used on every channel, or numbers: on the relative error, on the
-        control in its own unit, on the relative output. At least one.
-    reference
-        Size of the references: a number, or one for each controlled output.
-    reference_bandwidth
-        omega_r in rad/s, above which the references fall with 1 / omega; they do not where left out.
-    disturbance
-        Size of what is added to the controls, in their unit: a number, or one for some controls; none where left out.
-    noise
-        Size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is called
-        ``<name>_ref``); none where left out.
-    loads
-        Inputs of G that are no controls, with their sizes: forces that act on the plant.
-
-    Raises
-    ------
-    InputError
-        Unknown names, sizes that are not positive, no weight, a weight that is not stable or has several channels.
+    ``G``: plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
+    python-control object.
+    ``controlled``, ``measured``: names of outputs of G.
+    ``W1``, ``W2``, ``W3``: stable weights of one input and one output, used on every channel, or numbers: on the
+    relative error, on the control in its own unit, on the relative output. At least one.
+    ``reference``: size of the references: a number, or one for each controlled output.
+    ``reference_bandwidth``: omega_r in rad/s, above which the references fall with 1 / omega; they do not where left
+    out.
+    ``disturbance``: size of what is added to the controls, in their unit: a number, or one for some controls; none
+    where left out.
+    ``noise``: size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is
+    called ``<name>_ref``); none where left out.
+    ``loads``: inputs of G that are no controls, with their sizes: forces that act on the plant.
+    Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
+    channels.
 
     Examples
     --------

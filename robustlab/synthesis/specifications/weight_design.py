@@ -25,20 +25,6 @@ from robustlab.statespace import StateSpaceModel, append, as_model, real_array, 
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
 
-__all__ = [
-    "Conflict",
-    "DesignWeights",
-    "check_weights",
-    "complementary_weight",
-    "control_weight",
-    "design_weights",
-    "error_weight",
-    "makeweight",
-    "noise_weight",
-    "performance_weight",
-    "smallest_gain",
-]
-
 SLACK = 1e-9  # a weight may ask for this much more than the check allows before it is called a conflict
 POINTS = 600  # frequencies of the check between those of the models
 
@@ -94,14 +80,9 @@ def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpac
 
     .. math:: W_1(s) = \frac{1}{\varepsilon} \frac{s + \omega_c}{s + \omega_c \varepsilon_0 / \varepsilon}
 
-    Parameters
-    ----------
-    error
-        epsilon: largest error above the corner, as a share of the reference.
-    corner
-        omega_c in rad/s below which the error has to fall with the frequency.
-    steady
-        epsilon_0: largest steady-state error (0 < epsilon_0 < epsilon).
+    ``error``: epsilon: largest error above the corner, as a share of the reference.
+    ``corner``: omega_c in rad/s below which the error has to fall with the frequency.
+    ``steady``: epsilon_0: largest steady-state error (0 < epsilon_0 < epsilon).
 
     Examples
     --------

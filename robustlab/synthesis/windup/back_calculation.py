@@ -22,8 +22,6 @@ from robustlab.errors import InputError
 from robustlab.matrix_equations import lyapunov
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["back_calculation"]
-
 # Modes are mirrored at exp(-MIRROR dt / T): a little inside of where a mode counts as slow, so that none lies on it.
 MIRROR = 1.5
 
@@ -35,24 +33,11 @@ def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
     the least in the sense of :math:`\sum |v - y|^2`, each output counted in halves of its range; all others stay where
     they are. A controller without slow modes has L = 0.
 
-    Parameters
-    ----------
-    model
-        Discrete controller with n states, m inputs and p outputs.
-    limits
-        ``(low, high)`` of each output, (p, 2).
-    time
-        T in s, at least one sample time; inf moves only what is not stable.
-
-    Returns
-    -------
-    Array
-        L in states per unit of the output, (n, p).
-
-    Raises
-    ------
-    InputError
-        A time below the sample time; a slow mode that does not show in the outputs.
+    ``model``: discrete controller with n states, m inputs and p outputs.
+    ``limits``: ``(low, high)`` of each output, (p, 2).
+    ``time``: T in s, at least one sample time; inf moves only what is not stable.
+    Returns: L in states per unit of the output, (n, p).
+    Raises InputError: a time below the sample time; a slow mode that does not show in the outputs.
 
     References
     ----------

@@ -42,8 +42,6 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.lmi_synthesis import solve_conic
 from robustlab.synthesis.windup.back_calculation import back_calculation
 
-__all__ = ["AntiWindup", "anti_windup"]
-
 # Work of the search at effort 1, and of one inequality with n states.
 WORK = 60e6
 STEP = 30.0

@@ -161,34 +161,19 @@ class Block(ABC):
     identity, no G), which a kind with more structure replaces by sharper ones.
 
     A *value* is what users give and get for a block: a number for a scalar kind, else a matrix of `value_shape`.
-
-    Attributes
-    ----------
-    name
-        Unique within a structure.
-    rows, cols
-        Entries of w and of z.
-    origin
-        Where the block comes from, in words.
-    parameter
-        The physical range that a real delta stands for.
-    is_real
-        Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
-    is_scalar
-        Whether members are one number times the identity.
-    stored_as
-        The kind's word in files; empty: it cannot be stored.
     """
 
-    name: str
+    name: str  # unique within a structure
+    # rows, cols: entries of w and of z
     rows: int
     cols: int
-    origin: str = ""
-    parameter: ParameterRange | None = None
+    origin: str = ""  # where the block comes from, in words
+    parameter: ParameterRange | None = None  # the physical range that a real delta stands for
 
+    # Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
     is_real: ClassVar[bool]
-    is_scalar: ClassVar[bool]
-    stored_as: ClassVar[str] = ""
+    is_scalar: ClassVar[bool]  # whether members are one number times the identity
+    stored_as: ClassVar[str] = ""  # the kind's word in files; empty: it cannot be stored
 
     @property
     def is_sampled(self) -> bool:
@@ -241,10 +226,7 @@ class Block(ABC):
     def matrix_of(self, value: NDArray[Any]) -> NDArray[Any]:
         """The block (rows, cols) of a value.
 
-        Raises
-        ------
-        InputError
-            A wrong shape, a complex value for a real block, a matrix that is no multiple of a member.
+        Raises InputError: a wrong shape, a complex value for a real block, a matrix that is no multiple of a member.
         """
         value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
         if value.shape != self.value_shape:
@@ -352,13 +334,7 @@ class Block(ABC):
     # --- other blocks of the kind ------------------------------------------------------------------------------------
 
     def resized(self, rows: int, cols: int) -> Self:
-        """The same block with another size.
-
-        Raises
-        ------
-        InputError
-            The kind has no block of that size.
-        """
+        """The same block with another size. Raises InputError: the kind has no block of that size."""
         if (rows, cols) == (self.rows, self.cols):
             return self
         raise InputError(f"block {self.name!r}", f"a size of {rows} x {cols}", f"{self.rows} x {self.cols}")
@@ -366,10 +342,7 @@ class Block(ABC):
     def merged(self, others: Sequence[Any], where: str) -> Block:
         """One block for the same uncertainty in several operands; ``others`` are of the same kind and name.
 
-        Raises
-        ------
-        InputError
-            No block of this library has that structure.
+        Raises InputError: no block of this library has that structure.
         """
         raise InputError(
             where,
@@ -407,10 +380,7 @@ def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
 def check_name_and_size(name: str, size: int) -> None:
     """Refuse a block without a name or a size.
 
-    Raises
-    ------
-    InputError
-        Not a text of 1 to 200 characters, or not a positive whole number.
+    Raises InputError: not a text of 1 to 200 characters, or not a positive whole number.
     """
     if not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")

@@ -37,12 +37,8 @@ def coprime_cover(
 ) -> UnstructuredCover:
     """The cover of continuous models with the same signals; parameters and result as of `unstructured_cover`.
 
-    Raises
-    ------
-    InputError
-        Discrete models.
-    NoTrustworthyNumber
-        An unstable mode of a model is hidden from its inputs or its outputs.
+    Raises InputError: discrete models; NoTrustworthyNumber: an unstable mode of a model is hidden from its inputs or
+    its outputs.
     """
     given = (*models, *([] if nominal is None else [nominal]))
     factors = tuple(factors_of(m, i) for i, m in enumerate(given))
@@ -58,10 +54,7 @@ def coprime_cover(
 def factors_of(model: StateSpaceModel, number: int = 0) -> StateSpaceModel:
     """``[N~, M~]`` from (u, y), normalised; its states are named after the model.
 
-    Raises
-    ------
-    InputError
-        A discrete model.
+    Raises InputError: a discrete model.
     """
     if model.is_discrete:
         hint = "rl.d2c gives the continuous models of held ones"

@@ -29,15 +29,8 @@ from robustlab.uncertainty.lft import UncertainModel
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
     """The set above, with blocks ``A``, ``B``, ``C``, ``D`` as far as the two models differ there.
 
-    Parameters
-    ----------
-    nominal, perturbed
-        Two models of equal sizes, sample time and signals.
-
-    Raises
-    ------
-    InputError
-        Sizes, sample times or signal names differ.
+    ``nominal``, ``perturbed``: two models of equal sizes, sample time and signals.
+    Raises InputError: sizes, sample times or signal names differ.
 
     Examples
     --------

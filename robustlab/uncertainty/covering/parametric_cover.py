@@ -42,25 +42,16 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ParametricCover:
-    """A set of real parameters around a set of models.
+    """A set of real parameters around a set of models."""
 
-    Attributes
-    ----------
-    model
-        The uncertain model.
-    deltas
-        For each model the normalised value of every block: the proof that it is a member.
-    misses
-        For each model the largest relative difference between the member at its delta and the model itself, an entry
-        against its matrix's largest.
-    spread
-        Reach of the cloud along each direction of ``pca`` or ``ellipsoid``, longest first, in magnitudes of the
-        entries (see ``tolerance``), also of those that were left out; empty for ``elements``.
-    """
-
-    model: UncertainModel
+    model: UncertainModel  # the uncertain model
+    # For each model the normalised value of every block: the proof that it is a member.
     deltas: tuple[dict[str, float], ...]
+    # For each model the largest relative difference between the member at its delta and the model itself, an entry
+    # against its matrix's largest.
     misses: tuple[float, ...]
+    # Reach of the cloud along each direction of `pca` or `ellipsoid`, longest first, in magnitudes of the entries
+    # (see `tolerance`), also of those that were left out; empty for `elements`.
     spread: tuple[float, ...]
 
 
@@ -73,23 +64,14 @@ def parametric_cover(
 ) -> ParametricCover:
     """The cover of models that have the same states.
 
-    Parameters
-    ----------
-    models
-        At least two, checked by `model_set`.
-    nominal
-        Nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about it, and
-        symmetric in an entry where it lies at an end or outside.
-    tolerance
-        What an entry may be off, relative to the largest of its matrix (or to what its row and column make natural,
-        where that is less): differences below it count as none, and as many directions are kept as it asks for.
-    directions
-        Number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
-
-    Raises
-    ------
-    InputError
-        A tolerance outside [0, 1), a number of directions that is not positive, a nominal model for another form.
+    ``models``: at least two, checked by `model_set`.
+    ``nominal``: nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about
+    it, and symmetric in an entry where it lies at an end or outside.
+    ``tolerance``: what an entry may be off, relative to the largest of its matrix (or to what its row and column make
+    natural, where that is less): differences below it count as none, and as many directions are kept as it asks for.
+    ``directions``: number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
+    Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
+    another form.
     """
     if not 0 <= tolerance < 1:
         raise InputError("cover: tolerance", f"{tolerance}", "a number in [0, 1)")

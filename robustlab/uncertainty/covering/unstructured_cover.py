@@ -58,12 +58,8 @@ from robustlab.uncertainty.unstructured import Form, unstructured
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
     """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too.
 
-    Raises
-    ------
-    InputError
-        Fewer than two models, something that is no model, sizes, sample times or signal names that differ.
-    UnitMismatch
-        A signal carries different units in two of the models.
+    Raises InputError: fewer than two models, something that is no model, sizes, sample times or signal names that
+    differ; UnitMismatch: a signal carries different units in two of the models.
     """
     if isinstance(models, (StateSpaceModel, str, bytes)) or not isinstance(models, Iterable):
         raise InputError(where, f"{type(models).__name__}", "a list of at least two models")
@@ -121,34 +117,19 @@ LIFT = 1.001
 
 @dataclass(frozen=True, eq=False)
 class UnstructuredCover:
-    """An unstructured set around a set of models.
+    """An unstructured set around a set of models."""
 
-    Attributes
-    ----------
-    model
-        The uncertain model.
-    nominal
-        Number of the model that is the nominal one, counted from 1; 0: the middle of the matrices; None: the given one.
-    fit
-        The weight and the bound that it lies above.
-    sizes
-        For each model the largest gain of its Delta: at most 1.
-    proved
-        True where no size passes 1 at any frequency: as an H-infinity norm, or because the error crosses the weight
-        nowhere (`axis_proof`); False where it was evaluated on the grid of ``fit`` only.
-    deltas
-        For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
-    radius
-        Largest ratio of the bound to the models' own size (relative forms: the largest bound).
-    """
-
-    model: UncertainModel
+    model: UncertainModel  # the uncertain model
+    # Number of the model that is the nominal one, counted from 1; 0: the middle of the matrices; None: the given one.
     nominal: int | None
-    fit: Overbound
-    sizes: tuple[float, ...]
+    fit: Overbound  # the weight and the bound that it lies above
+    sizes: tuple[float, ...]  # for each model the largest gain of its Delta: at most 1
+    # True where no size passes 1 at any frequency: as an H-infinity norm, or because the error crosses the weight
+    # nowhere (`axis_proof`); False where it was evaluated on the grid of `fit` only.
     proved: bool
+    # For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
     deltas: tuple[StateSpaceModel, ...]
-    radius: float
+    radius: float  # largest ratio of the bound to the models' own size (relative forms: the largest bound)
 
 
 def unstructured_cover(
@@ -161,23 +142,14 @@ def unstructured_cover(
 ) -> UnstructuredCover:
     """The cover of models with the same signals; their states may differ.
 
-    Parameters
-    ----------
-    models
-        At least two, checked by `model_set`.
-    nominal
-        Where left out, that of the models (and of their middle, where they have the same states) whose radius is least.
-    order, tolerance
-        Largest order of the weight, and the excess over the bound at which a lower one is good enough.
-    points
-        Points of the frequency grid of the fit, besides those at resonances.
-
-    Raises
-    ------
-    InputError
-        A model that is not square, for all forms but ``additive``.
-    NoTrustworthyNumber
-        For no nominal model all errors are stable; the model, and the pole that stays, are named.
+    ``models``: at least two, checked by `model_set`.
+    ``nominal``: where left out, that of the models (and of their middle, where they have the same states) whose radius
+    is least.
+    ``order``, ``tolerance``: largest order of the weight, and the excess over the bound at which a lower one is good
+    enough.
+    ``points``: points of the frequency grid of the fit, besides those at resonances.
+    Raises InputError: a model that is not square, for all forms but ``additive``. NoTrustworthyNumber: for no nominal
+    model all errors are stable; the model, and the pole that stays, are named.
     """
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
         found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
@@ -282,10 +254,7 @@ def _require_bounded(
 ) -> None:
     """The error does not grow on and on beyond the grid.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        It does: no proper weight holds it.
+    Raises NoTrustworthyNumber: it does: no proper weight holds it.
     """
     beyond = _beyond(omega, centre.dt)
     outside = _bound(models, centre, form, beyond)
@@ -381,10 +350,7 @@ def _sigma(matrices: AnyArray) -> Array:
 def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
     r"""``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        An error that is not finite at one of the frequencies.
+    Raises NoTrustworthyNumber: an error that is not finite at one of the frequencies.
     """
     s = _circle(omega, centre.dt)
     with np.errstate(all="ignore"):
@@ -439,10 +405,7 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
     """Every error is analytic in the closed unstable region.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The first that is not, with its pole.
+    Raises NoTrustworthyNumber: the first that is not, with its pole.
     """
     inverse = form.startswith("inverse")
     for i, model in enumerate(models, 1):

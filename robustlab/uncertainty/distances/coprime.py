@@ -33,21 +33,11 @@ INNER = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class CoprimeFactors:
-    """Normalised coprime factors of a continuous model with p outputs and m inputs.
+    """Normalised coprime factors of a continuous model with p outputs and m inputs."""
 
-    Attributes
-    ----------
-    right
-        ``[N; M]`` (p + m outputs, m inputs), stable and inner.
-    left
-        ``[N~, M~]`` (p outputs, m + p inputs), stable and co-inner.
-    best_margin
-        The largest `coprime_margin` that any controller reaches, ``(1 + rho(X Z))^(-1/2)``.
-    """
-
-    right: StateSpaceModel
-    left: StateSpaceModel
-    best_margin: float
+    right: StateSpaceModel  # `[N; M]` (p + m outputs, m inputs), stable and inner
+    left: StateSpaceModel  # `[N~, M~]` (p outputs, m + p inputs), stable and co-inner
+    best_margin: float  # the largest `coprime_margin` that any controller reaches, `(1 + rho(X Z))^(-1/2)`
 
 
 def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
@@ -57,15 +47,9 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
     and its dual for Z.
 
-    Parameters
-    ----------
-    model
-        Continuous model, stable or not, that is stabilisable and detectable.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        An unstable or marginal mode is hidden from the inputs or the outputs, or digits were lost.
+    ``model``: continuous model, stable or not, that is stabilisable and detectable.
+    Raises NoTrustworthyNumber: an unstable or marginal mode is hidden from the inputs or the outputs, or digits were
+    lost.
     """
     equations = coprime_riccati(model)
     m, rate, control, filtering = equations.model, equations.rate, equations.control, equations.filtering
@@ -85,23 +69,12 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
 @dataclass(frozen=True, eq=False)
 class CoprimeRiccati:
-    """The two Riccati equations of normalised coprime factors, in balanced states and the time unit ``1/rate``.
+    """The two Riccati equations of normalised coprime factors, in balanced states and the time unit ``1/rate``."""
 
-    Attributes
-    ----------
-    model
-        The model's transfer function of ``s / rate``, in balanced states.
-    rate
-        In rad/s.
-    states
-        Factors of the balancing: state ``i`` of the model as given is ``states[i]`` times that of ``model``.
-    control, filtering
-        X with its gain ``F = -R^-1 (B^T X + D^T C)``, and Z with ``H^T``.
-    """
-
-    model: StateSpaceModel
-    rate: float
-    states: Array
+    model: StateSpaceModel  # the model's transfer function of `s / rate`, in balanced states
+    rate: float  # in rad/s
+    states: Array  # factors of the balancing: state `i` of the model as given is `states[i]` times that of `model`
+    # control, filtering: X with its gain `F = -R^-1 (B^T X + D^T C)`, and Z with `H^T`
     control: RiccatiSolution
     filtering: RiccatiSolution
 
@@ -260,12 +233,7 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
 
     Where one has a pole at z = -1, or very close to it, -z takes the place of z.
 
-    Raises
-    ------
-    InputError
-        Different sample times.
-    NoTrustworthyNumber
-        Poles at z = 1 and z = -1.
+    Raises InputError: different sample times; NoTrustworthyNumber: poles at z = 1 and z = -1.
     """
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
@@ -313,10 +281,7 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
 def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        That unit overflows, or the direct term does when it is squared.
+    Raises NoTrustworthyNumber: that unit overflows, or the direct term does when it is squared.
     """
     t = balancing_exponents(model.A, model.B, model.C)
     (a, b, c, d), exponent = (model.A, model.B, model.C, model.D), {}
