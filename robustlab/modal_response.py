@@ -28,6 +28,8 @@ SECOND_ORDER = 1.25
 STRETCH = 3000
 # Terms of the expansions of `above` after the constant one, and the share of a radius of convergence that is used.
 DEGREE, RADIUS = 4, 0.9
+# Intervals of a round of `above` that begins with few open ones.
+PIECES = 32
 # Share that rounding may be of a bound that comes from the squares of these terms.
 SQUARED = 1e-12
 
@@ -205,7 +207,7 @@ class ModalResponse:
         A proof for all frequencies up to the last one, or of all where that is infinite. Between two, with middle c and
         half distance h, the gain is that of a polynomial in :math:`(\omega - c) / h` but for its remainder and for
         errors as in `response`; the square of a polynomial is nowhere larger than the largest of its Bernstein
-        coefficients. What is left open is halved, up to ``most`` intervals: None where that does not settle it.
+        coefficients. What is left open is cut, up to ``most`` intervals: None where that does not settle it.
         """
         with np.errstate(all="ignore"):
             if not np.isfinite(ends[-1]):  # from where on the sizes of all terms are enough
@@ -225,33 +227,49 @@ class ModalResponse:
                 if (gain - error > level).any():
                     return middle[gain - error > level]
                 left = ~(top <= level)
-                low, high = np.append(low[left], middle[left]), np.append(middle[left], high[left])
+                # A few that are open hold the highest peak: narrow at once, for a round costs more than an interval.
+                pieces = int(np.clip(PIECES // max(left.sum(), 1), 2, PIECES // 2))
+                cuts = np.linspace(low[left], high[left], pieces + 1, axis=1)
+                low, high = cuts[:, :-1].ravel(), cuts[:, 1:].ravel()
         return np.zeros(0)
 
     def _over(self, middle: AnyArray, half: AnyArray, level: float) -> tuple[AnyArray, AnyArray, AnyArray]:
         """The gain in the middle of intervals, its error, and a bound of the gain in all of each."""
         R = 1 / (1j * middle[:, None] - self.poles)
+        size, sizes = np.abs(R), self.sizes[0] * self.sizes[1]
+        share = half[:, None] * size
+        near = np.where(share < RADIUS, size / (1 - share), np.inf)
+        error, first = self._doubt(near), (R @ self._terms).reshape(-1, *self.direct.shape) + self.direct
+        gain = largest_gain(first)
+        # No mode moves by more; where that is too much, the square of the polynomial tells.
+        top = (gain + (near * share) @ sizes) * (1 + SQUARED) + 2 * error
+        close = np.flatnonzero(~(top <= level))
+        rest = (near[close] * share[close] ** (DEGREE + 1)) @ sizes + (DEGREE + 1) * error[close]
+        close, rest = close[rest < level], rest[rest < level]
+        if len(close):
+            step = -1j * half[close, None] * R[close]
+            top[close] = self._expanded(R[close], step, first[close], level - rest) + rest
+        return gain, error, top
+
+    def _expanded(self, R: AnyArray, step: AnyArray, first: AnyArray, level: AnyArray) -> AnyArray:
+        """Bound of the gain of polynomials with these first terms; no sharper than shows it to be below levels."""
         p, m = self.direct.shape
-        share, step, power, parts = half[:, None] * np.abs(R), -1j * half[:, None] * R, R, []
-        for _ in range(DEGREE + 1):
-            parts.append((power @ self._terms).reshape(-1, p, m))
+        power, parts = R, [first]
+        for _ in range(DEGREE):
             power = power * step
-        parts[0] = parts[0] + self.direct
+            parts.append((power @ self._terms).reshape(-1, p, m))
         if p > m:  # the smaller of the two products
             parts = [part.transpose(0, 2, 1) for part in parts]
-        square = np.zeros((len(middle), 2 * DEGREE + 1, min(p, m), min(p, m)), complex)
+        square = np.zeros((len(R), 2 * DEGREE + 1, min(p, m), min(p, m)), complex)
         for i, one in enumerate(parts):
             for j, two in enumerate(parts):
                 square[:, i + j] += one @ two.conj().transpose(0, 2, 1)
         square = np.tensordot(square, BERNSTEIN, (1, 1)).transpose(0, 3, 1, 2)
         top = np.trace(square, axis1=2, axis2=3).real.max(1)
-        # What follows the polynomial is smaller than a geometric series; each part may be off by as much as the first.
-        error = self._doubt(np.where(share < RADIUS, np.abs(R) / (1 - share), np.inf))
-        rest = (np.abs(power) / (1 - share)) @ (self.sizes[0] * self.sizes[1]) + (DEGREE + 1) * error
-        close = (top > np.maximum(level - rest, 0.0) ** 2) & (rest < level)
+        close = top > level**2
         if min(p, m) > 1 and close.any():
             top[close] = np.linalg.eigvalsh(square[close])[:, :, -1].max(1)
-        return largest_gain(parts[0]), error, np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED) + rest
+        return np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED)
 
     def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         r"""``log det(sI - A)`` at finite points s, shape (k,), up to whole turns, and bounds of its error.
