@@ -254,21 +254,23 @@ class ModalResponse:
     def _expanded(self, R: AnyArray, step: AnyArray, first: AnyArray, level: AnyArray) -> AnyArray:
         """Bound of the gain of polynomials with these first terms; no sharper than shows it to be below levels."""
         p, m = self.direct.shape
-        power, parts = R, [first]
+        powers = [R]
         for _ in range(DEGREE):
-            power = power * step
-            parts.append((power @ self._terms).reshape(-1, p, m))
+            powers.append(powers[-1] * step)
+        parts = (np.stack(powers, axis=1) @ self._terms).reshape(len(R), DEGREE + 1, p, m)
+        parts[:, 0] = first
         if p > m:  # the smaller of the two products
-            parts = [part.transpose(0, 2, 1) for part in parts]
-        square = np.zeros((len(R), 2 * DEGREE + 1, min(p, m), min(p, m)), complex)
-        for i, one in enumerate(parts):
-            for j, two in enumerate(parts):
-                square[:, i + j] += one @ two.conj().transpose(0, 2, 1)
-        square = np.tensordot(square, BERNSTEIN, (1, 1)).transpose(0, 3, 1, 2)
-        top = np.trace(square, axis1=2, axis2=3).real.max(1)
+            parts, p, m = parts.transpose(0, 1, 3, 2), m, p
+        rows = parts.reshape(len(R), -1, m)
+        products = (rows @ rows.conj().transpose(0, 2, 1)).reshape(len(R), DEGREE + 1, p, DEGREE + 1, p)
+        square = np.tensordot(BERNSTEIN, products, ((1, 2), (1, 3)))
+        size = np.trace(square, axis1=2, axis2=3).real
+        if p == 2:
+            size = 0.5 * (size + np.hypot(np.real(square[..., 0, 0] - square[..., 1, 1]), 2 * np.abs(square[..., 1, 0])))
+        top = size.max(0)
         close = top > level**2
-        if min(p, m) > 1 and close.any():
-            top[close] = np.linalg.eigvalsh(square[close])[:, :, -1].max(1)
+        if p > 2 and close.any():
+            top[close] = np.linalg.eigvalsh(square[:, close])[:, :, -1].max(0)
         return np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED)
 
     def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
@@ -293,12 +295,14 @@ class ModalResponse:
 
 
 def _bernstein(degree: int) -> AnyArray:
-    """Coefficients of powers of t in -1 .. 1, in columns, in Bernstein's basis, in rows."""
-    rows = [np.poly([1.0] * (degree - i) + [-1.0] * i) for i in range(degree + 1)]  # (t - 1)^(n - i) (t + 1)^i
-    return np.array([[row[k] / comb(degree, k) for k in range(degree + 1)] for row in rows])
+    """Coefficients of products of powers i and j of t in -1 .. 1 in Bernstein's basis of twice this degree, (.., i, j)."""
+    n = 2 * degree
+    rows = [np.poly([1.0] * (n - k) + [-1.0] * k) for k in range(n + 1)]  # (t - 1)^(n - k) (t + 1)^k
+    powers = np.array([[row[k] / comb(n, k) for k in range(n + 1)] for row in rows])
+    return powers[:, np.add.outer(range(degree + 1), range(degree + 1))]
 
 
-BERNSTEIN = _bernstein(2 * DEGREE)
+BERNSTEIN = _bernstein(DEGREE)
 
 
 def largest_gain(response: AnyArray) -> AnyArray:
