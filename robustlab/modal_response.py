@@ -18,6 +18,7 @@ from math import comb
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.statespace import StateSpaceModel
 
 EPS = float(np.finfo(float).eps)
 # Share of the inverse of V that may be rounding, and |F (sI - Lambda)^-1|: beyond them first-order bounds mean nothing.
@@ -30,6 +31,8 @@ STRETCH = 3000
 DEGREE, RADIUS = 4, 0.9
 # Intervals of a round of `above` that begins with few open ones.
 PIECES = 32
+# Factors of a determinant of which one logarithm is taken, and the modulus down to which their product keeps its digits.
+FACTORS, UNDERFLOW = 4, 1e-290
 # Share that rounding may be of a bound that comes from the squares of these terms.
 SQUARED = 1e-12
 
@@ -62,12 +65,23 @@ class ModalResponse:
     out_error: AnyArray
 
     @classmethod
-    def of(cls, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> ModalResponse | None:
-        """For real matrices of shapes (n, n), (n, m), (p, n), (p, m), n > 0; None where the modes do not span."""
+    def of_model(cls, m: StateSpaceModel) -> ModalResponse | None:
+        """`of`, with the eigenvectors that are known of a model; None of one without states."""
+        return cls.of(m.A, m.B, m.C, m.D, vars(m).get("_eigen")) if m.n_states else None
+
+    @classmethod
+    def of(
+        cls, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, known: tuple[AnyArray, AnyArray] | None = None
+    ) -> ModalResponse | None:
+        """For real matrices of shapes (n, n), (n, m), (p, n), (p, m), n > 0; None where the modes do not span.
+
+        ``known`` are eigenvalues and eigenvectors from elsewhere; whatever they are, bounds are of what they leave.
+        """
         with np.errstate(all="ignore"):  # what overflows here has an infinite bound
             try:
-                poles, V = np.linalg.eig(A)
+                poles, V = known or np.linalg.eig(A)
                 poles = poles.astype(complex)
+                V = V if known is None else np.ascontiguousarray(V) / _lengths(V, 0)
                 inverse = np.linalg.inv(V)
             except np.linalg.LinAlgError:
                 return None
@@ -285,8 +299,12 @@ class ModalResponse:
 
         def evaluate(s: AnyArray) -> tuple[AnyArray, AnyArray]:
             apart = s[:, None] - self.poles
-            logs, near = np.log(apart), 1.0 / np.abs(apart)
+            near = 1.0 / np.abs(apart)
             worst = (near * spread).max(1)
+            # One logarithm of a few factors: it costs more than their product.
+            groups = np.multiply.reduceat(apart, np.arange(0, n, FACTORS), axis=1)
+            groups[~(np.abs(groups) > UNDERFLOW)] = np.nan
+            logs = np.log(groups)
             error = near @ own + n * worst**2 / (1 - worst) + 8 * EPS * (np.abs(logs).sum(1) + n)
             return logs.sum(1), np.where((worst < KNOWN) & (error < np.inf), SECOND_ORDER * error, np.inf)
 

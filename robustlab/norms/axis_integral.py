@@ -169,7 +169,7 @@ def mean_square_gain(m: StateSpaceModel, tuning: AxisTuning = TUNING, *, careful
     """
     if not m.n_states or not m.n_inputs or not m.n_outputs:
         return float((m.D**2).sum()), True
-    modes = None if careful else ModalResponse.of(m.A, m.B, m.C, m.D)
+    modes = None if careful else ModalResponse.of_model(m)
     if modes is not None:
         square, error = modes.mean_square(m.is_discrete)
         if error <= tuning.rtol * square:

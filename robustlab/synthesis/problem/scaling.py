@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -66,16 +67,17 @@ class Scaling:
         k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
         t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
         rows = -t[:, None] - k
-        return PlantMatrices(
-            _signed(p.A, rows + t),
-            times_power(p.B1, rows + w),
-            times_power(p.B2, rows + u),
-            times_power(p.C1, t + z),
-            times_power(p.C2, t + y),
-            times_power(p.D11, w + z),
-            times_power(p.D12, u + z),
-            times_power(p.D21, w + y),
-        )
+        with np.errstate(over="ignore", under="ignore"):
+            return PlantMatrices(
+                _signed(p.A, rows + t),
+                np.ldexp(p.B1, rows + w),
+                np.ldexp(p.B2, rows + u),
+                np.ldexp(p.C1, t + z),
+                np.ldexp(p.C2, t + y),
+                np.ldexp(p.D11, w + z),
+                np.ldexp(p.D12, u + z),
+                np.ldexp(p.D21, w + y),
+            )
 
     def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
@@ -249,20 +251,27 @@ def paths_first(p: PlantMatrices, discrete: bool = False, slower: float = 1.0) -
     """
     s = _start(p, discrete)
     s = replace(s, rate=s.rate / slower)
+    q = s.apply(p)
     for last in (False, False, True):
-        q = s.apply(p)
         if (s.z, s.w) == (1.0, 1.0):
             z = float(_power(1 / (_rms(q.D12) or _rms(q.C1) or 1.0)))
             w = float(_power(1 / (_rms(q.D21) or _rms(q.B1) or 1.0)))
-            s = Scaling(s.rate, s.states, s.u, s.y, s.w * w, s.z * z)
-        s = Scaling(s.rate, _osborne(s.apply(p), s.states, 20), s.u, s.y, s.w, s.z)
+            s, q = _changed(s, q, p, w=w, z=z)
+        s, q = _changed(s, q, p, states=_osborne(q, s.states, 20))
         if last:
             return s
-        q = s.apply(p)
         u = _channel(np.linalg.norm(q.D12, axis=0), np.linalg.norm(q.B2, axis=0))
         y = _channel(np.linalg.norm(q.D21, axis=1), np.linalg.norm(q.C2, axis=1))
-        s = Scaling(s.rate, s.states, s.u / u, s.y / y, s.w, s.z)
+        s, q = _changed(s, q, p, u=s.u / u, y=s.y / y)
     return s
+
+
+def _changed(s: Scaling, q: PlantMatrices, p: PlantMatrices, **factors: Any) -> tuple[Scaling, PlantMatrices]:
+    """A scaling with other factors, and the plant that it makes of p; the one it made before where they are the same."""
+    if all(np.array_equal(factor, getattr(s, name)) for name, factor in factors.items()):
+        return s, q
+    s = replace(s, **factors)
+    return s, s.apply(p)
 
 
 def _channel(direct: AnyArray, dynamic: AnyArray) -> AnyArray:
