@@ -190,10 +190,10 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         """Computed once: the model does not change."""
         return np.linalg.eigvals(self.A).astype(np.complex128) if self.n_states else np.zeros(0, np.complex128)
 
-    def _with_modes(self) -> StateSpaceModel:
-        """Itself, with the eigenvectors of A computed beside the poles: for steps that need both."""
+    def _with_modes(self, known: tuple[AnyArray, AnyArray] | None = None) -> StateSpaceModel:
+        """Itself, with the eigenvectors of A computed beside the poles, or known: for steps that need both."""
         if "_eigen" not in vars(self) and self.n_states:
-            poles, modes = np.linalg.eig(self.A)
+            poles, modes = known or np.linalg.eig(self.A)
             vars(self).update(_poles=poles.astype(np.complex128), _eigen=(poles.astype(np.complex128), modes))
         return self
 

@@ -148,7 +148,7 @@ def panel_ends(poles: AnyArray, dt: float, tuning: AxisTuning = TUNING) -> AnyAr
     ends, own = np.concatenate([at[:, None] + away, at[:, None] - away]), np.concatenate([own, own])
     inside = (ends > 0) & (ends < last)
     ends, own = ends[inside], own[inside]
-    nearest = np.abs(1j * ends[:, None] - np.concatenate([poles, poles.conj()])).min(axis=1, initial=np.inf)
+    nearest = np.abs(1j * ends[:, None] - poles).min(axis=1, initial=np.inf)  # the conjugate ones are further away
     ends = np.unique(np.concatenate([[0.0, last], ends[own <= tuning.nearer * nearest]]))
     return ends if nyquist else np.append(ends, 2 * last)
 

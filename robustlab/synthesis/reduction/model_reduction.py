@@ -12,7 +12,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response, response_within
 from robustlab.magnitude import Moderated, moderated, scaled_down
-from robustlab.modal_response import ModalResponse
+from robustlab.modal_response import ModalResponse, largest_gain
 from robustlab.norms import (
     HinfNorm,
     bilinear_to_continuous,
@@ -337,23 +337,33 @@ def _balanced_reduction(
 
     def candidate(order: int) -> ReducedModel:
         small = way.reduced(order - apart)
-        if small.n_states and not small.is_stable():
+        if small.n_states and not small._with_modes().is_stable():
             raise NoTrustworthyNumber(
                 "reduce_model",
                 f"the model of order {small.n_states + apart} is not stable",
                 hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
-        both = parallel(stable, small, -1)
-        difference = both._with_matrices(both.A, both.B, both.C, both.D, np.append(stable.poles(), small.poles()))
+        difference = _difference(stable, small)
         evidence = _evidence(way, ordinary, lost, difference)
         model = ordinary.as_given(split.joined(small), "reduce_model")
-        found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart)
+        found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart, (stable, small))
         if method == "hankel":
             return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
         return found
 
     limits = np.zeros(way.most + 1) if np.isnan(way.bound(0)) else np.append(way.values, 0.0)
     return candidate, apart, apart + way.most, limits
+
+
+def _difference(stable: StateSpaceModel, small: StateSpaceModel) -> StateSpaceModel:
+    """The first less the second, with the poles and modes of both."""
+    both, n = parallel(stable, small, -1), stable.n_states
+    if not (n and small.n_states):
+        return both
+    parts = [vars(m._with_modes())["_eigen"] for m in (stable, small)]
+    modes = np.zeros(both.A.shape, np.result_type(*(vectors for _, vectors in parts)))
+    modes[:n, :n], modes[n:, n:] = (vectors for _, vectors in parts)
+    return both._with_matrices(both.A, both.B, both.C, both.D, np.concatenate([poles for poles, _ in parts]), modes)
 
 
 def _evidence(way: _Way, ordinary: Moderated, lost: SplitError, difference: StateSpaceModel) -> _Evidence:
@@ -512,9 +522,19 @@ def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSp
 
 
 def _checked(
-    full: StateSpaceModel, model: StateSpaceModel, method: str, way: _Way, evidence: _Evidence, bound: float, apart: int
+    full: StateSpaceModel,
+    model: StateSpaceModel,
+    method: str,
+    way: _Way,
+    evidence: _Evidence,
+    bound: float,
+    apart: int,
+    parts: tuple[StateSpaceModel, ...] = (),
 ) -> ReducedModel:
-    """The result; the models as given and as returned are compared at frequencies of the full one."""
+    """The result; the models as given and as returned are compared at frequencies of the full one.
+
+    ``parts`` may know the eigenvectors of the one or the other, whose errors are bounded from the models themselves.
+    """
     named = StateSpaceModel(
         model.A, model.B, model.C, model.D, full.dt, full.inputs, full.outputs, where="reduced model"
     )
@@ -525,7 +545,7 @@ def _checked(
     if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
     if not reason and method != "coprime":
-        seen, size = _seen_difference(full, named, way, evidence.left_out)
+        seen, size = _seen_difference(full, named, way, evidence.left_out, parts)
         size = 1.0 if method == "stochastic" else size
         if seen > error.upper * (1 + 1e-6) + OVERLOOKED * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
@@ -536,7 +556,11 @@ def _checked(
 
 
 def _seen_difference(
-    full: StateSpaceModel, model: StateSpaceModel, way: _Way, left_out: tuple[Band, ...]
+    full: StateSpaceModel,
+    model: StateSpaceModel,
+    way: _Way,
+    left_out: tuple[Band, ...],
+    parts: tuple[StateSpaceModel, ...],
 ) -> tuple[float, float]:
     """Largest difference of the two responses, as it is measured, on a grid away from poles, less the bounds of their
     errors where they come from the modes; and the size of the responses.
@@ -549,17 +573,20 @@ def _seen_difference(
     for low, high in left_out:
         omega = omega[(omega <= low) | (omega >= high)]
     share = OVERLOOKED if way.seen is None else 0.0  # what weighs a difference would weigh the bounds of its errors
-    (first, error), (second, other) = (_response(m, omega, share) for m in (full, model))
-    size = float(np.linalg.norm(first, 2, axis=(1, 2)).max(initial=0.0))
+    (first, error), (second, other) = (_response(m, omega, share, parts) for m in (full, model))
+    size = float(largest_gain(first).max(initial=0.0))
     if way.seen is None:
-        gap = np.linalg.norm(first - second, 2, axis=(1, 2)) - error - other
+        gap = largest_gain(first - second) - error - other
     else:
         gap = np.linalg.norm(way.seen(omega, first - second), 2, axis=(1, 2))
     return float(gap.max(initial=0.0)), size
 
 
-def _response(model: StateSpaceModel, omega: Array, share: float) -> tuple[ComplexArray, Array]:
-    modes = ModalResponse.of(model.A, model.B, model.C, model.D) if model.n_states and share else None
+def _response(
+    model: StateSpaceModel, omega: Array, share: float, parts: tuple[StateSpaceModel, ...]
+) -> tuple[ComplexArray, Array]:
+    known = next((vars(m).get("_eigen") for m in parts if np.array_equal(m.A, model.A)), None)
+    modes = ModalResponse.of(model.A, model.B, model.C, model.D, known) if model.n_states and share else None
     return response_within(model, modes, omega, share)
 
 
