@@ -34,7 +34,7 @@ LOOKED_AT, ROUGHLY = 3, 1e4
 # Frequencies at which the states are solved for where the bound by the modes is too coarse, those where it is largest.
 REACHES = 40
 # How much wider the intervals of a proof get away from a pole.
-COVER = AxisTuning(growth=2.0)
+COVER = AxisTuning(growth=3.0)
 
 
 @dataclass(frozen=True)

@@ -228,7 +228,11 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     squares[n, :n] = (p.C1**2).sum(0) + (p.C2**2).sum(0)
     np.fill_diagonal(squares, 0.0)
     for _ in range(sweeps):
-        settled = True
+        sizes = squares.sum(1)[:n], squares.sum(0)[:n]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.subtract(*np.log2(sizes))
+        if not np.round(0.25 * off[np.isfinite(off)]).any():  # what the sweep would find
+            break
         for i in range(n):
             row, column = float(squares[i].sum()), float(squares[:, i].sum())
             if not (0 < row < np.inf and 0 < column < np.inf):
@@ -238,9 +242,6 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
                 squares[i] *= 4.0**-power
                 squares[:, i] *= 4.0**power
                 t[i] *= 2.0**power
-                settled = False
-        if settled:
-            break
     return t
 
 
