@@ -31,7 +31,7 @@ STRETCH = 3000
 DEGREE, RADIUS = 4, 0.9
 # Intervals of a round of `above` that begins with few open ones.
 PIECES = 32
-# Factors of a determinant of which one logarithm is taken, and the modulus down to which their product keeps its digits.
+# Factors of a determinant that share a logarithm, and the modulus down to which their product keeps its digits.
 FACTORS, UNDERFLOW = 4, 1e-290
 # Share that rounding may be of a bound that comes from the squares of these terms.
 SQUARED = 1e-12
@@ -280,7 +280,8 @@ class ModalResponse:
         square = np.tensordot(BERNSTEIN, products, ((1, 2), (1, 3)))
         size = np.trace(square, axis1=2, axis2=3).real
         if p == 2:
-            size = 0.5 * (size + np.hypot(np.real(square[..., 0, 0] - square[..., 1, 1]), 2 * np.abs(square[..., 1, 0])))
+            apart, across = np.real(square[..., 0, 0] - square[..., 1, 1]), np.abs(square[..., 1, 0])
+            size = 0.5 * (size + np.hypot(apart, 2 * across))
         top = size.max(0)
         close = top > level**2
         if p > 2 and close.any():
@@ -313,7 +314,7 @@ class ModalResponse:
 
 
 def _bernstein(degree: int) -> AnyArray:
-    """Coefficients of products of powers i and j of t in -1 .. 1 in Bernstein's basis of twice this degree, (.., i, j)."""
+    """Coefficients of ``t^i t^j``, t in -1 .. 1, in Bernstein's basis of twice this degree, in (.., i, j)."""
     n = 2 * degree
     rows = [np.poly([1.0] * (n - k) + [-1.0] * k) for k in range(n + 1)]  # (t - 1)^(n - k) (t + 1)^k
     powers = np.array([[row[k] / comb(n, k) for k in range(n + 1)] for row in rows])

@@ -43,8 +43,8 @@ class SecondVoice:
     Attributes
     ----------
     lower, upper
-        Of the largest gain at the frequencies evaluated (of the H2 norm: by residues, or by quadrature): the value less and plus the
-        bound of its error.
+        Of the largest gain at the frequencies evaluated (of the H2 norm: by residues, or by quadrature): the value less
+        and plus the bound of its error.
     value
         The largest gain itself.
     error

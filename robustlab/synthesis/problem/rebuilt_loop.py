@@ -177,5 +177,5 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     if not loop.n_states:
         return True
     t = balancing_factors(loop.A)
-    size = float(np.linalg.norm(loop.A / t[:, None] * t, 1))
-    return loop._with_modes().spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)
+    size = max(float(np.linalg.norm(loop.A / t[:, None] * t, 1)), 1.0 if loop.is_discrete else 0.0)
+    return loop._with_modes().spectral_abscissa() < -10 * float(np.finfo(float).eps) * size

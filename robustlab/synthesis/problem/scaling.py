@@ -268,7 +268,7 @@ def paths_first(p: PlantMatrices, discrete: bool = False, slower: float = 1.0) -
 
 
 def _changed(s: Scaling, q: PlantMatrices, p: PlantMatrices, **factors: Any) -> tuple[Scaling, PlantMatrices]:
-    """A scaling with other factors, and the plant that it makes of p; the one it made before where they are the same."""
+    """A scaling with other factors, and the plant that it makes of p: q where these are the same as before."""
     if all(np.array_equal(factor, getattr(s, name)) for name, factor in factors.items()):
         return s, q
     s = replace(s, **factors)
