@@ -45,7 +45,7 @@ def balancing_factors(matrix: AnyArray) -> AnyArray:
         return np.ones(len(matrix))
     if not np.isfinite(matrix).all():
         raise ValueError("a matrix to be balanced has entries that are NaN or infinite")
-    balance = lapack.zgebal if np.iscomplexobj(matrix) else lapack.dgebal
+    balance: Any = getattr(lapack, "zgebal" if np.iscomplexobj(matrix) else "dgebal")
     return np.asarray(balance(matrix, scale=1, permute=0)[3])
 
 

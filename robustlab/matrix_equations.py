@@ -411,41 +411,6 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
     return np.asarray(X)
 
 
-def gramians(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6
-) -> tuple[AnyArray, AnyArray]:
-    r"""Both Gramians of a stable model, shapes (n, n); in continuous time from one Schur form.
-
-    .. math:: A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0 \qquad\text{or, discrete,}\qquad
-        A P A^T - P + B B^T = 0, \quad A^T Q A - Q + C^T C = 0
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, NaN or Inf.
-    NoTrustworthyNumber
-        The model is not stable, or a relative residual above ``tolerance``.
-
-    References
-    ----------
-    Bartels, Stewart 1972.
-
-    Examples
-    --------
-    >>> [float(x[0, 0]) for x in gramians([[-0.5]], [[2.0]], [[3.0]])]
-    [4.0, 9.0]
-    """
-    a, b, c = (real_array(k, v, 2, "gramians") for k, v in (("A", A), ("B", B), ("C", C)))
-    n = a.shape[0]
-    _check_shapes("gramians", A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
-    if discrete or n == 0:
-        return lyapunov(a, b @ b.T, discrete, tolerance=tolerance), lyapunov(
-            a.T, c.T @ c, discrete, tolerance=tolerance
-        )
-    form = SchurForm.of(a, "gramians")
-    return form.gramian(b, tolerance=tolerance), form.gramian(c.T, dual=True, tolerance=tolerance)
-
-
 @dataclass(frozen=True, eq=False)
 class SchurForm:
     """The real Schur form ``A = Z T Z^T`` of a finite matrix, shapes (n, n), n > 0: one for all that A is asked."""
@@ -473,11 +438,7 @@ class SchurForm:
         X, scale, info = lapack().dtrsyl(T, T, -known, **({"trana": "T"} if dual else {"tranb": "T"}))
         if info or scale < 1 or not np.isfinite(X).all():
             raise NoTrustworthyNumber("gramians", MIRRORED)
-        linear = T.T @ X if dual else T @ X
-        size = 2 * np.linalg.norm(linear) + np.linalg.norm(known)
-        residual = np.linalg.norm(linear + linear.T + known) / size if size else 0.0
-        if not residual <= tolerance:
-            raise NoTrustworthyNumber("gramians", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+        _small_residual("gramians", T.T @ X if dual else T @ X, known, tolerance)
         X = self.Z @ X @ self.Z.T
         return 0.5 * (X + X.T)
 
@@ -555,12 +516,16 @@ def _hammarling(a: AnyArray, b: AnyArray, s: AnyArray, q: AnyArray, tolerance: f
     # X is real, so its real and imaginary factors side by side are a real factor of it.
     L = np.asarray(np.linalg.qr(np.hstack([np.real(factor), np.imag(factor)]).T, mode="r")).T
     with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
-        half, known = a @ (L @ L.T), b @ b.T
-        size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
-        residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
+        _small_residual(where, a @ (L @ L.T), b @ b.T, tolerance)
+    return L
+
+
+def _small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
+    """Refuse the solution of ``half + half^T + known = 0`` that leaves more than this share of its terms."""
+    size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
+    residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return L
 
 
 # --- judging, and the door to LAPACK ---------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.exact_stability import exactly_stable
 from robustlab.magnitude import Moderated, balancing_factors, moderated
-from robustlab.matrix_equations import SchurForm, gramians
+from robustlab.matrix_equations import SchurForm, lyapunov
 from robustlab.modal_response import ModalResponse
 from robustlab.norms.axis_integral import TUNING, mean_square_gain
 from robustlab.norms.hinfinity import unstable_norm
@@ -234,7 +234,12 @@ def _confirmed(ordinary: Moderated, s: StateSpaceModel, rate: float) -> H2Norm |
 
 def _solved(ordinary: Moderated, s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, _Solved | None]:
     try:
-        solved = _Solved(ordinary, s, rate, *gramians(s.A, s.B, s.C, s.is_discrete), doubt)
+        if s.is_discrete:
+            reach, see = lyapunov(s.A, s.B @ s.B.T, True), lyapunov(s.A.T, s.C.T @ s.C, True)
+        else:
+            form = SchurForm.of(s.A, "gramians")
+            reach, see = form.gramian(s.B), form.gramian(s.C.T, dual=True)
+        solved = _Solved(ordinary, s, rate, reach, see, doubt)
     except NoTrustworthyNumber as error:
         return H2Norm(np.inf, Status.FAILED, error.line), None
     return solved.of_gramians(), solved

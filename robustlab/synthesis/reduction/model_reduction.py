@@ -306,11 +306,15 @@ class _Way:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """Proved sizes of a difference, `ReducedModel.error` and `.difference`, and the frequencies they do not hold at."""
+    """Proved sizes of a difference, `ReducedModel.error` and `.difference`, and the frequencies they do not hold at.
+
+    ``parts`` may know the eigenvectors of a model that is looked at; errors are bounded from that model itself.
+    """
 
     error: HinfNorm
     difference: HinfNorm | None = None
     left_out: tuple[Band, ...] = ()
+    parts: tuple[StateSpaceModel, ...] = ()
 
 
 def _balanced_reduction(
@@ -344,9 +348,9 @@ def _balanced_reduction(
                 hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
         difference = _difference(stable, small)
-        evidence = _evidence(way, ordinary, lost, difference)
+        evidence = replace(_evidence(way, ordinary, lost, difference), parts=(stable, small))
         model = ordinary.as_given(split.joined(small), "reduce_model")
-        found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart, (stable, small))
+        found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart)
         if method == "hankel":
             return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
         return found
@@ -522,19 +526,9 @@ def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSp
 
 
 def _checked(
-    full: StateSpaceModel,
-    model: StateSpaceModel,
-    method: str,
-    way: _Way,
-    evidence: _Evidence,
-    bound: float,
-    apart: int,
-    parts: tuple[StateSpaceModel, ...] = (),
+    full: StateSpaceModel, model: StateSpaceModel, method: str, way: _Way, evidence: _Evidence, bound: float, apart: int
 ) -> ReducedModel:
-    """The result; the models as given and as returned are compared at frequencies of the full one.
-
-    ``parts`` may know the eigenvectors of the one or the other, whose errors are bounded from the models themselves.
-    """
+    """The result; the models as given and as returned are compared at frequencies of the full one."""
     named = StateSpaceModel(
         model.A, model.B, model.C, model.D, full.dt, full.inputs, full.outputs, where="reduced model"
     )
@@ -545,7 +539,7 @@ def _checked(
     if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
     if not reason and method != "coprime":
-        seen, size = _seen_difference(full, named, way, evidence.left_out, parts)
+        seen, size = _seen_difference(full, named, way, evidence)
         size = 1.0 if method == "stochastic" else size
         if seen > error.upper * (1 + 1e-6) + OVERLOOKED * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
@@ -556,11 +550,7 @@ def _checked(
 
 
 def _seen_difference(
-    full: StateSpaceModel,
-    model: StateSpaceModel,
-    way: _Way,
-    left_out: tuple[Band, ...],
-    parts: tuple[StateSpaceModel, ...],
+    full: StateSpaceModel, model: StateSpaceModel, way: _Way, evidence: _Evidence
 ) -> tuple[float, float]:
     """Largest difference of the two responses, as it is measured, on a grid away from poles, less the bounds of their
     errors where they come from the modes; and the size of the responses.
@@ -570,13 +560,15 @@ def _seen_difference(
     omega = np.append(default_grid(full, 40) * 1.0123, way.looked_at)
     if full.is_discrete:
         omega = omega[omega < np.pi / full.dt]
-    for low, high in left_out:
+    for low, high in evidence.left_out:
         omega = omega[(omega <= low) | (omega >= high)]
     share = OVERLOOKED if way.seen is None else 0.0  # what weighs a difference would weigh the bounds of its errors
-    (first, error), (second, other) = (_response(m, omega, share, parts) for m in (full, model))
-    size = float(largest_gain(first).max(initial=0.0))
+    (first, error), (second, other) = (_response(m, omega, share, evidence.parts) for m in (full, model))
+    # No square overflows in this unit.
+    unit = float(max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))) or 1.0
+    size = unit * float(largest_gain(first / unit).max(initial=0.0))
     if way.seen is None:
-        gap = largest_gain(first - second) - error - other
+        gap = unit * largest_gain((first - second) / unit) - error - other
     else:
         gap = np.linalg.norm(way.seen(omega, first - second), 2, axis=(1, 2))
     return float(gap.max(initial=0.0)), size
