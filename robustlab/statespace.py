@@ -120,18 +120,14 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     def _with_matrices(
         self, A: Array, B: Array, C: Array, D: Array, poles: AnyArray | None = None, modes: AnyArray | None = None
     ) -> StateSpaceModel:
-        """In other states of the same number, with poles, and eigenvectors, that are known; nothing is checked or
-        copied: for steps.
-        """
+        """In other states of the same number, with what is known of the modes; nothing is checked or copied."""
         model = object.__new__(type(self))
         for matrix in (A, B, C, D):
             matrix.setflags(write=False)
         known = {"_poles": poles, "_eigen": None if modes is None else (poles, modes)}
-        vars(model).update(vars(self), A=A, B=B, C=C, D=D, operating_point=None)
-        for name, value in known.items():
-            vars(model).pop(name, None)
-            if value is not None:
-                vars(model)[name] = value
+        kept = {name: value for name, value in vars(self).items() if name not in known}
+        vars(model).update(kept | {name: value for name, value in known.items() if value is not None})
+        vars(model).update(A=A, B=B, C=C, D=D, operating_point=None)
         return model
 
     def _in_states(
@@ -531,15 +527,19 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     c1, c2 = P.C[:n_z], P.C[n_z:]
     d11, d12, d21, d22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
     # u = (I - DK D22)^-1 (CK xk + DK (C2 x + D21 w))
-    e = np.eye(n_u) - K.D @ d22
-    if n_u and np.linalg.cond(e) > 1e12:
-        raise InputError("lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop")
     with np.errstate(over="ignore", invalid="ignore"):
-        f = np.linalg.solve(e, np.hstack([K.D @ c2, K.C, K.D @ d21]))
+        f = np.hstack([K.D @ c2, K.C, K.D @ d21])
+        if d22.any() and K.D.any():
+            e = np.eye(n_u) - K.D @ d22
+            if np.linalg.cond(e) > 1e12:
+                raise InputError(
+                    "lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop"
+                )
+            f = np.linalg.solve(e, f)
         n, nk = P.n_states, K.n_states
         u_x, u_k, u_w = f[:, :n], f[:, n : n + nk], f[:, n + nk :]
         y_x, y_k, y_w = c2 + d22 @ u_x, d22 @ u_k, d21 + d22 @ u_w
-        a = np.block([[P.A + b2 @ u_x, b2 @ u_k], [K.B @ y_x, K.A + K.B @ y_k]])
+        a = np.hstack([np.vstack([P.A + b2 @ u_x, K.B @ y_x]), np.vstack([b2 @ u_k, K.A + K.B @ y_k])])
         b = np.vstack([b1 + b2 @ u_w, K.B @ y_w])
         c = np.hstack([c1 + d12 @ u_x, d12 @ u_k])
         d = d11 + d12 @ u_w

@@ -15,7 +15,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_power
+from robustlab.magnitude import LARGEST, SMALLEST, TINY, balancing_exponents, times_power
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
@@ -119,7 +119,8 @@ def _is_ordinary(p: PlantMatrices) -> bool:
     # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
     sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
     sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
-    return is_moderate(*np.concatenate(sizes)[:, None])
+    found = np.concatenate(sizes)
+    return bool(((found == 0) | ((found >= SMALLEST) & (found <= LARGEST))).all())
 
 
 def _start(p: PlantMatrices, discrete: bool) -> Scaling:
@@ -127,7 +128,8 @@ def _start(p: PlantMatrices, discrete: bool) -> Scaling:
         return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
-    rate = float(_power(float(np.median(size)))) if len(size) else 1.0
+    size.sort()
+    rate = float(_power(0.5 * (size[(len(size) - 1) // 2] + size[len(size) // 2]))) if len(size) else 1.0
     n, _, n_u, _, n_y = p.sizes
     return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
 

@@ -40,6 +40,8 @@ __all__ = ["ROUCHE", "SeparateLoop", "SeparateValues", "frobenius", "poles_in_s"
 
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
+# Squares of entries that make a norm above this, or below its inverse, neither vanish nor overflow.
+PLAIN = 1e-120
 # Steps towards an enclosure of the error.
 ENCLOSING = 12
 EPS = float(np.finfo(float).eps)
@@ -208,7 +210,7 @@ class SeparateLoop:
             return SeparateValues(omega, T, T_error, none, none, rouche, none)
         gain = np.full(len(omega), np.nan)
         sound = np.isfinite(T).all(axis=(1, 2))
-        gain[sound] = np.linalg.norm(T[sound], 2, axis=(1, 2))
+        gain[sound] = np.linalg.svd(T[sound], compute_uv=False)[:, 0]
         error = frobenius(T_error) + 16 * EPS * gain
         error = np.where(np.isnan(error), np.inf, error)
         return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
@@ -410,6 +412,9 @@ def poles_in_s(poles: AnyArray, dt: float) -> AnyArray:
 
 def frobenius(stack: AnyArray) -> AnyArray:
     """Norm of each matrix, without overflow or underflow of squares."""
+    plain = np.sqrt((np.real(stack) ** 2 + np.imag(stack) ** 2).sum(axis=(1, 2)))
+    if ((plain > PLAIN) & (plain < 1 / PLAIN)).all():
+        return plain
     size = np.abs(stack).max(axis=(1, 2))
     scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
     return scale * np.linalg.norm(stack / scale[:, None, None], axis=(1, 2))
