@@ -1,4 +1,4 @@
-"""H2 norm by both Gramians and, as a third voice, by the integral over the frequency axis."""
+"""H2 norm by Gramians and, as a voice that solves no equation, by the integral over the frequency axis."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class H2Norm(Shown):
     Attributes
     ----------
     value
-        The norm; where the integral was not asked, or does not confirm it, the larger of what the two Gramians give.
+        The norm by one Gramian, where the integral is the same; where it was not asked, or does not confirm it, the
+        larger of what the two Gramians give.
     status
         CONVERGED where all voices that were asked agree to 1e-6 of the norm; CERTIFIED for a norm that is infinite or
         needs no equation; INACCURATE where they disagree, FAILED without a solution.

@@ -72,7 +72,7 @@ class H2NormStep(Step):
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        """H2 norm by both Gramians and by the integral over the frequency axis."""
+        """H2 norm by Gramians and by the integral over the frequency axis."""
         norm = rl.h2_norm(work.values[self.of])
         facts = [Fact("H2 norm, by the Gramians", quantity(norm.value, digits=8))]
         if norm.integral is not None:
