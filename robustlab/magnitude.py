@@ -39,12 +39,14 @@ def is_moderate(*matrices: AnyArray) -> bool:
 
 def balancing_factors(matrix: AnyArray) -> AnyArray:
     """Powers of two t, shape (n,): rows and columns of ``matrix / t[:, None] * t`` are alike in size (LAPACK gebal)."""
-    from scipy.linalg import matrix_balance
+    from scipy.linalg import lapack
 
     if not matrix.size:
         return np.ones(len(matrix))
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        return np.asarray(matrix_balance(matrix, permute=False, separate=True)[1][0])
+    if not np.isfinite(matrix).all():
+        raise ValueError("a matrix to be balanced has entries that are NaN or infinite")
+    balance: Any = getattr(lapack, "zgebal" if np.iscomplexobj(matrix) else "dgebal")
+    return np.asarray(balance(matrix, scale=1, permute=0)[3])
 
 
 def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:

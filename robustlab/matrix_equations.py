@@ -411,56 +411,41 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
     return np.asarray(X)
 
 
-def gramians(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6
+@dataclass(frozen=True, eq=False)
+class SchurForm:
+    """The real Schur form ``A = Z T Z^T`` of a finite matrix, shapes (n, n), n > 0: one for all that A is asked."""
+
+    T: AnyArray
+    Z: AnyArray
+
+    @classmethod
+    def of(cls, A: AnyArray, where: str) -> SchurForm:
+        """By the QR algorithm; `NoTrustworthyNumber` where that does not converge."""
+        T, _, _, _, Z, _, failed = lapack().dgees(lambda *_: False, A, lwork=ROOM * len(A))
+        if failed:
+            raise NoTrustworthyNumber(where, "the QR algorithm did not converge")
+        return cls(T, Z)
+
+    def modes(self) -> tuple[AnyArray, AnyArray]:
+        """Eigenvalues (n,) and eigenvectors (n, n) of A: a fraction of the work that they are from A."""
+        poles, vectors = np.linalg.eig(self.T)
+        return poles, self.Z @ vectors
+
+    def gramian(self, right: AnyArray, *, dual: bool = False, tolerance: float = 1e-6) -> AnyArray:
+        """X with ``A X + X A^T + right right^T = 0``, or, dual, with A^T in the place of A (Bartels, Stewart 1972)."""
+        T, known = self.T, self.Z.T @ right
+        known = known @ known.T
+        X, scale, info = lapack().dtrsyl(T, T, -known, **({"trana": "T"} if dual else {"tranb": "T"}))
+        if info or scale < 1 or not np.isfinite(X).all():
+            raise NoTrustworthyNumber("gramians", MIRRORED)
+        _small_residual("gramians", T.T @ X if dual else T @ X, known, tolerance)
+        X = self.Z @ X @ self.Z.T
+        return 0.5 * (X + X.T)
+
+
+def lyapunov_factors(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, form: SchurForm | None = None, *, tolerance: float = 1e-8
 ) -> tuple[AnyArray, AnyArray]:
-    r"""Both Gramians of a stable model, shapes (n, n); in continuous time from one Schur form.
-
-    .. math:: A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0 \qquad\text{or, discrete,}\qquad
-        A P A^T - P + B B^T = 0, \quad A^T Q A - Q + C^T C = 0
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, NaN or Inf.
-    NoTrustworthyNumber
-        The model is not stable, or a relative residual above ``tolerance``.
-
-    References
-    ----------
-    Bartels, Stewart 1972.
-
-    Examples
-    --------
-    >>> [float(x[0, 0]) for x in gramians([[-0.5]], [[2.0]], [[3.0]])]
-    [4.0, 9.0]
-    """
-    a, b, c = (real_array(k, v, 2, "gramians") for k, v in (("A", A), ("B", B), ("C", C)))
-    n = a.shape[0]
-    _check_shapes("gramians", A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
-    if discrete or n == 0:
-        return lyapunov(a, b @ b.T, discrete, tolerance=tolerance), lyapunov(
-            a.T, c.T @ c, discrete, tolerance=tolerance
-        )
-    T, _, _, _, Z, _, failed = lapack().dgees(lambda *_: False, a, lwork=ROOM * n)
-    if failed:
-        raise NoTrustworthyNumber("gramians", "the QR algorithm did not converge")
-    zb, cz = Z.T @ b, c @ Z
-    P, scale_p, info_p = lapack().dtrsyl(T, T, -zb @ zb.T, tranb="T")
-    Q, scale_q, info_q = lapack().dtrsyl(T, T, -cz.T @ cz, trana="T")
-    if info_p or info_q or not (np.isfinite(P).all() and np.isfinite(Q).all()) or min(scale_p, scale_q) < 1:
-        raise NoTrustworthyNumber("gramians", MIRRORED)
-    for t, X, q in ((T, P, zb @ zb.T), (T.T, Q, cz.T @ cz)):
-        linear = t @ X
-        size = 2 * np.linalg.norm(linear) + np.linalg.norm(q)
-        residual = np.linalg.norm(linear + linear.T + q) / size if size else 0.0
-        if not residual <= tolerance:
-            raise NoTrustworthyNumber("gramians", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    P, Q = Z @ P @ Z.T, Z @ Q @ Z.T
-    return 0.5 * (P + P.T), 0.5 * (Q + Q.T)
-
-
-def lyapunov_factors(A: ArrayLike, B: ArrayLike, C: ArrayLike, *, tolerance: float = 1e-8) -> tuple[AnyArray, AnyArray]:
     r"""Triangular factors of both Gramians, shapes (n, n), from one Schur form: no Gramian is ever formed.
 
     .. math:: A P + P A^T + B B^T = 0, \quad P = L_c L_c^T, \qquad A^T Q + Q A + C^T C = 0, \quad Q = L_o L_o^T
@@ -490,7 +475,9 @@ def lyapunov_factors(A: ArrayLike, B: ArrayLike, C: ArrayLike, *, tolerance: flo
     _check_shapes(where, A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
     if n == 0 or not (b.any() or c.any()):
         return np.zeros((n, n)), np.zeros((n, n))
-    s, _, poles, q, _, info = lapack().zgees(lambda _: 0, a)
+    form = form or SchurForm.of(a, where)
+    s, _, poles, q, _, info = lapack().zgees(lambda _: 0, form.T)  # with next to nothing left to do
+    q = form.Z @ q
     if info:
         raise NoTrustworthyNumber(where, "the QR algorithm did not converge")
     if np.real(poles).max() >= 0:
@@ -508,6 +495,7 @@ def _hammarling(a: AnyArray, b: AnyArray, s: AnyArray, q: AnyArray, tolerance: f
     rest, u = (q.conj().T @ b).astype(complex), np.zeros((n, n), complex)
     # Last row of U first; what is left of the right-hand side is again of the form B B^H.
     solve, shifted, poles = lapack().ztrtrs, s.copy(order="F"), s.diagonal().copy()
+    diagonal = np.einsum("ii->i", shifted)
     for k in range(n - 1, -1, -1):
         direction = rest[k].conj()
         size = math.sqrt(np.vdot(direction, direction).real)
@@ -516,7 +504,7 @@ def _hammarling(a: AnyArray, b: AnyArray, s: AnyArray, q: AnyArray, tolerance: f
         decay, direction = math.sqrt(-2 * poles[k].real), direction / size
         u[k, k] = size / decay
         if k:
-            np.einsum("ii->i", shifted)[:k] = poles[:k] + poles[k].conj()
+            diagonal[:k] = poles[:k] + poles[k].conj()
             x, info = solve(shifted[:k, :k], -(decay * (rest[:k] @ direction) + s[:k, k] * u[k, k]))
             if info:
                 raise NoTrustworthyNumber(where, MIRRORED)
@@ -528,12 +516,16 @@ def _hammarling(a: AnyArray, b: AnyArray, s: AnyArray, q: AnyArray, tolerance: f
     # X is real, so its real and imaginary factors side by side are a real factor of it.
     L = np.asarray(np.linalg.qr(np.hstack([np.real(factor), np.imag(factor)]).T, mode="r")).T
     with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
-        half, known = a @ (L @ L.T), b @ b.T
-        size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
-        residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
+        _small_residual(where, a @ (L @ L.T), b @ b.T, tolerance)
+    return L
+
+
+def _small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
+    """Refuse the solution of ``half + half^T + known = 0`` that leaves more than this share of its terms."""
+    size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
+    residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return L
 
 
 # --- judging, and the door to LAPACK ---------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from math import comb
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.statespace import StateSpaceModel
 
 EPS = float(np.finfo(float).eps)
 # Share of the inverse of V that may be rounding, and |F (sI - Lambda)^-1|: beyond them first-order bounds mean nothing.
@@ -28,6 +29,10 @@ SECOND_ORDER = 1.25
 STRETCH = 3000
 # Terms of the expansions of `above` after the constant one, and the share of a radius of convergence that is used.
 DEGREE, RADIUS = 4, 0.9
+# Intervals of a round of `above` that begins with few open ones.
+PIECES = 32
+# Factors of a determinant that share a logarithm, and the modulus down to which their product keeps its digits.
+FACTORS, UNDERFLOW = 4, 1e-290
 # Share that rounding may be of a bound that comes from the squares of these terms.
 SQUARED = 1e-12
 
@@ -60,12 +65,23 @@ class ModalResponse:
     out_error: AnyArray
 
     @classmethod
-    def of(cls, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> ModalResponse | None:
-        """For real matrices of shapes (n, n), (n, m), (p, n), (p, m), n > 0; None where the modes do not span."""
+    def of_model(cls, m: StateSpaceModel) -> ModalResponse | None:
+        """`of`, with the eigenvectors that are known of a model; None of one without states."""
+        return cls.of(m.A, m.B, m.C, m.D, vars(m).get("_eigen")) if m.n_states else None
+
+    @classmethod
+    def of(
+        cls, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, known: tuple[AnyArray, AnyArray] | None = None
+    ) -> ModalResponse | None:
+        """For real matrices of shapes (n, n), (n, m), (p, n), (p, m), n > 0; None where the modes do not span.
+
+        ``known`` are eigenvalues and eigenvectors from elsewhere; whatever they are, bounds are of what they leave.
+        """
         with np.errstate(all="ignore"):  # what overflows here has an infinite bound
             try:
-                poles, V = np.linalg.eig(A)
+                poles, V = known or np.linalg.eig(A)
                 poles = poles.astype(complex)
+                V = V if known is None else np.ascontiguousarray(V) / _lengths(V, 0)
                 inverse = np.linalg.inv(V)
             except np.linalg.LinAlgError:
                 return None
@@ -205,7 +221,7 @@ class ModalResponse:
         A proof for all frequencies up to the last one, or of all where that is infinite. Between two, with middle c and
         half distance h, the gain is that of a polynomial in :math:`(\omega - c) / h` but for its remainder and for
         errors as in `response`; the square of a polynomial is nowhere larger than the largest of its Bernstein
-        coefficients. What is left open is halved, up to ``most`` intervals: None where that does not settle it.
+        coefficients. What is left open is cut, up to ``most`` intervals: None where that does not settle it.
         """
         with np.errstate(all="ignore"):
             if not np.isfinite(ends[-1]):  # from where on the sizes of all terms are enough
@@ -225,33 +241,52 @@ class ModalResponse:
                 if (gain - error > level).any():
                     return middle[gain - error > level]
                 left = ~(top <= level)
-                low, high = np.append(low[left], middle[left]), np.append(middle[left], high[left])
+                # A few that are open hold the highest peak: narrow at once, for a round costs more than an interval.
+                pieces = int(np.clip(PIECES // max(left.sum(), 1), 2, PIECES // 2))
+                cuts = np.linspace(low[left], high[left], pieces + 1, axis=1)
+                low, high = cuts[:, :-1].ravel(), cuts[:, 1:].ravel()
         return np.zeros(0)
 
     def _over(self, middle: AnyArray, half: AnyArray, level: float) -> tuple[AnyArray, AnyArray, AnyArray]:
         """The gain in the middle of intervals, its error, and a bound of the gain in all of each."""
         R = 1 / (1j * middle[:, None] - self.poles)
+        size, sizes = np.abs(R), self.sizes[0] * self.sizes[1]
+        share = half[:, None] * size
+        near = np.where(share < RADIUS, size / (1 - share), np.inf)
+        error, first = self._doubt(near), (R @ self._terms).reshape(-1, *self.direct.shape) + self.direct
+        gain = largest_gain(first)
+        # No mode moves by more; where that is too much, the square of the polynomial tells.
+        top = (gain + (near * share) @ sizes) * (1 + SQUARED) + 2 * error
+        close = np.flatnonzero(~(top <= level))
+        rest = (near[close] * share[close] ** (DEGREE + 1)) @ sizes + (DEGREE + 1) * error[close]
+        close, rest = close[rest < level], rest[rest < level]
+        if len(close):
+            step = -1j * half[close, None] * R[close]
+            top[close] = self._expanded(R[close], step, first[close], level - rest) + rest
+        return gain, error, top
+
+    def _expanded(self, R: AnyArray, step: AnyArray, first: AnyArray, level: AnyArray) -> AnyArray:
+        """Bound of the gain of polynomials with these first terms; no sharper than shows it to be below levels."""
         p, m = self.direct.shape
-        share, step, power, parts = half[:, None] * np.abs(R), -1j * half[:, None] * R, R, []
-        for _ in range(DEGREE + 1):
-            parts.append((power @ self._terms).reshape(-1, p, m))
-            power = power * step
-        parts[0] = parts[0] + self.direct
+        powers = [R]
+        for _ in range(DEGREE):
+            powers.append(powers[-1] * step)
+        parts = (np.stack(powers, axis=1) @ self._terms).reshape(len(R), DEGREE + 1, p, m)
+        parts[:, 0] = first
         if p > m:  # the smaller of the two products
-            parts = [part.transpose(0, 2, 1) for part in parts]
-        square = np.zeros((len(middle), 2 * DEGREE + 1, min(p, m), min(p, m)), complex)
-        for i, one in enumerate(parts):
-            for j, two in enumerate(parts):
-                square[:, i + j] += one @ two.conj().transpose(0, 2, 1)
-        square = np.tensordot(square, BERNSTEIN, (1, 1)).transpose(0, 3, 1, 2)
-        top = np.trace(square, axis1=2, axis2=3).real.max(1)
-        # What follows the polynomial is smaller than a geometric series; each part may be off by as much as the first.
-        error = self._doubt(np.where(share < RADIUS, np.abs(R) / (1 - share), np.inf))
-        rest = (np.abs(power) / (1 - share)) @ (self.sizes[0] * self.sizes[1]) + (DEGREE + 1) * error
-        close = (top > np.maximum(level - rest, 0.0) ** 2) & (rest < level)
-        if min(p, m) > 1 and close.any():
-            top[close] = np.linalg.eigvalsh(square[close])[:, :, -1].max(1)
-        return largest_gain(parts[0]), error, np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED) + rest
+            parts, p, m = parts.transpose(0, 1, 3, 2), m, p
+        rows = parts.reshape(len(R), -1, m)
+        products = (rows @ rows.conj().transpose(0, 2, 1)).reshape(len(R), DEGREE + 1, p, DEGREE + 1, p)
+        square = np.tensordot(BERNSTEIN, products, ((1, 2), (1, 3)))
+        size = np.trace(square, axis1=2, axis2=3).real
+        if p == 2:
+            apart, across = np.real(square[..., 0, 0] - square[..., 1, 1]), np.abs(square[..., 1, 0])
+            size = 0.5 * (size + np.hypot(apart, 2 * across))
+        top = size.max(0)
+        close = top > level**2
+        if p > 2 and close.any():
+            top[close] = np.linalg.eigvalsh(square[:, close])[:, :, -1].max(0)
+        return np.sqrt(np.maximum(top, 0.0)) * (1 + SQUARED)
 
     def log_determinant(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         r"""``log det(sI - A)`` at finite points s, shape (k,), up to whole turns, and bounds of its error.
@@ -265,8 +300,12 @@ class ModalResponse:
 
         def evaluate(s: AnyArray) -> tuple[AnyArray, AnyArray]:
             apart = s[:, None] - self.poles
-            logs, near = np.log(apart), 1.0 / np.abs(apart)
+            near = 1.0 / np.abs(apart)
             worst = (near * spread).max(1)
+            # One logarithm of a few factors: it costs more than their product.
+            groups = np.multiply.reduceat(apart, np.arange(0, n, FACTORS), axis=1)
+            groups[~(np.abs(groups) > UNDERFLOW)] = np.nan
+            logs = np.log(groups)
             error = near @ own + n * worst**2 / (1 - worst) + 8 * EPS * (np.abs(logs).sum(1) + n)
             return logs.sum(1), np.where((worst < KNOWN) & (error < np.inf), SECOND_ORDER * error, np.inf)
 
@@ -275,12 +314,14 @@ class ModalResponse:
 
 
 def _bernstein(degree: int) -> AnyArray:
-    """Coefficients of powers of t in -1 .. 1, in columns, in Bernstein's basis, in rows."""
-    rows = [np.poly([1.0] * (degree - i) + [-1.0] * i) for i in range(degree + 1)]  # (t - 1)^(n - i) (t + 1)^i
-    return np.array([[row[k] / comb(degree, k) for k in range(degree + 1)] for row in rows])
+    """Coefficients of ``t^i t^j``, t in -1 .. 1, in Bernstein's basis of twice this degree, in (.., i, j)."""
+    n = 2 * degree
+    rows = [np.poly([1.0] * (n - k) + [-1.0] * k) for k in range(n + 1)]  # (t - 1)^(n - k) (t + 1)^k
+    powers = np.array([[row[k] / comb(n, k) for k in range(n + 1)] for row in rows])
+    return powers[:, np.add.outer(range(degree + 1), range(degree + 1))]
 
 
-BERNSTEIN = _bernstein(2 * DEGREE)
+BERNSTEIN = _bernstein(DEGREE)
 
 
 def largest_gain(response: AnyArray) -> AnyArray:

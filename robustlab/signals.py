@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,7 +67,7 @@ def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceM
 def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: str) -> tuple[Signal, ...]:
     """``count`` uniquely named signals; ``prefix1, prefix2, ...`` where none are given."""
     if given is None:
-        return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
+        return _numbered(prefix, count)
     if isinstance(given, str):
         given = [given]
     if not isinstance(given, Iterable):
@@ -86,6 +87,11 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
     return tuple(result)
+
+
+@cache
+def _numbered(prefix: str, count: int) -> tuple[Signal, ...]:
+    return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
 
 
 def indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> list[int]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array, is_rank_deficient
+from robustlab.arrays import AnyArray, Array, is_rank_deficient
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -118,17 +118,25 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
     def _with_matrices(
-        self, A: Array, B: Array, C: Array, D: Array, poles: NDArray[np.complex128] | None = None
+        self, A: Array, B: Array, C: Array, D: Array, poles: AnyArray | None = None, modes: AnyArray | None = None
     ) -> StateSpaceModel:
-        """In other states of the same number, with poles that are known; nothing is checked or copied: for steps."""
+        """In other states of the same number, with what is known of the modes; nothing is checked or copied."""
         model = object.__new__(type(self))
         for matrix in (A, B, C, D):
             matrix.setflags(write=False)
-        vars(model).update(vars(self), A=A, B=B, C=C, D=D, operating_point=None)
-        vars(model).pop("_poles", None)
-        if poles is not None:
-            vars(model)["_poles"] = poles
+        known = {"_poles": poles, "_eigen": None if modes is None else (poles, modes)}
+        kept = {name: value for name, value in vars(self).items() if name not in known}
+        vars(model).update(kept | {name: value for name, value in known.items() if value is not None})
+        vars(model).update(A=A, B=B, C=C, D=D, operating_point=None)
         return model
+
+    def _in_states(
+        self, t: Array | float, A: Array, B: Array, C: Array, D: Array | None = None, rate: float = 1.0
+    ) -> StateSpaceModel:
+        """In the states ``x / t`` and the time unit ``1 / rate``, with all that is known of the poles."""
+        poles, modes = vars(self).get("_eigen") or (vars(self).get("_poles"), None)
+        poles, modes = None if poles is None else poles / rate, None if modes is None else (modes.T / t).T
+        return self._with_matrices(A, B, C, self.D if D is None else D, poles, modes)
 
     # --- sizes and names ---------------------------------------------------------------------------------------------
 
@@ -177,6 +185,13 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     def _poles(self) -> NDArray[np.complex128]:
         """Computed once: the model does not change."""
         return np.linalg.eigvals(self.A).astype(np.complex128) if self.n_states else np.zeros(0, np.complex128)
+
+    def _with_modes(self, known: tuple[AnyArray, AnyArray] | None = None) -> StateSpaceModel:
+        """Itself, with the eigenvectors of A computed beside the poles, or known: for steps that need both."""
+        if "_eigen" not in vars(self) and self.n_states:
+            poles, modes = known or np.linalg.eig(self.A)
+            vars(self).update(_poles=poles.astype(np.complex128), _eigen=(poles.astype(np.complex128), modes))
+        return self
 
     def spectral_abscissa(self) -> float:
         """Largest real part of the poles (dt = 0), or largest modulus minus one (dt > 0); -inf without states.
@@ -492,15 +507,19 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     c1, c2 = P.C[:n_z], P.C[n_z:]
     d11, d12, d21, d22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
     # u = (I - DK D22)^-1 (CK xk + DK (C2 x + D21 w))
-    e = np.eye(n_u) - K.D @ d22
-    if n_u and np.linalg.cond(e) > 1e12:
-        raise InputError("lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop")
     with np.errstate(over="ignore", invalid="ignore"):
-        f = np.linalg.solve(e, np.hstack([K.D @ c2, K.C, K.D @ d21]))
+        f = np.hstack([K.D @ c2, K.C, K.D @ d21])
+        if d22.any() and K.D.any():
+            e = np.eye(n_u) - K.D @ d22
+            if np.linalg.cond(e) > 1e12:
+                raise InputError(
+                    "lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop"
+                )
+            f = np.linalg.solve(e, f)
         n, nk = P.n_states, K.n_states
         u_x, u_k, u_w = f[:, :n], f[:, n : n + nk], f[:, n + nk :]
         y_x, y_k, y_w = c2 + d22 @ u_x, d22 @ u_k, d21 + d22 @ u_w
-        a = np.block([[P.A + b2 @ u_x, b2 @ u_k], [K.B @ y_x, K.A + K.B @ y_k]])
+        a = np.hstack([np.vstack([P.A + b2 @ u_x, K.B @ y_x]), np.vstack([b2 @ u_k, K.A + K.B @ y_k])])
         b = np.vstack([b1 + b2 @ u_w, K.B @ y_w])
         c = np.hstack([c1 + d12 @ u_x, d12 @ u_k])
         d = d11 + d12 @ u_w

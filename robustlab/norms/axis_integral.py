@@ -148,7 +148,7 @@ def panel_ends(poles: AnyArray, dt: float, tuning: AxisTuning = TUNING) -> AnyAr
     ends, own = np.concatenate([at[:, None] + away, at[:, None] - away]), np.concatenate([own, own])
     inside = (ends > 0) & (ends < last)
     ends, own = ends[inside], own[inside]
-    nearest = np.abs(1j * ends[:, None] - np.concatenate([poles, poles.conj()])).min(axis=1, initial=np.inf)
+    nearest = np.abs(1j * ends[:, None] - poles).min(axis=1, initial=np.inf)  # the conjugate ones are further away
     ends = np.unique(np.concatenate([[0.0, last], ends[own <= tuning.nearer * nearest]]))
     return ends if nyquist else np.append(ends, 2 * last)
 
@@ -169,7 +169,7 @@ def mean_square_gain(m: StateSpaceModel, tuning: AxisTuning = TUNING, *, careful
     """
     if not m.n_states or not m.n_inputs or not m.n_outputs:
         return float((m.D**2).sum()), True
-    modes = None if careful else ModalResponse.of(m.A, m.B, m.C, m.D)
+    modes = None if careful else ModalResponse.of_model(m)
     if modes is not None:
         square, error = modes.mean_square(m.is_discrete)
         if error <= tuning.rtol * square:

@@ -34,7 +34,7 @@ LOOKED_AT, ROUGHLY = 3, 1e4
 # Frequencies at which the states are solved for where the bound by the modes is too coarse, those where it is largest.
 REACHES = 40
 # How much wider the intervals of a proof get away from a pole.
-COVER = AxisTuning(growth=2.0)
+COVER = AxisTuning(growth=3.0)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     bordered[:n, :n], bordered[:n, n], bordered[n, :n] = a, _lengths(b, 1), level * _lengths(c, 0)
     scale = lapack().dgebal(bordered, scale=1, overwrite_a=1)[3]
     t = scale[:n] / scale[n]
-    return m._with_matrices(a / t[:, None] * t, b / t[:, None], c * t, m.D, m.poles() / rate), rate
+    return m._in_states(t, a / t[:, None] * t, b / t[:, None], c * t, rate=rate), rate
 
 
 def _lengths(matrix: AnyArray, axis: int) -> AnyArray:
@@ -121,7 +121,7 @@ class _Gains:
 
     def __init__(self, m: StateSpaceModel, share: float) -> None:
         self.model, self.share = m, share
-        self.modes = ModalResponse.of(m.A, m.B, m.C, m.D)
+        self.modes = ModalResponse.of_model(m)
         # Bound of |(jw I - A)^-1 B| at all frequencies searched so far; these, the gain with what rounding may add, and
         # that bound at each.
         self.reach = 0.0

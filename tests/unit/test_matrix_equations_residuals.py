@@ -8,7 +8,7 @@ import scipy.linalg
 
 from robustlab import matrix_equations
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.matrix_equations import care, dare, gramians, hamiltonian_riccati, lyapunov
+from robustlab.matrix_equations import SchurForm, care, dare, hamiltonian_riccati, lyapunov
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
@@ -104,27 +104,25 @@ def test_lyapunov_without_a_unique_solution():
         lyapunov(np.diag([1.0, -1.0]), np.ones((2, 2)))
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 7])
-def test_gramians_solve_both_equations(n):
+@pytest.mark.parametrize("n", [1, 2, 7])
+def test_one_schur_form_gives_both_gramians_and_the_modes(n):
     rng = np.random.default_rng(n)
     A = rng.standard_normal((n, n)) - 3 * np.eye(n)
     B, C = rng.standard_normal((n, 2)), rng.standard_normal((3, n))
-    P, Q = gramians(A, B, C)
+    form = SchurForm.of(A, "here")
+    P, Q = form.gramian(B), form.gramian(C.T, dual=True)
     np.testing.assert_allclose(A @ P + P @ A.T + B @ B.T, 0, atol=1e-11)
     np.testing.assert_allclose(A.T @ Q + Q @ A + C.T @ C, 0, atol=1e-11)
-    A = A / 10
-    P, Q = gramians(A, B, C, discrete=True)
-    np.testing.assert_allclose(A @ P @ A.T - P + B @ B.T, 0, atol=1e-11)
-    np.testing.assert_allclose(A.T @ Q @ A - Q + C.T @ C, 0, atol=1e-11)
+    poles, modes = form.modes()
+    np.testing.assert_allclose(A @ modes, modes * poles, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(modes, axis=0), 1)
 
 
-def test_gramians_refuse_what_has_no_solution():
+@pytest.mark.parametrize("A", [np.zeros((1, 1)), np.diag([1.0, -1.0])])
+@pytest.mark.parametrize("dual", [False, True])
+def test_a_gramian_that_does_not_exist_is_refused(A, dual):
     with pytest.raises(NoTrustworthyNumber):
-        gramians([[0.0]], [[1.0]], [[1.0]])
-    with pytest.raises(NoTrustworthyNumber):
-        gramians(np.diag([1.0, -1.0]), np.ones((2, 1)), np.ones((1, 2)))
-    with pytest.raises(InputError, match="B is"):
-        gramians(np.eye(2), np.ones((1, 1)), np.ones((1, 2)))
+        SchurForm.of(A, "here").gramian(np.ones((len(A), 1)), dual=dual)
 
 
 @pytest.mark.parametrize("n", [1, 2, 6])

@@ -118,17 +118,37 @@ def exact_mean_square(A, B, C, D, discrete):
     return Fraction(int(found.p), int(found.q))
 
 
+@pytest.mark.parametrize("n", [4, 7])
 @pytest.mark.parametrize("damping", [0.5, 1e-6])
-def test_the_determinant_is_within_its_bound(damping):
-    A, B, C, D = model(3, 4, damping, 1)
+def test_the_determinant_is_within_its_bound(n, damping):
+    A, B, C, D = model(3, n, damping, 1)
     modes = ModalResponse.of(A, B, C, D)
     p = characteristic([[Fraction(x) for x in row] for row in A.tolist()])
     for s in (0.0, 1.0, 50.0, *np.abs(modes.poles.imag)):
         (value,), (error,) = modes.log_determinant(np.array([1j * s]))
-        turned = [c * Fraction(s) ** (4 - k) * (1 if (4 - k) % 4 < 2 else -1) for k, c in enumerate(p)]  # i^2 = -1
-        real, imag = sum(turned[0::2]), sum(turned[1::2])
+        turned = [c * Fraction(s) ** (n - k) * (1 if (n - k) % 4 < 2 else -1) for k, c in enumerate(p)]  # i^2 = -1
+        real, imag = sum(turned[n % 2 :: 2]), sum(turned[1 - n % 2 :: 2])
         assert error < 1e-5
         assert abs(np.exp(value) / complex(float(real), float(imag)) - 1) <= 1.01 * error
+
+
+def test_a_determinant_whose_factors_underflow_has_no_bound():
+    modes = ModalResponse.of(np.diag([-1e-80, -2e-80, -3e-80, -4e-80]), np.eye(4), np.eye(4), np.zeros((4, 4)))
+    assert np.isinf(modes.log_determinant(np.zeros(1, complex))[1]).all()
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-4])
+def test_eigenvectors_from_elsewhere_have_bounds_that_hold(off):
+    A, B, C, D = model(5, 4, 0.1, 1)
+    poles, vectors = np.linalg.eig(A)
+    known = poles * (1 + off), 7 * vectors + off * np.ones((4, 4))
+    modes = ModalResponse.of(A, B, C, D, known)
+    own = ModalResponse.of(A, B, C, D)
+    for s in 1j * np.array([0.0, 1.0, *np.abs(poles)]):
+        exact = exact_response(A, B, C, D, s)
+        found, bound, _ = modes.response(np.array([s]))
+        assert np.isinf(bound[0]) or np.linalg.norm(found[0] - exact) <= bound[0]
+        assert off or bound[0] <= 10 * own.response(np.array([s]))[1][0]
 
 
 def characteristic(A):

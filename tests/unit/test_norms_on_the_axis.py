@@ -381,7 +381,7 @@ def test_an_index_that_the_second_voice_contradicts_is_not_certified(monkeypatch
     assert found.status is Status.INACCURATE
 
 
-@pytest.mark.parametrize(("n_in", "n_out"), [(1, 1), (2, 3)])
+@pytest.mark.parametrize(("n_in", "n_out"), [(1, 1), (2, 2), (2, 3), (4, 3)])
 def test_a_level_proved_by_intervals_is_that_of_the_hamiltonian(n_in, n_out):
     rng = np.random.default_rng(n_in)
     A = rng.normal(size=(24, 24))

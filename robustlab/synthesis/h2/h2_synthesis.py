@@ -370,8 +370,7 @@ def cancelled_direct_term(loop: StateSpaceModel, D11: AnyArray, D_K: AnyArray) -
     allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(D_K).max(initial=0.0))
     if np.abs(loop.D).max(initial=0.0) > allowed:
         return None
-    nothing = np.zeros_like(loop.D)
-    return StateSpaceModel(loop.A, loop.B, loop.C, nothing, 0.0, loop.inputs, loop.outputs, loop.states)
+    return loop._in_states(1.0, loop.A, loop.B, loop.C, np.zeros_like(loop.D))
 
 
 def _with_gain(p: PlantMatrices, gain: AnyArray) -> PlantMatrices:

@@ -38,8 +38,8 @@ _Candidate = TypeVar("_Candidate")
 class SecondVoice:
     """What P(jw) and K(jw) say of a norm."""
 
-    # lower, upper: of the largest gain at the frequencies evaluated (of the H2 norm: by quadrature): the value less
-    # and plus the bound of its error
+    # lower, upper: of the largest gain at the frequencies evaluated (of the H2 norm: by residues, or by quadrature): the
+    # value less and plus the bound of its error
     lower: float
     upper: float
     value: float  # the largest gain itself
@@ -175,23 +175,25 @@ def _between(omega: AnyArray, gain: AnyArray, tuning: ProblemTuning) -> AnyArray
 def h2_voice(
     plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, claimed: float, tuning: ProblemTuning = TUNING
 ) -> SecondVoice:
-    r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles (`axis_integral`).
+    r"""The H2 norm of the loop of P and K.
 
     .. math:: \|T\|_2^2 = \frac1\pi \int_0^\infty \|T(j\omega) - T(\infty)\|_F^2 d\omega, \qquad
        \frac{dt}\pi \int_0^{\pi/dt} \|T(e^{j\omega dt})\|_F^2 d\omega
 
-    Infinite where a direct term of continuous time is more than rounding. Of a loop of many states
-    the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response. Squares
-    are taken in units of ``claimed``.
+    By the residues of the rebuilt loop's modes, which no Gramian enters, give or take their error and the H2 norm of
+    the difference between that loop's response and T. Where a loop of few states leaves that wide, by quadrature of T,
+    adaptive around the loop's poles (`axis_integral`); with many states the norm ``claimed`` is taken where there are
+    no modes. Infinite where a direct term of continuous time is more than rounding. Squares are taken in units of
+    ``claimed``.
     """
     separate = SeparateLoop(plant, K, loop, tuning)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows in these units is no confirmation
-        norm, blur, rouche, count = _by_quadrature(separate, claimed)
+        norm, blur, rouche, count = _h2_norm(separate, claimed)
     stable = separate.proved_stable()
     return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
 
 
-def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float, float, int]:
+def _h2_norm(separate: SeparateLoop, claimed: float) -> tuple[float, float, float, int]:
     """The H2 norm, the bound of its error, Rouche's relative difference, and the number of frequencies."""
     tuning = separate.tuning
     grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
@@ -207,9 +209,14 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
     exponent = np.frexp(claimed)[1] if 0 < claimed < np.inf else 0
     # Of T as it is evaluated, a power of two near the claimed norm.
     unit = int(exponent + separate.gain - np.floor(power))
-    if separate.loop.n_states > tuning.many_states:
-        blur = float(np.sqrt(scale * _difference(grid, direct, separate, unit)))
-        return claimed, _in_units_given(blur, unit, separate.gain, power), rouche, len(grid.omega)
+    blur = float(np.sqrt(scale * _difference(grid, direct, separate, unit)))
+    blur = _in_units_given(blur, unit, separate.gain, power)
+    norm, error = _by_residues(separate)
+    norm, error = (_in_units_given(x, 0, separate.gain, power) for x in (norm, error))
+    sure = error <= tuning.modes * norm
+    norm, blur = (norm, blur + error) if sure else (claimed, blur)
+    if separate.loop.n_states > tuning.many_states or (sure and blur <= tuning.modes * norm):
+        return norm, blur, rouche, len(grid.omega)
 
     def squares(omega: AnyArray) -> AnyArray:
         found = separate.values(omega, everywhere=True)
@@ -223,6 +230,16 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
     blur = float(np.sqrt(scale * error)) + (0.5 * found.open / value * norm if value > 0 else 0.0)
     norm, blur = (_in_units_given(x, unit, separate.gain, power) for x in (norm, blur))
     return norm, blur, rouche, len(grid.omega) + found.points
+
+
+def _by_residues(separate: SeparateLoop) -> tuple[float, float]:
+    """The H2 norm of the rebuilt loop from its modes, and the bound of its error, infinite where there is none."""
+    modes, loop = separate.modes[0], separate.loop
+    if modes is None or (not loop.is_discrete and loop.D.any()):
+        return 0.0, np.inf
+    square, error = modes.mean_square(loop.is_discrete)
+    norm = float(np.sqrt(max(square, 0.0)))
+    return norm, error / norm if norm else np.inf
 
 
 def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:

@@ -78,20 +78,18 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
     """The same response, exactly: states scaled by powers of two, so that rows of [A B] and columns of [A; C] have
     about the same size.
     """
-    from scipy.linalg import matrix_balance
-
     n, m, p = model.n_states, model.n_inputs, model.n_outputs
     if not n:
         return model
     whole = np.zeros((n + m + p,) * 2)
     whole[:n, :n], whole[:n, n : n + m], whole[n + m :, :n] = model.A, model.B, model.C
-    with np.errstate(invalid="ignore", over="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        scale = np.asarray(matrix_balance(whole, permute=False, separate=True)[1][0])[:n]
+    scale = balancing_factors(whole)[:n]
+    with np.errstate(invalid="ignore", over="ignore"):
         A, B, C = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
-    exact = np.array_equal(A / scale * scale[:, None], model.A) and np.array_equal(B * scale[:, None], model.B)
-    if not exact or not np.array_equal(C / scale, model.C):  # overflow, or digits lost to underflow
-        return model
-    return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
+        exact = (A / scale * scale[:, None] == model.A).all() and (B * scale[:, None] == model.B).all()
+        if not exact or not (C / scale == model.C).all():  # overflow, or digits lost to underflow
+            return model
+    return model._in_states(scale, A, B, C)
 
 
 def moderate_states(model: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel | None]:
@@ -160,5 +158,5 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     if not loop.n_states:
         return True
     t = balancing_factors(loop.A)
-    size = float(np.linalg.norm(loop.A / t[:, None] * t, 1))
-    return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)
+    size = max(float(np.linalg.norm(loop.A / t[:, None] * t, 1)), 1.0 if loop.is_discrete else 0.0)
+    return loop._with_modes().spectral_abscissa() < -10 * float(np.finfo(float).eps) * size

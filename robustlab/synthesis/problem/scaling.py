@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_power
+from robustlab.magnitude import LARGEST, SMALLEST, TINY, balancing_exponents, times_power
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
@@ -60,16 +61,17 @@ class Scaling:
         k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
         t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
         rows = -t[:, None] - k
-        return PlantMatrices(
-            _signed(p.A, rows + t),
-            times_power(p.B1, rows + w),
-            times_power(p.B2, rows + u),
-            times_power(p.C1, t + z),
-            times_power(p.C2, t + y),
-            times_power(p.D11, w + z),
-            times_power(p.D12, u + z),
-            times_power(p.D21, w + y),
-        )
+        with np.errstate(over="ignore", under="ignore"):
+            return PlantMatrices(
+                _signed(p.A, rows + t),
+                np.ldexp(p.B1, rows + w),
+                np.ldexp(p.B2, rows + u),
+                np.ldexp(p.C1, t + z),
+                np.ldexp(p.C2, t + y),
+                np.ldexp(p.D11, w + z),
+                np.ldexp(p.D12, u + z),
+                np.ldexp(p.D21, w + y),
+            )
 
     def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
@@ -111,7 +113,8 @@ def _is_ordinary(p: PlantMatrices) -> bool:
     # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
     sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
     sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
-    return is_moderate(*np.concatenate(sizes)[:, None])
+    found = np.concatenate(sizes)
+    return bool(((found == 0) | ((found >= SMALLEST) & (found <= LARGEST))).all())
 
 
 def _start(p: PlantMatrices, discrete: bool) -> Scaling:
@@ -119,7 +122,8 @@ def _start(p: PlantMatrices, discrete: bool) -> Scaling:
         return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
-    rate = float(_power(float(np.median(size)))) if len(size) else 1.0
+    size.sort()
+    rate = float(_power(0.5 * (size[(len(size) - 1) // 2] + size[len(size) // 2]))) if len(size) else 1.0
     n, _, n_u, _, n_y = p.sizes
     return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
 
@@ -214,7 +218,11 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     squares[n, :n] = (p.C1**2).sum(0) + (p.C2**2).sum(0)
     np.fill_diagonal(squares, 0.0)
     for _ in range(sweeps):
-        settled = True
+        sizes = squares.sum(1)[:n], squares.sum(0)[:n]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.subtract(*np.log2(sizes))
+        if not np.round(0.25 * off[np.isfinite(off)]).any():  # what the sweep would find
+            break
         for i in range(n):
             row, column = float(squares[i].sum()), float(squares[:, i].sum())
             if not (0 < row < np.inf and 0 < column < np.inf):
@@ -224,9 +232,6 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
                 squares[i] *= 4.0**-power
                 squares[:, i] *= 4.0**power
                 t[i] *= 2.0**power
-                settled = False
-        if settled:
-            break
     return t
 
 
@@ -237,20 +242,27 @@ def paths_first(p: PlantMatrices, discrete: bool = False, slower: float = 1.0) -
     """
     s = _start(p, discrete)
     s = replace(s, rate=s.rate / slower)
+    q = s.apply(p)
     for last in (False, False, True):
-        q = s.apply(p)
         if (s.z, s.w) == (1.0, 1.0):
             z = float(_power(1 / (_rms(q.D12) or _rms(q.C1) or 1.0)))
             w = float(_power(1 / (_rms(q.D21) or _rms(q.B1) or 1.0)))
-            s = Scaling(s.rate, s.states, s.u, s.y, s.w * w, s.z * z)
-        s = Scaling(s.rate, _osborne(s.apply(p), s.states, 20), s.u, s.y, s.w, s.z)
+            s, q = _changed(s, q, p, w=w, z=z)
+        s, q = _changed(s, q, p, states=_osborne(q, s.states, 20))
         if last:
             return s
-        q = s.apply(p)
         u = _channel(np.linalg.norm(q.D12, axis=0), np.linalg.norm(q.B2, axis=0))
         y = _channel(np.linalg.norm(q.D21, axis=1), np.linalg.norm(q.C2, axis=1))
-        s = Scaling(s.rate, s.states, s.u / u, s.y / y, s.w, s.z)
+        s, q = _changed(s, q, p, u=s.u / u, y=s.y / y)
     return s
+
+
+def _changed(s: Scaling, q: PlantMatrices, p: PlantMatrices, **factors: Any) -> tuple[Scaling, PlantMatrices]:
+    """A scaling with other factors, and the plant that it makes of p: q where these are the same as before."""
+    if all(np.array_equal(factor, getattr(s, name)) for name, factor in factors.items()):
+        return s, q
+    s = replace(s, **factors)
+    return s, s.apply(p)
 
 
 def _channel(direct: AnyArray, dynamic: AnyArray) -> AnyArray:

@@ -38,9 +38,13 @@ from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
+# Squares of entries that make a norm above this, or below its inverse, neither vanish nor overflow.
+PLAIN = 1e-120
 # Steps towards an enclosure of the error.
 ENCLOSING = 12
 EPS = float(np.finfo(float).eps)
+# Ratio of a pole's distance from the axis to its frequency below which that frequency stands for its resonance, too.
+LIGHT = 0.2
 
 
 class SeparateValues(NamedTuple):
@@ -81,7 +85,7 @@ class SeparateLoop:
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
         models = (self.loop, self.P, self.K)
-        self.modes = [ModalResponse.of(m.A, m.B, m.C, m.D) if m.n_states else None for m in models]
+        self.modes = [ModalResponse.of_model(m) for m in models]
         self.poles = [
             poles_in_s(m.poles() if modes is None else modes.poles, self.dt)
             for m, modes in zip(models, self.modes, strict=True)
@@ -100,8 +104,10 @@ class SeparateLoop:
         """Frequencies of all poles and of their resonances, increasing."""
         poles = np.concatenate(self.poles)
         re, im = np.abs(np.real(poles)), np.abs(np.imag(poles))
+        # Those of one pole lie within a tenth of its distance to the axis where it is damped lightly.
+        apart = re > LIGHT * im
         resonance = np.sqrt(np.maximum(im - re, 0.0)) * np.sqrt(im + re)  # no squares
-        own = np.unique(np.concatenate([np.abs(poles), im, resonance]))
+        own = np.unique(np.concatenate([im, np.abs(poles)[apart], resonance[apart]]))
         own = own[np.isfinite(own) & (own > 0)]
         return own[own > 1e-20 * own[-1]] if len(own) else np.ones(1)
 
@@ -186,7 +192,8 @@ class SeparateLoop:
 
     def _chunk(self, omega: AnyArray, kind: Any, polynomial: bool) -> SeparateValues:
         s = np.exp(1j * omega * self.dt) if self.dt else _on_axis(omega)
-        P, K = (_response(m, s, kind, modes) for m, modes in zip((self.P, self.K), self.modes[1:], strict=True))
+        models = zip((self.P, self.K), self.modes[1:], strict=True)
+        P, K = (_response(m, s, kind, modes, polynomial) for m, modes in models)
         T, T_error, size, log_det, log_det_error = _closed(P, K, kind)
         rouche = np.zeros(len(omega))
         if polynomial:
@@ -201,7 +208,7 @@ class SeparateLoop:
             return SeparateValues(omega, T, T_error, none, none, rouche, none)
         gain = np.full(len(omega), np.nan)
         sound = np.isfinite(T).all(axis=(1, 2))
-        gain[sound] = np.linalg.norm(T[sound], 2, axis=(1, 2))
+        gain[sound] = np.linalg.svd(T[sound], compute_uv=False)[:, 0]
         error = frobenius(T_error) + 16 * EPS * gain
         error = np.where(np.isnan(error), np.inf, error)
         return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
@@ -282,10 +289,12 @@ def _solved(matrix: Any, of: AnyArray, kind: Any) -> tuple[Any, AnyArray, _LogDe
     n = of.shape[-1]
     if kind is not DoubleDouble:
         sign, log = np.linalg.slogdet(matrix)
-        found = np.full(matrix.shape, np.nan + 0j)
         sound = np.isfinite(log)
+        found = np.full(matrix.shape, np.nan + 0j)
         try:
-            found[sound] = np.linalg.inv(matrix[sound])
+            found = np.linalg.inv(matrix) if sound.all() else found
+            if not sound.all():
+                found[sound] = np.linalg.inv(matrix[sound])
         except np.linalg.LinAlgError:  # a pivot underflows where the determinant does not
             found[:] = np.nan
         log_det = np.log(sign) + log
@@ -333,22 +342,23 @@ def _shifted(m: StateSpaceModel, s: AnyArray, kind: Any) -> Any:
     return kind.of(diagonal) - kind.of(np.broadcast_to(m.A, diagonal.shape))
 
 
-def _response(m: StateSpaceModel, s: AnyArray, kind: Any, modes: ModalResponse | None) -> _Response:
+def _response(m: StateSpaceModel, s: AnyArray, kind: Any, modes: ModalResponse | None, polynomial: bool) -> _Response:
     k, infinite = len(s), ~np.isfinite(s)
-    b, c, d = (kind.of(np.broadcast_to(x, (k, *x.shape))) for x in (m.B, m.C, m.D))
+    d, unknown = np.broadcast_to(m.D, (k, *m.D.shape)), _LogDet(np.zeros(k), np.full(k, np.inf))
     if not m.n_states:
-        return _Response(d, np.zeros((k, *m.D.shape)), np.zeros(k, complex), np.zeros(k))
+        return _Response(kind.of(d), np.zeros(d.shape), np.zeros(k, complex), np.zeros(k))
     if kind is not _Modal:
+        b, c, d = (kind.of(np.broadcast_to(x, (k, *x.shape))) for x in (m.B, m.C, m.D))
         a = _inverted(_shifted(m, s, kind), kind)
         found = _through(c, a, b)
         value, error = found.value + d, found.error + a.rounding * (abs(found.value) + abs(d))
         logarithm = _LogDet(a.log_det, a.log_det_error)
     elif modes is None:
-        value, error = d, np.full((k, *m.D.shape), np.inf)
-        logarithm = _LogDet(np.zeros(k), np.full(k, np.inf))
+        value, error, logarithm = d, np.full(d.shape, np.inf), unknown
     else:
         finite = np.where(infinite, 0.0, s)
-        (value, error), logarithm = modes.entries(finite), _LogDet(*modes.log_determinant(finite))
+        value, error = modes.entries(finite)
+        logarithm = _LogDet(*modes.log_determinant(finite)) if polynomial else unknown
     if infinite.any():
         value, error = _chosen(infinite, d, value), np.where(infinite[:, None, None], 0.0, error)
     return _Response(value, error, *logarithm)
@@ -400,6 +410,9 @@ def poles_in_s(poles: AnyArray, dt: float) -> AnyArray:
 
 def frobenius(stack: AnyArray) -> AnyArray:
     """Norm of each matrix, without overflow or underflow of squares."""
+    plain = np.sqrt((np.real(stack) ** 2 + np.imag(stack) ** 2).sum(axis=(1, 2)))
+    if ((plain > PLAIN) & (plain < 1 / PLAIN)).all():
+        return plain
     size = np.abs(stack).max(axis=(1, 2))
     scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
     return scale * np.linalg.norm(stack / scale[:, None, None], axis=(1, 2))

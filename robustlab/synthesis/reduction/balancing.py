@@ -16,7 +16,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors
-from robustlab.matrix_equations import lyapunov_factors
+from robustlab.matrix_equations import SchurForm, lyapunov_factors
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.synthesis.problem.double_double import sum_of_products
@@ -55,7 +55,8 @@ class SplitModel:
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
         """The sum, with a reduced stable part; states of that first."""
-        return parallel(reduced, self.apart).renamed(self.whole.inputs, self.whole.outputs)
+        both = parallel(reduced, self.apart) if self.apart.n_states else reduced
+        return both.renamed(self.whole.inputs, self.whole.outputs)
 
     def rounding(self) -> StateSpaceModel | None:
         r"""The model less the sum of its parts, exactly but for one rounding of each residual; None where that is zero.
@@ -137,9 +138,15 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
     The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are.
     """
     m = bilinear_to_continuous(model) if model.is_discrete else model
+    if not m.n_states:
+        return np.zeros((0, 0)), np.zeros((0, 0))
     scale = balancing_factors(m.A)
     a = m.A / scale[:, None] * scale
-    reach, see = lyapunov_factors(a, m.B / scale[:, None], m.C * scale)
+    form = SchurForm.of(a, "lyapunov_factors")
+    reach, see = lyapunov_factors(a, m.B / scale[:, None], m.C * scale, form)
+    if m is model:
+        poles, modes = form.modes()
+        model._with_modes((poles, scale[:, None] * modes))
     return scale[:, None] * reach, see / scale[:, None]
 
 

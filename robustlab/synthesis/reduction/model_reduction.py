@@ -12,7 +12,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response, response_within
 from robustlab.magnitude import Moderated, moderated, scaled_down
-from robustlab.modal_response import ModalResponse
+from robustlab.modal_response import ModalResponse, largest_gain
 from robustlab.norms import (
     HinfNorm,
     bilinear_to_continuous,
@@ -306,11 +306,15 @@ class _Way:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """Proved sizes of a difference, `ReducedModel.error` and `.difference`, and the frequencies they do not hold at."""
+    """Proved sizes of a difference, `ReducedModel.error` and `.difference`, and the frequencies they do not hold at.
+
+    ``parts`` may know the eigenvectors of a model that is looked at; errors are bounded from that model itself.
+    """
 
     error: HinfNorm
     difference: HinfNorm | None = None
     left_out: tuple[Band, ...] = ()
+    parts: tuple[StateSpaceModel, ...] = ()
 
 
 def _balanced_reduction(
@@ -337,15 +341,14 @@ def _balanced_reduction(
 
     def candidate(order: int) -> ReducedModel:
         small = way.reduced(order - apart)
-        if small.n_states and not small.is_stable():
+        if small.n_states and not small._with_modes().is_stable():
             raise NoTrustworthyNumber(
                 "reduce_model",
                 f"the model of order {small.n_states + apart} is not stable",
                 hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
-        both = parallel(stable, small, -1)
-        difference = both._with_matrices(both.A, both.B, both.C, both.D, np.append(stable.poles(), small.poles()))
-        evidence = _evidence(way, ordinary, lost, difference)
+        difference = _difference(stable, small)
+        evidence = replace(_evidence(way, ordinary, lost, difference), parts=(stable, small))
         model = ordinary.as_given(split.joined(small), "reduce_model")
         found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart)
         if method == "hankel":
@@ -354,6 +357,17 @@ def _balanced_reduction(
 
     limits = np.zeros(way.most + 1) if np.isnan(way.bound(0)) else np.append(way.values, 0.0)
     return candidate, apart, apart + way.most, limits
+
+
+def _difference(stable: StateSpaceModel, small: StateSpaceModel) -> StateSpaceModel:
+    """The first less the second, with the poles and modes of both."""
+    both, n = parallel(stable, small, -1), stable.n_states
+    if not (n and small.n_states):
+        return both
+    parts = [vars(m._with_modes())["_eigen"] for m in (stable, small)]
+    modes = np.zeros(both.A.shape, np.result_type(*(vectors for _, vectors in parts)))
+    modes[:n, :n], modes[n:, n:] = (vectors for _, vectors in parts)
+    return both._with_matrices(both.A, both.B, both.C, both.D, np.concatenate([poles for poles, _ in parts]), modes)
 
 
 def _evidence(way: _Way, ordinary: Moderated, lost: SplitError, difference: StateSpaceModel) -> _Evidence:
@@ -525,7 +539,7 @@ def _checked(
     if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
     if not reason and method != "coprime":
-        seen, size = _seen_difference(full, named, way, evidence.left_out)
+        seen, size = _seen_difference(full, named, way, evidence)
         size = 1.0 if method == "stochastic" else size
         if seen > error.upper * (1 + 1e-6) + OVERLOOKED * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
@@ -536,7 +550,7 @@ def _checked(
 
 
 def _seen_difference(
-    full: StateSpaceModel, model: StateSpaceModel, way: _Way, left_out: tuple[Band, ...]
+    full: StateSpaceModel, model: StateSpaceModel, way: _Way, evidence: _Evidence
 ) -> tuple[float, float]:
     """Largest difference of the two responses, as it is measured, on a grid away from poles, less the bounds of their
     errors where they come from the modes; and the size of the responses.
@@ -546,20 +560,25 @@ def _seen_difference(
     omega = np.append(default_grid(full, 40) * 1.0123, way.looked_at)
     if full.is_discrete:
         omega = omega[omega < np.pi / full.dt]
-    for low, high in left_out:
+    for low, high in evidence.left_out:
         omega = omega[(omega <= low) | (omega >= high)]
     share = OVERLOOKED if way.seen is None else 0.0  # what weighs a difference would weigh the bounds of its errors
-    (first, error), (second, other) = (_response(m, omega, share) for m in (full, model))
-    size = float(np.linalg.norm(first, 2, axis=(1, 2)).max(initial=0.0))
+    (first, error), (second, other) = (_response(m, omega, share, evidence.parts) for m in (full, model))
+    # No square overflows in this unit.
+    unit = float(max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))) or 1.0
+    size = unit * float(largest_gain(first / unit).max(initial=0.0))
     if way.seen is None:
-        gap = np.linalg.norm(first - second, 2, axis=(1, 2)) - error - other
+        gap = unit * largest_gain((first - second) / unit) - error - other
     else:
         gap = np.linalg.norm(way.seen(omega, first - second), 2, axis=(1, 2))
     return float(gap.max(initial=0.0)), size
 
 
-def _response(model: StateSpaceModel, omega: Array, share: float) -> tuple[ComplexArray, Array]:
-    modes = ModalResponse.of(model.A, model.B, model.C, model.D) if model.n_states and share else None
+def _response(
+    model: StateSpaceModel, omega: Array, share: float, parts: tuple[StateSpaceModel, ...]
+) -> tuple[ComplexArray, Array]:
+    known = next((vars(m).get("_eigen") for m in parts if np.array_equal(m.A, model.A)), None)
+    modes = ModalResponse.of(model.A, model.B, model.C, model.D, known) if model.n_states and share else None
     return response_within(model, modes, omega, share)
 
 
