@@ -155,6 +155,54 @@ def stiff_spring() -> None:
         one_for_all(name, plant)
 
 
+def reported(name: str, plant: rl.LPVModel, end: str = "") -> None:
+    """A design of two measurements and one control: the LMIs' optimum in rounds of balancing, and what is proved."""
+    said: list[str] = []
+    start = time.perf_counter()
+    design = rl.lpv_hinf(plant, 2, 1, progress=said.append)
+    spent = time.perf_counter() - start
+    rounds = [text.rpartition(" ")[2] for text in said if "balanced" in text]
+    print(
+        f"{name}: optimum of the LMIs in rounds of balancing {', '.join(rounds)}; proved {design.gamma:.4f} "
+        f"({design.status.value}); fastest pole of the controllers "
+        f"{max(np.abs(K.poles()).max() for _, K in design.K.nodes()):.3g} rad/s; {spent:.1f} s{end}"
+    )
+
+
+def disks_plant() -> rl.LPVModel:
+    """Two masses that slide on spinning disks, joined by a wire: rho_i = Omega_i^2, measured, in 0..9 and 0..25.
+
+    r1'' = (rho_1 - 200) r1 - 200 r2 - r1' + a + 0.1 d1, r2'' = 2 (-200 r1 - 200 r2 - r2' + 0.1 d2) + rho_2 r2, the
+    actuator a' = 100 (u - a); z = (Wu u, 1e-5 a, We (r2 - reference)), y = (reference, r2 + Wn n) with We = (0.3 s +
+    1.2) / (s + 0.04), Wu = (s + 0.1) / (0.01 s + 125), Wn = (s + 0.4) / (0.01 s + 400): the example of Wu's thesis
+    (Berkeley 1995) as the manual of LPVTools states it ("Modeling and Control of a LFT-based LPV System", Balas,
+    Hjartarson, Packard, Seiler 2015), gamma 1.3361 there.
+    """
+
+    def vertex(rho1: float, rho2: float) -> rl.StateSpaceModel:
+        A, B, C, D = np.zeros((8, 8)), np.zeros((8, 5)), np.zeros((5, 8)), np.zeros((5, 5))
+        A[0, 2] = A[1, 3] = A[2, 4] = 1.0
+        A[2, :3], A[3, :2], A[3, 3] = [rho1 - 200, -200, -1], [-400, rho2 - 400], -2
+        B[2, 1], B[3, 2] = 0.1, 0.2
+        A[4, 4], B[4, 4] = -100, 100
+        A[5, 5], B[5, 4], C[0, 5], D[0, 4] = -12500, 1, 100 * (0.1 - 12500), 100
+        A[6, 6], A[6, 1], B[6, 0] = -0.04, 1, -1
+        C[2, 6], C[2, 1], D[2, 0] = 1.2 - 0.3 * 0.04, 0.3, -0.3
+        A[7, 7], B[7, 3], C[4, 7], D[4, 3] = -40000, 1, 100 * (0.4 - 40000), 100
+        C[1, 4], D[3, 0], C[4, 1] = 1e-5, 1, 1
+        return rl.StateSpaceModel(A, B, C, D)
+
+    ranges = {"rho1": [0.0, 9.0], "rho2": [0.0, 25.0]}
+    return rl.LPVModel(ranges, [vertex(a, b) for a in ranges["rho1"] for b in ranges["rho2"]])
+
+
+def disks() -> None:
+    """The example as it was published; in 1.3361 up to a fifth is given away for well-conditioned controllers."""
+    plant = disks_plant()
+    floor = max(rl.hinf(model, 2, 1, gamma_rel=1.0).gamma for _, model in plant.nodes())
+    reported("spinning disks", plant, f"; worst frozen optimum {floor:.4f}; published 1.3361")
+
+
 def missile() -> None:
     """Pitch axis of a missile: alpha' = -Z alpha + q, q' = -M alpha + delta, Z in 0.5..4, M in 0..106, both measured.
 
@@ -176,14 +224,11 @@ def missile() -> None:
         return rl.StateSpaceModel(A, B, C, D)
 
     ranges = {"Z": [0.5, 4.0], "M": [0.0, 106.0]}
-    said: list[str] = []
-    plant = rl.LPVModel(ranges, [vertex(Z, M) for Z in ranges["Z"] for M in ranges["M"]])
-    design = rl.lpv_hinf(plant, 2, 1, progress=said.append)
-    rounds = [text.rpartition(" ")[2] for text in said if "balanced" in text]
-    print(f"missile: optimum of the LMIs in rounds of balancing {', '.join(rounds)}; proved {design.gamma:.4f}")
+    reported("missile", rl.LPVModel(ranges, [vertex(Z, M) for Z in ranges["Z"] for M in ranges["M"]]))
 
 
 if __name__ == "__main__":
+    disks()
     missile()
     stiff_spring()
     platform()

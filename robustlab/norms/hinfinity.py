@@ -214,7 +214,9 @@ def bracketed_norm(
         worst, upper = max(worst, beside), max(upper, float(gain) + beside)
     if error > LOUD * attained:
         upper += error
-        nothing = None if blind or worst < MOST * attained else _nothing(m, scaled, tuning.nothing_points)
+        given = None if band is None else _moderated(ordinary, band)
+        sure = blind or worst < MOST * attained
+        nothing = None if sure else _nothing((m, given), (scaled, part), tuning.nothing_points)
         if nothing is not None:
             return nothing
         share = error / attained if attained else np.inf
@@ -226,11 +228,16 @@ def bracketed_norm(
 
 def _band_of(ordinary: Moderated, band: Band, rate: float) -> Band:
     """The band of the scaled continuous model that stands for one of the model as given."""
-    low, high = (float(np.ldexp(omega, -ordinary.rate)) for omega in band)
+    low, high = _moderated(ordinary, band)
     dt = ordinary.model.dt
     if dt:
         low, high = (2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf for omega in (low, high))
     return low / rate, high / rate
+
+
+def _moderated(ordinary: Moderated, band: Band) -> Band:
+    """The band of the model with ordinary entries."""
+    return float(np.ldexp(band[0], -ordinary.rate)), float(np.ldexp(band[1], -ordinary.rate))
 
 
 def axis_point(m: StateSpaceModel, omega: float) -> complex:
@@ -261,20 +268,25 @@ def _terms(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex) -> tu
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 
-def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNorm | None:
-    """The norm of a model without any gain but rounding; None where it is not shown to be one.
+def _nothing(
+    one: tuple[StateSpaceModel, Band | None], other: tuple[StateSpaceModel, Band | None], points: int
+) -> HinfNorm | None:
+    """The norm of a model without any gain but rounding, all over or in a band; None where it is not shown to be one.
+
+    Given twice, as it is and scaled, each with the band in its units.
 
     Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
     test is sharper than that, but at the bound of the rounding it must agree.
     """
-    omega = search_grid(m, points)
+    (m, band), (scaled, part) = one, other
+    omega = search_grid(m, points, band)
     try:
         sigma = largest_gains(m, omega)
         size, error = np.array([_terms(m.A, m.B, m.C, m.D, axis_point(m, w)) for w in omega]).T
         upper = float((sigma + error).max())
         if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
             return None
-        again = np.concatenate([search_grid(scaled, points), crossings(scaled, upper)])
+        again = np.concatenate([search_grid(scaled, points, part), crossings(scaled, upper, part)])
         if not largest_gains(scaled, again).max() <= upper:
             return None
     except (np.linalg.LinAlgError, NoTrustworthyNumber):

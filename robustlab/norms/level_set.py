@@ -101,8 +101,10 @@ def _finite_response(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     return response
 
 
-def search_grid(m: StateSpaceModel, points: int) -> AnyArray:
-    """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
+def search_grid(m: StateSpaceModel, points: int, band: Band | None = None) -> AnyArray:
+    """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them; those of a band."""
+    if band is not None:
+        return _within(search_grid(m, points), band)
     poles = m.poles()
     if m.is_discrete:
         poles = np.log(poles[np.abs(poles) > 1e-12]) / m.dt

@@ -27,6 +27,7 @@ from robustlab.budget import NOT_REPEATABLE, Budget
 from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
 
 # Singular values below it, relative to the largest, span a null space.
 NULL = 1e-10
@@ -128,11 +129,6 @@ def lmi_controllers(
     return found, f"LMI optimum {gamma / scaling.gain:.6g} ({outcome.text}), {len(found)} controllers from it"
 
 
-def _work(n: int) -> float:
-    """Of one solve, as measured: 0.3 s at 10 states, 4 s at 20, 27 s at 30."""
-    return 5000 + 30 * n**4
-
-
 def projection(
     plants: Sequence[PlantMatrices],
     level: float | None,
@@ -141,54 +137,99 @@ def projection(
     tuning: HinfTuning = TUNING,
     varying: Literal["", "R", "S"] = "",
     slopes: Slopes = (),
+    widest: bool = False,
 ) -> tuple[float | None, Outer | None, LmiOutcome]:
-    """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``.
+    """Smallest gamma (``level`` None), or R and S at a level, with ``[R t I; t I S] >= 0`` and both bounded.
+
+    At many optima R or S is infinite: of states that w does not move, or that z does not show. The bound makes them
+    attained.
 
     ``plants``: of equal sizes, without D22.
     ``level``, ``coupling``: the level asked for, and t.
     ``varying``, ``slopes``: which of the two varies with the plant, and how it may move at each: ``- dR/dt`` stands in
     the first inequality, ``dS/dt`` in the second.
+    ``widest``: R and S of the largest margin, in rows of one size; else of small trace.
     """
-    import cvxpy as cp
-
-    n, m, _, q, _ = plants[0].sizes
-    count = {kind: len(plants) if kind == varying else 1 for kind in "RS"}
-    found = {kind: [cp.Variable((n, n), symmetric=True) for _ in range(count[kind])] for kind in "RS"}
-    gamma: Any = cp.Variable() if level is None else level
-    constraints: list[Any] = []
+    if budget.over:
+        return None, None, LmiOutcome(False, "no work was left for the LMI")
+    n = plants[0].sizes[0]
+    basis, count = symmetric_basis(n), {kind: len(plants) if kind == varying else 1 for kind in "RS"}
+    size = len(basis)
+    start = {"R": 0, "S": size * count["R"]}
+    last = size * (count["R"] + count["S"])  # gamma, or the margin
+    conditions = Inequalities(last + 1)
     for k, p in enumerate(plants):
-        R, S = (found[kind][k if kind == varying else 0] for kind in "RS")
-        N_R, N_S = _outer_factors(p)
-        left = cp.bmat([[p.A @ R + R @ p.A.T, R @ p.C1.T, p.B1], [p.C1 @ R, -gamma * np.eye(q), p.D11],
-                        [p.B1.T, p.D11.T, -gamma * np.eye(m)]])  # fmt: skip
-        right = cp.bmat([[p.A.T @ S + S @ p.A, S @ p.B1, p.C1.T], [p.B1.T @ S, -gamma * np.eye(m), p.D11.T],
-                         [p.C1, p.D11, -gamma * np.eye(q)]])  # fmt: skip
-        for kind, N, M, sign in (("R", N_R, left, -1), ("S", N_S, right, 1)):
-            states = N[:n]
+        at = {kind: start[kind] + size * (k if kind == varying else 0) for kind in "RS"}
+        for kind, one, sign in (("R", _dual(p), -1.0), ("S", p, 1.0)):
             for slope in slopes[k] if kind == varying else ({},):
-                moving = sum(sign * part * (states.T @ found[kind][i] @ states) for i, part in slope.items())
-                part = N.T @ M @ N + moving
-                constraints.append(0.5 * (part + part.T) << 0)
+                moving = {start[kind] + size * i: sign * part for i, part in slope.items()}
+                _add_outer(conditions, one, basis, at[kind], moving, last, level)
         if k == 0 or varying:
-            constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
-    goal = gamma if level is None else sum(cp.trace(one) / len(ones) for ones in found.values() for one in ones)
-    work = _work(n) * len(constraints) / 3
-    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, work, tuning)
-    values = {kind: [one.value for one in ones] for kind, ones in found.items()}
-    if not outcome.usable or any(one is None for ones in values.values() for one in ones):
-        return None, None, outcome
-    R, S = ([np.asarray(one) for one in values[kind]] * (len(plants) // count[kind]) for kind in "RS")
-    return float(gamma.value) if level is None else level, Outer(R, S), outcome
+            corners = np.zeros((2, size, 2 * n, 2 * n))
+            corners[0, :, :n, :n] = corners[1, :, n:, n:] = basis
+            across = np.kron([[0.0, coupling], [coupling, 0.0]], np.eye(n))
+            conditions.add({at["R"]: corners[0], at["S"]: corners[1]}, across)
+    for first in range(0, last, size):
+        conditions.add({first: -basis}, tuning.lmi_bound * np.eye(n))
+    cost = np.zeros(last + 1)
+    if level is None:
+        cost[last] = 1.0
+    elif widest:
+        cost[last] = -1.0
+    else:
+        cost[:last] = np.tile(np.einsum("bii->b", basis), last // size)
+        conditions.add({last: -np.ones((1, 1, 1))}, np.zeros((1, 1)))
+    if level is not None:
+        conditions.add({last: np.ones((1, 1, 1))}, np.zeros((1, 1)))
+    answer = conditions.least(cost, budget, tuning.lmi_steps)
+    if answer.x is None:
+        return None, None, LmiOutcome(False, f"the LMI solver says {answer.text}")
+    found = np.einsum("kb,bij->kij", answer.x[:last].reshape(-1, size), basis)
+    R, S = found[: count["R"]], found[count["R"] :]
+    R, S = (list(one) * (len(plants) // len(one)) for one in (R, S))
+    gamma = float(answer.x[last]) if level is None else level
+    return gamma, Outer(R, S), LmiOutcome(True, answer.text)
 
 
-def _outer_factors(p: PlantMatrices) -> tuple[AnyArray, AnyArray]:
-    """``N_R`` and ``N_S``: null spaces of ``[B2' D12']`` and ``[C2 D21]``, with identities for w and z."""
+def _dual(p: PlantMatrices) -> PlantMatrices:
+    return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
+
+
+def _add_outer(
+    conditions: Inequalities, p: PlantMatrices, basis: AnyArray, at: int, moving: Mapping[int, float], last: int,
+    level: float | None,
+) -> None:  # fmt: skip
+    """The second inequality of a plant, in an orthonormal basis of its null space and rows of one size.
+
+    ``last``: the unknown that is gamma, or at a level the margin.
+    """
     from scipy.linalg import block_diag, null_space
 
-    _, m, _, q, _ = p.sizes
-    by_control = null_space(np.hstack([p.B2.T, p.D12.T]), NULL)
-    by_measurement = null_space(np.hstack([p.C2, p.D21]), NULL)
-    return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
+    n, m, _, q, _ = p.sizes
+    wide, whole = n + m, n + m + q
+    N: AnyArray = np.asarray(block_diag(null_space(np.hstack([p.C2, p.D21]), NULL), np.eye(q)))
+    part = np.zeros((len(basis), whole, whole))
+    made = basis @ np.hstack([p.A, p.B1])
+    part[:, :n, :wide] += made
+    part[:, :wide, :n] += np.swapaxes(made, 1, 2)
+    fixed = np.zeros((whole, whole))
+    fixed[wide:, :wide] = np.hstack([p.C1, p.D11])
+    levels = np.diag(np.append(np.zeros(n), np.ones(m + q)))
+    fixed = fixed + fixed.T
+    diagonal = np.einsum("bii->b", basis) > 0
+    size = np.diag(np.abs(N).T @ (np.abs(fixed) + np.abs(part[diagonal]).sum(axis=0) + levels) @ np.abs(N))
+    N = N / np.sqrt(np.where(size > 0, size, 1.0))
+    columns = {at: -(N.T @ part @ N)}
+    for first, factor in moving.items():
+        states = factor * (N[:n].T @ basis @ N[:n])
+        columns[first] = columns[first] - states if first in columns else -states
+    fixed = -(N.T @ fixed @ N)
+    if level is None:
+        columns[last] = (N.T @ levels @ N)[None]
+    else:
+        fixed = fixed + level * N.T @ levels @ N
+        columns[last] = -np.eye(N.shape[1])[None]
+    conditions.add(columns, fixed)
 
 
 def shared(R: AnyArray, S: AnyArray) -> AnyArray | None:
@@ -215,32 +256,43 @@ def reconstructed(
 
     ``motions`` are the derivatives ``dX/dt`` with which it has to hold; none where X stands still.
     """
-    import cvxpy as cp
-    from scipy.linalg import block_diag
-
     n, m, n_u, q, n_y = p.sizes
-    zero, eye = np.zeros((n, n)), np.eye(n)
     values, vectors = np.linalg.eigh(X)
     if values[0] <= 1e-12 * values[-1]:
         return None
     T, T_inv = vectors / np.sqrt(values), (vectors * np.sqrt(values)).T  # in these coordinates X is the identity
-    into = T_inv @ np.block([[zero, p.B2], [eye, np.zeros((n, n_u))]])
-    out = np.block([[zero, eye], [p.C2, np.zeros((n_y, n))]]) @ T
-    z_u, y_w = np.hstack([np.zeros((q, n)), p.D12]), np.vstack([np.zeros((n, m)), p.D21])
-    K, margin = cp.Variable((n + n_u, n + n_y)), cp.Variable()
-    A = T_inv @ block_diag(p.A, zero) @ T + into @ K @ out
-    B = T_inv @ np.vstack([p.B1, np.zeros((n, m))]) + into @ K @ y_w
-    C = np.hstack([p.C1, np.zeros((q, n))]) @ T + z_u @ K @ out
-    D = p.D11 + z_u @ K @ y_w
-    real = cp.bmat([[A + A.T, B, C.T], [B.T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
-    rest = np.zeros((m + q, m + q))
-    shift = block_diag(np.eye(2 * n), rest)
-    constraints: list[Any] = [margin <= 1e3]
+    whole, wide = 2 * n + m + q, 2 * n + m
+    # The closed loop's [A B; C D] is that without a controller and left K right.
+    left, right = np.zeros((whole - m, n + n_u)), np.zeros((n + n_y, wide))
+    left[: 2 * n] = T_inv @ np.block([[np.zeros((n, n)), p.B2], [np.eye(n), np.zeros((n, n_u))]])
+    left[2 * n :, n:], right[n:, 2 * n :] = p.D12, p.D21
+    right[:, : 2 * n] = np.block([[np.zeros((n, n)), np.eye(n)], [p.C2, np.zeros((n_y, n))]]) @ T
+    open_loop = np.zeros((whole - m, wide))
+    open_loop[: 2 * n, : 2 * n] = T_inv[:, :n] @ p.A @ T[:n]
+    open_loop[: 2 * n, 2 * n :] = T_inv[:, :n] @ p.B1
+    open_loop[2 * n :, : 2 * n], open_loop[2 * n :, 2 * n :] = p.C1 @ T[:n], p.D11
+    added = np.einsum("ia,bj->abij", left, right).reshape(-1, whole - m, wide)
+
+    def symmetric(loops: AnyArray) -> AnyArray:
+        """L of stacked [A B; C D]."""
+        L = np.zeros((len(loops), whole, whole))
+        L[:, : 2 * n, :wide], L[:, wide:, :wide] = loops[:, : 2 * n], loops[:, 2 * n :]
+        return L + np.swapaxes(L, 1, 2)
+
+    fixed, parts = symmetric(open_loop[None])[0], symmetric(added)
+    fixed[2 * n :, 2 * n :] -= gamma * np.eye(m + q)
+    conditions = Inequalities(len(parts) + 1)
+    unit = equal_rows(fixed)
     for motion in motions or (np.zeros_like(X),):
-        moving = block_diag(T.T @ motion @ T, rest)
-        constraints.append(0.5 * (real + real.T) + 0.5 * (moving + moving.T) + margin * shift << 0)
-    outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), budget, _work(n), tuning)
-    value = K.value
-    if not outcome.usable or value is None or not np.isfinite(value).all():
+        moving = np.zeros_like(fixed)
+        moving[: 2 * n, : 2 * n] = 0.5 * (T.T @ (motion + motion.T) @ T)
+        conditions.add(
+            {0: -unit[:, None] * parts * unit, len(parts): -np.eye(whole)[None]},
+            -unit[:, None] * (fixed + moving) * unit,
+        )
+    cost = np.append(np.zeros(len(parts)), -1.0)
+    answer = conditions.least(cost, budget, tuning.lmi_steps)
+    if answer.x is None:
         return None
-    return Realisation(value[:n, :n], value[:n, n:], value[n:, :n], value[n:, n:])
+    K = answer.x[:-1].reshape(n + n_u, n + n_y)
+    return Realisation(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:])

@@ -87,6 +87,8 @@ class HinfTuning:
     # Back-offs from the optimum, and couplings t of [R tI; tI S] >= 0. Larger: better conditioned, worse gamma.
     lmi_backoffs: tuple[float, ...] = (0.002, 0.02, 0.1)
     lmi_couplings: tuple[float, ...] = (1.5, 1.05)
+    # Largest eigenvalue of R and S in the coordinates of the solver: without it many optima are not attained.
+    lmi_bound: float = 1e5
 
     # --- nonsmooth descent from what was found
     # A gamma this far above the estimated optimum (or proved bound) is worth a descent. Smaller: more descents.

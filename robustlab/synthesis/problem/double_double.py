@@ -103,12 +103,17 @@ def inverse(A: DoubleDouble) -> tuple[DoubleDouble, AnyArray]:
 
 def sum_of_products(*pairs: tuple[AnyArray, AnyArray]) -> AnyArray:
     """``X1 @ Y1 + X2 @ Y2 + ...`` of real matrices, shape (n, m), rounded once: what cancels in it keeps its digits."""
+    return close_sum_of_products(*pairs)[0]
+
+
+def close_sum_of_products(*pairs: tuple[AnyArray, AnyArray]) -> tuple[AnyArray, AnyArray]:
+    """The same in two parts, the rounded sum and what it leaves out; the error is 2^-100 of the terms' sizes."""
     shape = len(pairs[0][0]), pairs[0][1].shape[1]
     total = np.zeros(shape), np.zeros(shape)
     for x, y in pairs:
         for k in range(len(y)):
             total = _sum(*total, *_product(x[:, k : k + 1], 0.0, y[k : k + 1], 0.0))
-    return total[0]
+    return total
 
 
 def _reciprocal(x: DoubleDouble) -> DoubleDouble:

@@ -38,7 +38,7 @@ _Candidate = TypeVar("_Candidate")
 class SecondVoice:
     """What P(jw) and K(jw) say of a norm."""
 
-    # lower, upper: of the largest gain at the frequencies evaluated (of the H2 norm: by residues, or by quadrature): the
+    # lower, upper: of the largest gain at the frequencies evaluated (of the H2 norm: by residues or by quadrature): the
     # value less and plus the bound of its error
     lower: float
     upper: float

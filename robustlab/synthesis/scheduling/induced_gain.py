@@ -15,7 +15,7 @@ from robustlab.norms import hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
-from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
+from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
@@ -81,7 +81,7 @@ class LPVGain(Shown, Traced):
         """Whether ``P`` still proves ``upper`` for ``model``; no solver is asked."""
         if not self.P.size:
             return False
-        posed = Inequality(self.model, self.lyapunov == "varying")
+        posed = Inequality(self.model, self.lyapunov == "varying", self.lower)
         return posed.proves(posed.scaled(self.P), self.upper * posed.gain)
 
     def facts(self) -> Facts:
@@ -199,7 +199,7 @@ def gain_from(
     nothing = np.zeros((0, 0))
     if unstable:
         return told(np.inf, nothing, Status.CERTIFIED, "a frozen model is not stable: the gain is infinite")
-    posed = Inequality(model, varying)
+    posed = Inequality(model, varying, lower)
     if posed.count() > tuning.inequalities:
         found = f"{posed.count()} inequalities"
         raise InputError("lpv_gain", found, f"at most {tuning.inequalities}", "fewer points, or lyapunov='constant'")
@@ -253,12 +253,13 @@ def _level_of(posed: Inequality, P: Array, lower: float, tuning: SchedulingTunin
 
 def _smallest(posed: Inequality, P: Array, low: float, tuning: SchedulingTuning) -> float | None:
     """The smallest level that P proves, from just above ``low`` on; None where not even a hundred times it is."""
-    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if posed.proves(P, low * f)), None)
+    judged = posed.judged(P)
+    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if judged.proves(low * f)), None)
     if high is None:
         return None
     for _ in range(tuning.gain_bisections):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if posed.proves(P, middle) else (middle, high)
+        low, high = (low, middle) if judged.proves(middle) else (middle, high)
     return high
 
 
@@ -303,73 +304,49 @@ def _solved(
 def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
     """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked.
 
-    Unknowns: the triangles of P, then gamma, a margin on the states, and a bound of P's size, with which the model's
-    deviation counts.
+    Unknowns: the triangles of P, then gamma, a margin, and a bound of P's size, with which the model's deviation
+    counts. The margin is that of the inequalities in rows of one size, as it counts in the check.
     """
-    from scipy import sparse
-
     n, at = posed.n, {w: k for k, w in enumerate(np.ndindex(*posed.shape))}
-    basis = _symmetric_basis(n)
+    basis = symmetric_basis(n)
+    diagonal = np.einsum("bii->b", basis) > 0
     m, count = len(basis), len(at)
     gamma, margin, size = (m * count + k for k in range(3))
     robust = any(c.deviation.any() for c in posed.coefficients)
-    # margin <= 1, margin >= 0, size >= 0
-    bounds = sparse.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], [margin, margin, size])), (3, size + 1))
-    rows: list[Any] = [bounds]
-    right: list[Any] = [[1.0, 0.0, 0.0]]
-    sizes: list[int] = []
-
-    def add(parts: dict[int, Array], constant: Array) -> None:
-        """``constant - sum parts[column] x`` has to be positive semidefinite; parts are stacks of matrices."""
-        made = sparse.lil_matrix((len(constant) * (len(constant) + 1) // 2, size + 1))
-        for column, part in parts.items():
-            made[:, column : column + len(part)] = triangle(part).T
-        rows.append(made.tocsr())
-        right.append(triangle(constant))
-        sizes.append(len(constant))
-
+    one, conditions = np.ones((1, 1, 1)), Inequalities(size + 1)
+    conditions.add({margin: -one}, one[0])
+    conditions.add({margin: one}, 0 * one[0])
+    conditions.add({size: one}, 0 * one[0])
     for k in range(count):
-        add({k * m: -basis}, np.zeros((n, n)))
+        conditions.add({k * m: basis}, np.zeros((n, n)))
         if robust or level is not None:
-            add({k * m: basis, size: -np.eye(n)[None]}, np.zeros((n, n)))
+            conditions.add({k * m: -basis, size: np.eye(n)[None]}, np.zeros((n, n)))
     for c in posed.coefficients:
         parts, out, direct = posed.parts(c, basis)
-        whole = n + direct.shape[1] + len(direct)
-        wide = np.zeros((2, 1, whole, whole))
-        wide[0, 0, :n, :n], wide[1, 0, n:, n:] = np.eye(n), -np.eye(whole - n)
-        fixed = np.zeros((whole, whole))
-        fixed[n + direct.shape[1] :, : n + direct.shape[1]] = np.hstack([out, direct])
+        whole, wide = n + sum(direct.shape), n + direct.shape[1]
+        fixed, levels = np.zeros((whole, whole)), np.diag(np.append(np.zeros(n), np.ones(whole - n)))
+        fixed[wide:, :wide] = np.hstack([out, direct])
         fixed = fixed + fixed.T
         a, b, o, d = _norms(c.deviation, n)
-        columns = {at[w] * m: part for w, part in parts.items()} | {margin: wide[0]}
+        unit = equal_rows(fixed + sum(part[diagonal].sum(axis=0) for part in parts.values()) - levels)
+        columns = {at[w] * m: -part for w, part in parts.items()}
         if robust:
-            columns[size] = (2 * a + b) * np.eye(whole)[None]
+            columns[size] = -(2 * a + b) * np.eye(whole)[None]
         if level is None:
-            columns[gamma] = wide[1]
-        else:
-            fixed = fixed + level * wide[1, 0]
-        add(columns, -fixed - (o + d) * np.eye(whole))
+            columns[gamma] = levels[None]
+        columns = {column: unit[:, None] * part * unit for column, part in columns.items()}
+        fixed = (level or 0.0) * levels - fixed - (o + d) * np.eye(whole)
+        conditions.add({**columns, margin: -np.eye(whole)[None]}, unit[:, None] * fixed * unit)
     cost = np.zeros(size + 1)
     if level is None:
         cost[gamma] = 1.0
     else:
         cost[margin], cost[size] = -1.0, 1e-6
-    matrix = sparse.vstack(rows)
-    answer = solve_semidefinite(
-        cost, matrix, np.concatenate(right), 3, sizes, budget, TUNING.steps, 1e-3 * matrix.nnz * len(cost)
-    )
+    answer = conditions.least(cost, budget, TUNING.steps)
     if answer.x is None:
         return None, None, f"the LMI solver says {answer.text}"
     P = np.einsum("kb,bij->kij", answer.x[: m * count].reshape(count, m), basis)
     return (float(answer.x[gamma]) if level is None else level), P.reshape(*posed.shape, n, n), answer.text
-
-
-def _symmetric_basis(n: int) -> Array:
-    """Symmetric matrices with one entry, or one pair of entries, that is 1; shape (n (n + 1) / 2, n, n)."""
-    rows, columns = np.triu_indices(n)
-    basis = np.zeros((len(rows), n, n))
-    basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
-    return basis
 
 
 def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:

@@ -31,6 +31,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.mu_analysis.matrix.certificate import EPS, positive_definite
+from robustlab.synthesis.problem.double_double import close_sum_of_products, sum_of_products
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
@@ -76,9 +77,11 @@ class Inequality:
     varying
         Whether P varies along the parameters whose rates are bounded, multi-linear on the model's own grid; else P is
         one matrix, and the rates do not matter.
+    size
+        A gain, if one is known: in the scaled units it is about one. A solver's tolerances are absolute.
     """
 
-    def __init__(self, model: LPVModel, varying: bool) -> None:
+    def __init__(self, model: LPVModel, varying: bool, size: float = 0.0) -> None:
         self.varies = tuple(varying and np.isfinite(p.rate) for p in model.parameters)
         n = model.n_states
         middle = model.matrices[tuple(size // 2 for size in model.grid)]
@@ -89,6 +92,8 @@ class Inequality:
                 np.zeros((len(middle) - n, 0)), np.zeros((0, middle.shape[1] - n)),
             )
         )  # fmt: skip
+        if size > 0:
+            scaling = replace(scaling, z=scaling.z * 2.0 ** -round(float(np.log2(size * scaling.gain))))
         self.gain = scaling.gain
         rows = np.append(1 / (scaling.states * scaling.rate), np.full(len(middle) - n, scaling.z))
         cols = np.append(scaling.states, np.full(middle.shape[1] - n, scaling.w))
@@ -190,16 +195,6 @@ class Inequality:
 
     # --- evaluated ---------------------------------------------------------------------------------------------------
 
-    def blocks(self, c: Coefficient, P: Array) -> tuple[Array, Array, Array, Array]:
-        """``A^T P + P A + dP/dt``, ``P B``, C and D of a coefficient, for stacked P."""
-        n, share = self.n, 1.0 / len(c.pairs)
-        half, into = np.zeros((n, n)), np.zeros((n, self.model.matrices.shape[-1] - n))
-        for v, w in c.pairs:
-            m = self.model.matrices[v] + c.shift
-            half, into = half + share * (P[w] @ m[:n, :n]), into + share * (P[w] @ m[:n, n:])
-        moving = sum((part * P[w] for part, w in c.slopes), start=half + half.T)
-        return moving, into, *self._outputs(c)
-
     def _outputs(self, c: Coefficient) -> tuple[Array, Array]:
         mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0) + c.shift[self.n :]
         return mean[:, : self.n], mean[:, self.n :]
@@ -221,37 +216,97 @@ class Inequality:
 
     # --- checked -----------------------------------------------------------------------------------------------------
 
+    def judged(self, P: Array) -> Judged:
+        """What P (scaled, stacked) proves; evaluated once, for levels asked for one after the other."""
+        return Judged(self, P)
+
     def proves(self, P: Array, gamma: float) -> bool:
         """Whether P (scaled, stacked) proves the gain gamma (scaled): every coefficient, errors allowed for."""
-        flat = P.reshape(-1, self.n, self.n)
-        if not np.isfinite(flat).all() or not np.array_equal(flat, np.swapaxes(flat, 1, 2)):
-            return False
-        return all(_definite(one, np.zeros_like(one)) for one in flat) and all(
-            self._negative(c, P, gamma) for c in self.coefficients
+        return self.judged(P).proves(gamma)
+
+    def evaluated(self, c: Coefficient, P: Array, closely: bool) -> tuple[Array, Array, Array]:
+        """L of a coefficient without gamma in two parts, and a bound of its error: of the deviation, and of rounding.
+
+        ``closely``: with twice the digits, as what cancels in ``A^T P + P A`` of a stiff loop leaves few otherwise.
+        """
+        n, share = self.n, 1.0 / len(c.pairs)  # a power of two
+        n_z, n_w = (size - n for size in self.model.matrices.shape[-2:])
+        whole, wide = n + n_w + n_z, n + n_w
+        products: list[tuple[Array, Array]] = []
+        rates = np.zeros((n, n))
+        for v, w in c.pairs:
+            left = np.zeros((whole, n + n_z))  # L = left [A B 0; C D 0] and its transpose
+            left[:n, :n], left[wide:, n:] = share * P[w], share * np.eye(n_z)
+            for m in (self.model.matrices[v], c.shift)[: 1 + c.shift.any()]:
+                products.append((left, np.hstack([m, np.zeros((n + n_z, n_z))])))
+        for factor, w in c.slopes:
+            moving = np.zeros((whole, n)), np.zeros((n, whole))
+            moving[0][:n], moving[1][:, :n] = 0.5 * factor * np.eye(n), P[w]
+            products.append(moving)
+            rates += np.abs(factor * P[w])
+        absolute = sum((np.abs(x) @ np.abs(y) for x, y in products), start=np.zeros((whole, whole)))
+        absolute = absolute + absolute.T
+        terms = 2 * len(products) * (n + n_z)
+        if closely:
+            high, low = close_sum_of_products(*products, *((y.T, x.T) for x, y in products))
+            unit = terms * 2.0**-100 * absolute
+        else:
+            half = sum((x @ y for x, y in products), start=np.zeros((whole, whole)))
+            high, low = half + half.T, np.zeros((whole, whole))
+            unit = 4 * (n + n_z + 2 * len(products) + 4) * EPS * absolute
+        unit[:n, :n] += 8 * EPS * rates  # a factor is itself rounded
+        large = np.zeros((whole, n + n_z))
+        large[:n, :n], large[wide:, n:] = np.max([np.abs(P[w]) for w in c.cell], axis=0), np.eye(n_z)
+        moved = large @ np.hstack([c.deviation, np.zeros((n + n_z, n_z))])
+        return high, low, unit + moved + moved.T
+
+
+class Judged:
+    """The coefficients of an inequality evaluated with one P.
+
+    Each in ordinary arithmetic first; with twice the digits only where that does not tell.
+    """
+
+    def __init__(self, posed: Inequality, P: Array) -> None:
+        self.posed, self.P = posed, P
+        flat = P.reshape(-1, posed.n, posed.n)
+        self.positive = bool(np.isfinite(flat).all()) and np.array_equal(flat, np.swapaxes(flat, 1, 2))
+        self.positive = self.positive and all(_definite(one, np.zeros_like(one)) for one in flat)
+        self._known: dict[tuple[int, bool], tuple[Array, Array, Array]] = {}
+
+    def proves(self, gamma: float) -> bool:
+        """Whether every coefficient is negative definite at this level (scaled), errors allowed for."""
+        return self.positive and all(
+            self._negative(k, gamma, closely=False) or self._negative(k, gamma, closely=True)
+            for k in range(len(self.posed.coefficients))
         )
 
-    def _negative(self, c: Coefficient, P: Array, gamma: float) -> bool:
-        n = self.n
-        top, into, out, direct = self.blocks(c, P)
-        n_w, n_z = into.shape[1], len(out)
-        L = np.block([
-            [0.5 * (top + top.T), into, out.T],
-            [into.T, -gamma * np.eye(n_w), direct.T],
-            [out, direct, -gamma * np.eye(n_z)],
-        ])  # fmt: skip
-        # What rounding, and what the deviation, may change of each entry.
-        unit = 4 * (n + 2 * len(c.pairs) + len(c.slopes) + 4) * EPS
-        large = np.max([np.abs(P[w]) for w in c.cell], axis=0)
-        size = np.max([np.abs(self.model.matrices[v]) for v, _ in c.pairs], axis=0) + np.abs(c.shift)
-        moved = sum((abs(part) * np.abs(P[w]) for part, w in c.slopes), start=np.zeros((n, n)))
-        change = unit * size + c.deviation
-        a, b = large @ change[:n, :n], large @ change[:n, n:]
-        error = np.block([
-            [a + a.T + unit * moved, b, change[n:, :n].T],
-            [b.T, np.zeros((n_w, n_w)), change[n:, n:].T],
-            [change[n:, :n], change[n:, n:], np.zeros((n_z, n_z))],
-        ])  # fmt: skip
-        return _definite(-L, error)
+    def _negative(self, k: int, gamma: float, closely: bool) -> bool:
+        if (k, closely) not in self._known:
+            self._known[k, closely] = self.posed.evaluated(self.posed.coefficients[k], self.P, closely)
+        high, low, error = self._known[k, closely]
+        level = np.append(np.zeros(self.posed.n), np.full(len(high) - self.posed.n, gamma))
+        rest = np.diag(level) - high  # exactly: L has nothing on the diagonal there
+        return _closely_definite(rest, -low, error) if closely else _definite(0.5 * (rest + rest.T), error)
+
+
+def _closely_definite(high: Array, low: Array, error: Array) -> bool:
+    """Whether ``high + low`` is positive definite: so it is where ``T^T (high + low) T`` is, with any square T.
+
+    T is from the eigenvectors, so that this is nearly the identity: rounding counts little there.
+    """
+    diagonal = np.diag(high)
+    if not np.isfinite(high).all() or not diagonal.min(initial=1.0) > 0:
+        return False
+    s = np.exp2(np.rint(-0.5 * np.log2(diagonal)))
+    values, vectors = np.linalg.eigh(s[:, None] * high * s)
+    if values[0] < -1e-12:
+        return False
+    T = s[:, None] * vectors / np.sqrt(np.maximum(values, 1e-15))
+    half = close_sum_of_products((high, T), (low, T))
+    X = sum_of_products((T.T, half[0]), (T.T, half[1]))
+    unit = 4 * len(T) * 2.0**-100 * (np.abs(high) + np.abs(low))
+    return _definite(0.5 * (X + X.T), 2 * EPS * np.abs(X) + np.abs(T).T @ (2 * unit + error) @ np.abs(T))
 
 
 def _definite(X: Array, error: Array) -> bool:

@@ -29,6 +29,7 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
+from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
@@ -281,48 +282,81 @@ class _Task:
         self.say(f"{words}: LMIs with optimum {optimum:.6g}")
         best: LPVSynthesis | None = None
         for backoff in self.tuning.synthesis_backoffs:
-            for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
-                level = gamma * (1 + backoff) + 1e-9
-                _, outer, _ = projection(problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes)
-                lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
-                K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
-                if K is None or lyapunov is None:
-                    continue
-                guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0])
-                found = self._verified(K, guess, varying, optimum, f"{words}, {backoff:.1%} above the LMIs' optimum")
-                if found is not None and (best is None or found.gamma < best.gamma):
-                    best = found
-                break
-            # A larger back-off is for those that rounding, or the loop between the points, spoils.
-            if best is not None and best.gamma <= optimum * (1 + backoff + self.tuning.near):
-                break
+            level = gamma * (1 + backoff) + 1e-9
+            # Of the largest margin, or small: neither is always the better one.
+            for widest in (True, False):
+                for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
+                    _, outer, _ = projection(
+                        problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes, widest=widest
+                    )
+                    lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
+                    K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
+                    if K is None or lyapunov is None:
+                        continue
+                    guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0])
+                    how = f"{words}, {backoff:.1%} above the LMIs' optimum"
+                    found = self._verified(K, guess, varying, optimum, how)
+                    if found is not None and (best is None or found.gamma < best.gamma):
+                        best = found
+                    break
+                # A larger back-off is for those that rounding, or the loop between the points, spoils.
+                if best is not None and best.gamma <= optimum * (1 + backoff + self.tuning.near):
+                    return best, f"{words}: optimum {optimum:.6g}"
         return best, f"{words}: optimum {optimum:.6g}" + (", no loop of it could be proved" if best is None else "")
 
     def _conditioned(self) -> tuple[_Conditioned | None, str]:
         """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands.
 
-        Without it the optimum that a solver in double precision finds may be many times too large: R and S of a
-        singular problem range over ten decades.
+        Without it the optimum that a solver in double precision finds may be many times too large, or there is none: R
+        and S of a stiff or singular problem range over ten decades. The first states are those of the Riccati equations
+        of one frozen plant.
         """
         if self.known:
             return self.known[0]
         middle = self.matrices[len(self.matrices) // 2]
         found: _Conditioned | None = None
-        text = ""
-        # The median of the eigenvalues is a unit of time that fast filters may make much too short.
-        starts = (paths_first(middle), paths_first(middle, slower=self.tuning.slower), equilibrated(middle))
-        for scaling in starts:
-            made, stands, text = self._balanced(scaling)
-            if made is not None and (found is None or made.optimum < found.optimum):
-                found = made
-            if stands:
-                break
+        text = "the frozen plant in the middle has no controller"
+        for scaling in (paths_first(middle), equilibrated(middle)):
+            for turn, size in self._frozen_states(scaling.apply(middle)):
+                unit = 2.0 ** -round(float(np.log2(size)))  # with it gamma is about one
+                start = replace(scaling, z=scaling.z * unit)
+                made, stands, text = self._balanced(start, turn / np.sqrt(unit))
+                if made is not None and (found is None or made.optimum < found.optimum):
+                    found = made
+                if stands and found is made:
+                    self.known.append((found, text))
+                    return found, text
         self.known.append((found, text))
         return found, text
 
-    def _balanced(self, scaling: Scaling) -> tuple[_Conditioned | None, bool, str]:
-        """The best of the rounds from one scaling, whether its optimum stands, and what the solver said."""
-        turn, found, waited = np.eye(self.plant.n_states), None, 0
+    def _frozen_states(self, p: PlantMatrices) -> list[tuple[Array, float]]:
+        """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma.
+
+        Of the plant with small channels added, as X and Y of its own may be singular, and at a gamma some times its
+        own: nearer to it the states that w does not move or z does not show are measured too differently.
+        """
+        found: list[tuple[float, TwoRiccatiProblem]] = []
+        for size in self.tuning.added:
+            try:
+                problem = TwoRiccatiProblem(p.with_channels(size, size, size, size), True, self.budget)
+            except NoTrustworthyNumber:
+                break
+            gamma = problem.smallest_gamma(found[-1][0] if found else 1.0, 1e-2, ())
+            if gamma is None:
+                break
+            found.append((gamma, problem))
+            if len(found) > 2 and gamma > 0.9 * found[-3][0]:
+                break
+        least, states = min((gamma for gamma, _ in found), default=0.0), []
+        for cost in self.tuning.costs:
+            pair = next((q.solve(1.1 * gamma) for gamma, q in found if gamma <= cost * least), None)
+            if pair is not None:
+                states.append((_balancing(np.linalg.inv(pair.X), np.linalg.inv(pair.Y)), least))
+        return states
+
+    def _balanced(self, scaling: Scaling, turn: Array) -> tuple[_Conditioned | None, bool, str]:
+        """The best of the rounds from one start, whether its optimum stands, and what the solver said."""
+        found, waited = None, 0
         for _ in range(self.tuning.balancings):
             plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
             gamma, outer, outcome = projection(plants, None, 1.0, self.budget)
@@ -400,11 +434,11 @@ class _Task:
         )  # fmt: skip
 
     def _frozen(self, K: LPVModel) -> float:
-        """Largest norm of frozen loops at random places, plant and controller evaluated there on their own."""
+        """Largest attained norm of frozen loops at random places, plant and controller evaluated there on their own."""
         rng = np.random.default_rng(0)
         low, high = (np.array([p.points[end] for p in K.parameters]) for end in (0, -1))
         places = low + (high - low) * rng.uniform(size=(self.tuning.frozen_points, len(low)))
-        return max(hinf_norm(lower_lft(self.plant.at(at), K.at(at))).upper for at in places)
+        return max(hinf_norm(lower_lft(self.plant.at(at), K.at(at))).lower for at in places)
 
 
 def _added(ways: Sequence[dict[int, float]]) -> dict[int, float]:

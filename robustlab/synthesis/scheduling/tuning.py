@@ -23,14 +23,16 @@ class SchedulingTuning:
     # Bisections for the smallest gamma that a Lyapunov matrix still proves.
     gain_bisections: int = 12
     # Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
-    synthesis_backoffs: tuple[float, ...] = (0.005, 0.03, 0.15)
+    synthesis_backoffs: tuple[float, ...] = (0.005, 0.02, 0.1, 0.3)
     # Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, sooner
     # infeasible.
     couplings: tuple[float, ...] = (1.5, 1.05)
     # Rounds in which states are balanced by what the LMIs gave in the last.
     balancings: int = 8
-    # Factor by which the unit of time is longer in a second start, a power of two.
-    slower: float = 32.0
+    # Channels added to the frozen plant whose Riccati equations give the first states: sizes in turn, from large to
+    # small, and how many times its gamma they may cost at the first start, and at the second.
+    added: tuple[float, ...] = tuple(10.0 ** (-0.5 * k) for k in range(17))
+    costs: tuple[float, ...] = (30.0, 3.0)
     # A loop this close (relative) to the LMIs' optimum ends the search over back-offs.
     near: float = 0.02
     # Points at which frozen loops are looked at beside the grid, and the seed of their places.
