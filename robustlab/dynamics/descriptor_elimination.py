@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.signals import Signal, SignalLike, real_array, signals
 from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
 from robustlab.structural import drop_unconnected
@@ -162,6 +162,7 @@ class _Reduced:
     kept: tuple[int, ...] | None
 
 
+@told_as("descriptor")
 def descriptor(
     A: ArrayLike,
     B: ArrayLike,

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.operators import carried_by_rank
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
@@ -177,6 +177,7 @@ def _check_inside(where: str, inner: UncertainModel, outer: UncertainModel) -> N
         raise InputError(where, found, "what is closed in must be no larger than the other transposed")
 
 
+@told_as("centred")
 def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
     r"""The set scaled by ``level``, with every real range symmetric about its own middle.
 
@@ -286,6 +287,7 @@ class Reduction(Shown):
         return f"{said}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
+@told_as("reduction")
 def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
     """Remove repetitions that cannot be reached or do not show: block by block, then all blocks jointly, until none.
 
