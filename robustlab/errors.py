@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from inspect import signature, unwrap
 from operator import index
-from typing import Literal, ParamSpec, TypeVar, get_origin
+from typing import ParamSpec, TypeVar, get_origin
 
 __all__ = [
     "EXIT_BUG",
@@ -248,22 +248,20 @@ def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tu
     kinds: dict[str, tuple[str, Callable[[object], bool]]] = {}
     for key, parameter in parameters.items():
         said = str(parameter.annotation)
-        bare = said.removesuffix(" | None")
+        bare = _meant(said.removesuffix(" | None"), function)
         kind = next((k for word, k in _KINDS.items() if bare.startswith(word)), None) if "] | " not in bare else None
-        kind = _BY_NAME.get(key, _WHOLE_KINDS.get(_meant(bare, function), kind))
+        kind = _BY_NAME.get(key, _WHOLE_KINDS.get(bare, kind))
         if kind is not None:
             expected, fits = kind
-            kinds[key] = (f"{expected}, or None", _or_none(fits)) if bare != said else kind
+            kinds[key] = (f"{expected}, or None", _or_none(fits)) if said.endswith(" | None") else kind
     return [key for key, p in parameters.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)], kinds
 
 
 def _meant(annotation: str, function: Callable[..., object]) -> str:
-    """``str`` for one of several words, written out or under a name of the module; another annotation as it is."""
+    """What a name of the module stands for, and ``str`` for one of several words; another annotation as it is."""
     alias = getattr(unwrap(function), "__globals__", {}).get(annotation)
-    if get_origin(alias) is get_origin(Callable[[], object]):
-        return "Callable"
-    if get_origin(alias) is Literal:
-        annotation = str(alias).removeprefix("typing.")
+    if get_origin(alias) is not None:
+        annotation = str(alias).removeprefix("typing.").removeprefix("collections.abc.")
     return "str" if annotation.startswith("Literal['") else annotation
 
 
@@ -320,7 +318,6 @@ _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "bool": ("True or False", lambda value: type(value).__name__ in ("bool", "bool_", "int")),
     "str": ("a word", lambda value: isinstance(value, str)),
     "ArrayLike": ("numbers", _are_numbers),
-    "Callable": ("a function", callable),
     "UncertainModel": ("an UncertainModel", _is_named("UncertainModel")),
     "DelayedModel": ("a DelayedModel", _is_named("DelayedModel")),
 }

@@ -396,7 +396,8 @@ def _residual(form: _Form, model: StateSpaceModel) -> float:
     for point in _points(model):
         one = _transfer(np.eye(model.n_states), model.A, model.B, model.C, model.D, point)
         two = _transfer(form.E, form.A, form.B, form.C, form.D, point)
-        worst = max(worst, float(np.linalg.norm(one - two)) / (float(np.linalg.norm(two)) or 1.0))
+        size = float(np.abs(two).max(initial=0.0)) or 1.0  # squares of large entries overflow
+        worst = max(worst, float(np.linalg.norm((one - two) / size)) / (float(np.linalg.norm(two / size)) or 1.0))
     return worst
 
 

@@ -29,6 +29,7 @@ from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnect
 from robustlab.uncertainty.reduction import reduced
 
 
+@told_as("star")
 @carried_by_rank
 def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
     r"""Redheffer star product: the last outputs of ``first`` drive the first inputs of ``second``, and its first
@@ -63,6 +64,8 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
     (a_in, a_out), (b_in, b_out) = ((len(m.inputs), len(m.outputs)) for m in (a, b))
     go = min(a_out, b_in) if n_to_second is None else n_to_second
     back = min(a_in, b_out) if n_to_first is None else n_to_first
+    if any(isinstance(n, bool) or not isinstance(n, (int, np.integer)) for n in (go, back)):
+        raise InputError("star", f"{go!r} signals over, {back!r} back", "whole numbers, not negative")
     if not (0 <= go <= min(a_out, b_in) and 0 <= back <= min(a_in, b_out)):
         found = f"{go} signals over, {back} back"
         raise InputError("star", found, f"at most {min(a_out, b_in)} and {min(a_in, b_out)}")

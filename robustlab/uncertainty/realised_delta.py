@@ -93,8 +93,8 @@ def realise_delta(
     if not np.isfinite(dt) or dt < 0:
         raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
     end = np.pi / dt if dt else np.inf
-    if not 0 <= omega <= end * (1 + 1e-12):
-        raise InputError(where, f"omega = {omega:g} rad/s", f"between 0 and {end:g} rad/s")
+    if omega is None or np.ndim(omega) or not 0 <= omega <= end * (1 + 1e-12):
+        raise InputError(where, f"omega = {omega} rad/s", f"between 0 and {end:g} rad/s")
     delta_matrix(blocks, delta)  # names, shapes and finite numbers
     result: dict[str, Any] = {}
     for block in blocks:

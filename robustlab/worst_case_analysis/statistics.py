@@ -419,6 +419,7 @@ class ViolationProbability(Tabular, Shown):
         return data
 
 
+@told_as("violation_probability")
 @one_thread()
 def violation_probability(
     uncertain: UncertainModel,
