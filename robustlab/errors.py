@@ -21,9 +21,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
-from inspect import signature
+from inspect import signature, unwrap
 from operator import index
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, get_origin
 
 __all__ = [
     "EXIT_BUG",
@@ -248,14 +248,21 @@ def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tu
     kinds: dict[str, tuple[str, Callable[[object], bool]]] = {}
     for key, parameter in parameters.items():
         said = str(parameter.annotation)
-        bare = said.removesuffix(" | None")
+        bare = _meant(said.removesuffix(" | None"), function)
         kind = next((k for word, k in _KINDS.items() if bare.startswith(word)), None) if "] | " not in bare else None
-        if bare in ("int", "float"):
-            kind = _SEED if key == "seed" else ("a number", _is_number)
+        kind = _BY_NAME.get(key, _WHOLE_KINDS.get(bare, kind))
         if kind is not None:
             expected, fits = kind
-            kinds[key] = (f"{expected}, or None", _or_none(fits)) if bare != said else kind
+            kinds[key] = (f"{expected}, or None", _or_none(fits)) if said.endswith(" | None") else kind
     return [key for key, p in parameters.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)], kinds
+
+
+def _meant(annotation: str, function: Callable[..., object]) -> str:
+    """What a name of the module stands for, and ``str`` for one of several words; another annotation as it is."""
+    alias = getattr(unwrap(function), "__globals__", {}).get(annotation)
+    if get_origin(alias) is not None:
+        annotation = str(alias).removeprefix("typing.").removeprefix("collections.abc.")
+    return "str" if annotation.startswith("Literal['") else annotation
 
 
 def _or_none(fits: Callable[[object], bool]) -> Callable[[object], bool]:
@@ -269,7 +276,25 @@ def _is_number(value: object) -> bool:
         float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError):
         return False
-    return True
+    return not isinstance(value, int) or value.bit_length() < 64  # arrays hold no longer ones
+
+
+def _are_numbers(value: object, kinds: str = "biufc", most_axes: int = 99) -> bool:
+    import numpy as np  # not for whoever only wants the errors
+
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return False
+    return array.dtype.kind in kinds and array.ndim <= most_axes
+
+
+def _is_named(name: str) -> Callable[[object], bool]:
+    """Whether a value is of the class of that name, which this module, below all others, cannot import.
+
+    Plants, which have an uncertain model, are for the function to speak of.
+    """
+    return lambda value: any(kind.__name__ == name for kind in type(value).__mro__) or hasattr(value, "uncertain")
 
 
 def _is_seed(value: object) -> bool:
@@ -279,10 +304,35 @@ def _is_seed(value: object) -> bool:
         return False
 
 
-_SEED = "a whole number, 0 or more", _is_seed
+# What an argument of that name is wherever it stands.
+_BY_NAME = {
+    "seed": ("a whole number, 0 or more", _is_seed),
+    "omega": ("frequencies, real numbers in one row", lambda value: value is None or _are_numbers(value, "biuf", 1)),
+}
+# An annotation -> what is expected, and whether a value is that.
+_WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
+    "Literal[-1, 1]": ("-1 or 1", _is_number),
+    "Place": ("a word", lambda value: isinstance(value, str)),
+    "int": ("a number", _is_number),
+    "float": ("a number", _is_number),
+    "bool": ("True or False", lambda value: type(value).__name__ in ("bool", "bool_", "int")),
+    "str": ("a word", lambda value: isinstance(value, str)),
+    "ArrayLike": ("numbers", _are_numbers),
+    "UncertainModel": ("an UncertainModel", _is_named("UncertainModel")),
+    "DelayedModel": ("a DelayedModel", _is_named("DelayedModel")),
+}
 # Beginning of an annotation -> what is expected, and whether a value is that.
 _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
+    "Sequence[str]": (
+        "a list of names",
+        lambda value: isinstance(value, Iterable) and all(isinstance(name, str) for name in value),
+    ),
     "Mapping[": ("names with their values, {...}", lambda value: isinstance(value, Mapping)),
     "Callable[": ("a function", callable),
+    "Sequence[Block]": (
+        "a list of blocks",
+        lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in value),
+    ),
     "Sequence[": ("a list", lambda value: isinstance(value, Iterable) and not isinstance(value, bytes)),
+    "Iterable[Any]": ("a list", lambda value: isinstance(value, Iterable)),
 }

@@ -76,7 +76,7 @@ def lyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSoluti
     2.0
     """
     X = lyapunov(A, Q, tolerance=tolerance)
-    a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
+    a, q = (np.atleast_2d(np.asarray(given, dtype=float)) for given in (A, Q))
     return LinearSolution(X, accepted_residual("lyap", (a @ X, X @ a.T, q), tolerance))
 
 
@@ -111,7 +111,7 @@ def dlyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSolut
     4.0
     """
     X = lyapunov(A, Q, True, tolerance=tolerance)
-    a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
+    a, q = (np.atleast_2d(np.asarray(given, dtype=float)) for given in (A, Q))
     return LinearSolution(X, accepted_residual("dlyap", (a @ X @ a.T, -X, q), tolerance))
 
 

@@ -397,7 +397,8 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
         return np.zeros((0, 0))
     poles = np.linalg.eigvals(a)
     # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
-    gap = np.abs(np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)).min()
+    with np.errstate(over="ignore", invalid="ignore"):
+        gap = np.abs(np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)).min()
     if gap <= 10 * np.finfo(float).eps * float(np.abs(poles).max() if not discrete else 1.0):
         raise NoTrustworthyNumber("lyapunov", MIRRORED)
     with judged_afterwards():

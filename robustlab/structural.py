@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
+from robustlab.errors import told_as
 from robustlab.matrix_equations import lapack
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
@@ -124,6 +125,7 @@ class StructuralTest(Shown):
         return "\n".join([f"{head} ({self.status})", *(f"  {mode.meaning}" for mode in self.modes)])
 
 
+@told_as("controllability")
 def controllability(model: Any) -> StructuralTest:
     """Which modes the inputs can move; see `StructuralTest`.
 
@@ -153,6 +155,7 @@ def controllability(model: Any) -> StructuralTest:
     return _test(m, m.A, m.B, "controllability")
 
 
+@told_as("observability")
 def observability(model: Any) -> StructuralTest:
     """Which modes the outputs show; the controllability test of ``(A^T, C^T)``.
 

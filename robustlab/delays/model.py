@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.channels import chained, closed, covering, in_order, named
 from robustlab.delays.pade import checked_order, pade
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import CHUNK, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -369,6 +369,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         return f"DelayedModel({n} state{'s' * (n != 1)}, {told}, [{ins}] -> [{outs}])"
 
 
+@told_as("delay")
 def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSpaceModel:
     r"""A pure delay :math:`e^{-s \tau}` in each of n channels.
 
@@ -406,6 +407,7 @@ def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSp
     return with_delays(gain, inputs=dict(enumerate(lengths.tolist())))
 
 
+@told_as("with_delays")
 def with_delays(
     G: Any, inputs: Mapping[Any, float] | None = None, outputs: Mapping[Any, float] | None = None
 ) -> DelayedModel | StateSpaceModel:
@@ -450,6 +452,7 @@ def with_delays(
     )
 
 
+@told_as("uncertain_delays")
 def uncertain_delays(
     G: Any,
     inputs: Mapping[Any, float | Sequence[float]] | None = None,

@@ -25,7 +25,7 @@ from functools import cache
 from itertools import pairwise
 from math import factorial
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import StateSpaceModel, series
 
 Polynomial = Sequence[Fraction]  # constant first
@@ -60,6 +60,7 @@ _FORMS: dict[int, tuple[list[Fraction], list[Fraction]]] = {
 }
 
 
+@told_as("neglected_delay")
 def neglected_delay(tau_max: float, order: int = 1) -> StateSpaceModel:
     r"""Weight of the relative error when a delay of at most ``tau_max`` is left out of a model.
 
@@ -116,6 +117,7 @@ def neglected_delay(tau_max: float, order: int = 1) -> StateSpaceModel:
     return StateSpaceModel(whole.A, whole.B, whole.C, whole.D)
 
 
+@told_as("neglected_lag")
 def neglected_lag(tau_max: float) -> StateSpaceModel:
     r"""Weight of the relative error when a first-order lag of at most ``tau_max`` is left out of a model.
 

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.signals import Signal, SignalLike, real_array, signals
 from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
 from robustlab.structural import drop_unconnected
@@ -159,6 +159,7 @@ class _Reduced:
     kept: tuple[int, ...] | None
 
 
+@told_as("descriptor")
 def descriptor(
     A: ArrayLike,
     B: ArrayLike,
@@ -392,7 +393,8 @@ def _residual(form: _Form, model: StateSpaceModel) -> float:
     for point in _points(model):
         one = _transfer(np.eye(model.n_states), model.A, model.B, model.C, model.D, point)
         two = _transfer(form.E, form.A, form.B, form.C, form.D, point)
-        worst = max(worst, float(np.linalg.norm(one - two)) / (float(np.linalg.norm(two)) or 1.0))
+        size = float(np.abs(two).max(initial=0.0)) or 1.0  # squares of large entries overflow
+        worst = max(worst, float(np.linalg.norm((one - two) / size)) / (float(np.linalg.norm(two / size)) or 1.0))
     return worst
 
 

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim
 from robustlab.dynamics.plant_file import code_of
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 
+@told_as("trim")
 def trim(plant: Plant, **where: Any) -> Trim:
     r"""State and input with :math:`f(x, u) = 0`.
 
@@ -56,6 +57,7 @@ def trim(plant: Plant, **where: Any) -> Trim:
     return plant.equilibrium(**where)
 
 
+@told_as("linearise")
 def linearise(
     plant: Plant,
     at: Trim | OperatingPoint | ArrayLike | None = None,

@@ -13,13 +13,14 @@ from robustlab.delays.model import DelayedModel
 from robustlab.delays.response import checked_rtol, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 Hold = Literal["zoh", "foh"]
 
 
+@told_as("simulate")
 def simulate(
     plant_or_model: Any,
     t: ArrayLike,

@@ -26,7 +26,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import InputError, UsageError
+from robustlab.errors import InputError, UsageError, told_as
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
@@ -224,6 +224,7 @@ def _comment(text: str) -> str:
 EXPORTS = (".c", ".json", ".mat", ".h5", ".hdf5")
 
 
+@told_as("export_controller")
 def export_controller(
     path: str | Path,
     controller: Any,

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.operators import carried_by_rank
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
@@ -29,6 +29,7 @@ from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnect
 from robustlab.uncertainty.reduction import reduced
 
 
+@told_as("star")
 @carried_by_rank
 def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
     r"""Redheffer star product: the last outputs of ``first`` drive the first inputs of ``second``, and its first
@@ -63,6 +64,8 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
     (a_in, a_out), (b_in, b_out) = ((len(m.inputs), len(m.outputs)) for m in (a, b))
     go = min(a_out, b_in) if n_to_second is None else n_to_second
     back = min(a_in, b_out) if n_to_first is None else n_to_first
+    if any(isinstance(n, bool) or not isinstance(n, (int, np.integer)) for n in (go, back)):
+        raise InputError("star", f"{go!r} signals over, {back!r} back", "whole numbers, not negative")
     if not (0 <= go <= min(a_out, b_in) and 0 <= back <= min(a_in, b_out)):
         found = f"{go} signals over, {back} back"
         raise InputError("star", found, f"at most {min(a_out, b_in)} and {min(a_in, b_out)}")
@@ -172,6 +175,7 @@ def _check_inside(where: str, inner: UncertainModel, outer: UncertainModel) -> N
         raise InputError(where, found, "what is closed in must be no larger than the other transposed")
 
 
+@told_as("centred")
 def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
     r"""The set scaled by ``level``, with every real range symmetric about its own middle.
 
@@ -281,6 +285,7 @@ class Reduction(Shown):
         return f"{said}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
+@told_as("reduction")
 def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
     """Remove repetitions that cannot be reached or do not show: block by block, then all blocks jointly, until none.
 

@@ -142,6 +142,8 @@ def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None
     first = as_model(nominal, "by_cause: nominal")
     if not isinstance(perturbed, Mapping) or not perturbed:
         raise InputError("by_cause", "no cause", "at least one: {name: perturbed model}")
+    if tolerance is not None and not 0 <= tolerance < 1:
+        raise InputError("by_cause", f"tolerance {tolerance}", "a number in [0, 1)")
     parts: list[_Part] = []
     for name, model in perturbed.items():
         second = as_model(model, f"by_cause: {name}")

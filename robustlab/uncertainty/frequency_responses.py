@@ -382,6 +382,7 @@ def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) 
     return UncertainFrequencyData(plain.omega, M, blocks, plain.inputs, plain.outputs)
 
 
+@told_as("response_radius")
 def response_radius(response: ArrayLike, coherence: ArrayLike, averages: int, confidence: float = 0.95) -> Array:
     r"""Radius about a measured response of one input that holds the true one with a given probability.
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
@@ -45,6 +45,7 @@ NEAR = 1e-2
 NOTHING = 1e-14
 
 
+@told_as("realise_delta")
 def realise_delta(
     blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
 ) -> dict[str, float | StateSpaceModel]:
@@ -92,8 +93,8 @@ def realise_delta(
     if not np.isfinite(dt) or dt < 0:
         raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
     end = np.pi / dt if dt else np.inf
-    if not 0 <= omega <= end * (1 + 1e-12):
-        raise InputError(where, f"omega = {omega:g} rad/s", f"between 0 and {end:g} rad/s")
+    if omega is None or np.ndim(omega) or not 0 <= omega <= end * (1 + 1e-12):
+        raise InputError(where, f"omega = {omega} rad/s", f"between 0 and {end:g} rad/s")
     delta_matrix(blocks, delta)  # names, shapes and finite numbers
     result: dict[str, Any] = {}
     for block in blocks:
@@ -108,6 +109,7 @@ def realise_delta(
     return result
 
 
+@told_as("perturbed_model")
 def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> StateSpaceModel:
     """The member of the set for blocks that are numbers, real matrices or models, such as `realise_delta` gives.
 

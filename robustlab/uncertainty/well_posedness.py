@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, member, number
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
@@ -97,6 +97,7 @@ class WellPosedness(Shown):
         return self.label
 
 
+@told_as("well_posedness")
 @one_thread()
 def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0) -> WellPosedness:
     """Whether every member of a set is well posed.

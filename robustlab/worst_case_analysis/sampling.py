@@ -351,7 +351,8 @@ def sample(
         )
     if not isinstance(uncertain, (NonlinearPlant, UncertainModel)):
         raise InputError("sample", type(uncertain).__name__, "an UncertainModel or a nonlinear plant")
-    for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
+    corners = 0 if isinstance(vertices, str) and vertices == "all" else vertices
+    for name, count in (("n", n), ("vertices", corners), ("seed", seed)):
         if not is_count(count, 0):
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:

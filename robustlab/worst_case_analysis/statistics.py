@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, UnitMismatch
+from robustlab.errors import InputError, UnitMismatch, told_as
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
@@ -242,6 +242,7 @@ def upper_bound(violations: int, n: int, confidence: float = 0.95) -> float:
     return _beta(confidence, violations + 1, n - violations)
 
 
+@told_as("sample_size")
 def sample_size(probability: float, confidence: float = 0.95, violations: int = 0) -> int:
     r"""Smallest number of samples that shows ``P(violation) <= probability`` where at most ``violations`` occur.
 
@@ -414,6 +415,7 @@ class ViolationProbability(Tabular, Shown):
         return data
 
 
+@told_as("violation_probability")
 @one_thread()
 def violation_probability(
     uncertain: UncertainModel,

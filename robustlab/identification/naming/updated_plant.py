@@ -16,7 +16,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 
@@ -128,6 +128,7 @@ class _Found(Protocol):
     records: tuple[str, ...]
 
 
+@told_as("uncertain_from")
 def uncertain_from(
     found: Any,
     outputs: Sequence[str] | None = None,

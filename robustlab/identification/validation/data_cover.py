@@ -21,7 +21,7 @@ import numpy as np
 
 from robustlab.dynamics.extended.effect_blocks import NoiseInput
 from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.identification.validation.model_validation import validate
 from robustlab.identification.validation.result import Validation
 from robustlab.identification.validation.sampled_problem import NoiseNorm
@@ -121,6 +121,7 @@ class DataCover(Evidence):
         }
 
 
+@told_as("data_cover")
 def data_cover(
     plant: Any,
     records: Sequence[Record],

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.budget import one_thread, search_budget
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.result import Validation
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
@@ -32,6 +32,7 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["validate"]
 
 
+@told_as("validate")
 def validate(
     uncertain: UncertainModel,
     record: Record | FrequencyData,

@@ -376,6 +376,8 @@ def conservatism(
             hint = "" if loop else "; close a loop around the models first"
             return Conservatism(np.nan, np.nan, np.inf, i, np.nan, np.nan, Status.FAILED, where + hint)
         gains.append(norm.lower)
+    if not gains:
+        raise InputError("conservatism: models", "none", "at least one model")
     largest = float(max(gains))
     number = int(np.argmax(gains)) + 1
     if largest == 0:

@@ -163,7 +163,7 @@ def delay_disk_margins(
     >>> str(margins.status), round(margins.simultaneous.upper, 3)
     ('certified', 0.573)
     """
-    if not np.isfinite(skew) or not 0 < tolerance < 1:
+    if not abs(skew) <= 1e6 or not 0 < tolerance < 1:
         found = f"skew {skew!r}, tolerance {tolerance!r}"
         raise InputError("delay_disk_margins", found, "a finite skew, 0 < tolerance < 1")
     loop = _closed(plant, K, at, sign, highest_order, "delay_disk_margins")

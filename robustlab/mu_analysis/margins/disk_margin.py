@@ -296,8 +296,8 @@ def disk_channels(
     """
     if at not in PLACES:
         raise InputError("disk_margin: at", f"{at!r}", "input, output or both")
-    if not np.isfinite(skew):
-        raise InputError("disk_margin: skew", f"{skew}", "a finite number")
+    if not abs(skew) <= 1e6:
+        raise InputError("disk_margin: skew", f"{skew}", "a number of at most 1e6 either way")
     q, r = delta
     m, p, n = plant.n_inputs - q, plant.n_outputs - r, plant.n_states
     half = (1 + skew) / 2

@@ -162,8 +162,8 @@ def synthesize_h2(
     tuning: H2Tuning = TUNING,
 ) -> H2Synthesis:
     """The search behind `h2` and `robustlab.lqg`; see there."""
-    if not np.isfinite(gamma_rel) or gamma_rel < 1:
-        raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number >= 1")
+    if not 1 <= gamma_rel <= 1e6:
+        raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     with one_thread():
         return _Search(plant, method, budget, progress or (lambda _: None), tuning).result(gamma_rel)
 

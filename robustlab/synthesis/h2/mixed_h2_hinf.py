@@ -255,7 +255,7 @@ class _Mixed:
             smallest = robust.smallest_gamma
             self.say(f"smallest H-infinity norm found {smallest:.6g}")
             self._judge(robust.K, "the H-infinity design")
-            if len(self.found) <= 1 and self.gamma > self.tuning.room * smallest and not self.budget.over:
+            if smallest and len(self.found) <= 1 and self.gamma > self.tuning.room * smallest and not self.budget.over:
                 # The softest one that keeps the bound has a smaller H2 norm than the tightest.
                 share = self.budget.share(0.4)
                 soft = synthesize(self.hinf_alone, "hinf", 0.999 * self.gamma / smallest, share)

@@ -282,8 +282,8 @@ def synthesize(
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
-    if not np.isfinite(gamma_rel) or gamma_rel < 1:
-        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
+    if not 1 <= gamma_rel <= 1e6:
+        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     if bandwidth is not None and not bandwidth > 0:
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own

@@ -194,12 +194,14 @@ def ncf(
     (1.414214, True, 'certified')
     """
     where = "synth ncf"
-    if not np.isfinite(factor) or factor <= 1:
-        raise InputError(where, f"factor is {factor}", "a number above 1, such as 1.1")
+    if not 1 < factor <= 1e6:
+        raise InputError(where, f"factor is {factor}", "a number above 1, such as 1.1, of at most 1e6")
     g = as_model(G, f"{where}: G")
     if not g.n_inputs or not g.n_outputs:
         raise InputError(f"{where}: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
     before, behind = _weight(W1, g, "W1"), _weight(W2, g, "W2")
+    if not before.n_inputs or not behind.n_outputs:
+        raise InputError(where, "a weight without channels", "at least one input of W1 and one output of W2")
     with one_thread():
         if reference_model is not None:
             return two_degree_design(g, before, behind, reference_model, outputs, rho, factor)

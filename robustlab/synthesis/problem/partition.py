@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.norms import bilinear_to_continuous
 from robustlab.shown import Facts, Shown, listed, with_units
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
@@ -193,6 +193,7 @@ def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERF
     raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)
 
 
+@told_as("generalized_plant")
 def generalized_plant(
     model: Any,
     measurements: Sequence[str],

@@ -34,6 +34,8 @@ from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
 from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 
+LONGEST_DELAY = 1000  # samples: each is a state of every control
+
 
 @dataclass(frozen=True, eq=False)
 class SampledDataNorm(Shown):
@@ -183,8 +185,8 @@ def check_sampling(plant: GeneralizedPlant, dt: float, delay: float, where: str)
         raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
         raise InputError(where, f"the sample time is {dt!r}", "a positive time in s", "discretise the controller first")
-    if not 0 <= delay < np.inf:
-        raise InputError(where, f"delay is {delay}", "a time in s, not negative")
+    if not 0 <= delay <= LONGEST_DELAY * dt:
+        raise InputError(where, f"delay is {delay}", f"a time in s, not negative, of at most {LONGEST_DELAY} samples")
 
 
 def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str) -> GeneralizedPlant:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, append, as_model, real_array, series
@@ -29,6 +29,7 @@ SLACK = 1e-9  # a weight may ask for this much more than the check allows before
 POINTS = 600  # frequencies of the check between those of the models
 
 
+@told_as("performance_weight")
 def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0, order: int = 1) -> StateSpaceModel:
     r"""Weight on the sensitivity S: ``|W1 S| <= 1`` keeps S below ``error`` at low frequency and below ``peak``
     everywhere.
@@ -97,6 +98,7 @@ def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpac
     return _lead(1 / error, corner / error, corner * steady / error)
 
 
+@told_as("control_weight")
 def control_weight(limit: float, bandwidth: float | None = None, roll_off: float = 100.0) -> StateSpaceModel:
     r"""Weight on the control effort K S: ``|W2 K S| <= 1`` keeps K S below ``limit``, and ever lower above
     ``bandwidth``.
@@ -132,6 +134,7 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
     return _lead(roll_off / limit, roll_off * bandwidth / limit, roll_off * bandwidth)
 
 
+@told_as("complementary_weight")
 def complementary_weight(
     bandwidth: float, peak: float = 2.0, roll_off: float = 1e-3, order: int = 1
 ) -> StateSpaceModel:
@@ -174,6 +177,7 @@ def complementary_weight(
     return _repeated(_lead(1 / a, bandwidth / m / a, bandwidth / a), order)
 
 
+@told_as("makeweight")
 def makeweight(low_gain: float, through: tuple[float, float], high_gain: float, order: int = 1) -> StateSpaceModel:
     r"""Weight with given gains at zero and infinite frequency and at one frequency between.
 
@@ -214,7 +218,7 @@ def makeweight(low_gain: float, through: tuple[float, float], high_gain: float, 
         raise InputError(where, f"gain {gain:g} at {omega:g} rad/s", f"between {low_gain:g} and {high_gain:g}")
     _order(where, order)
     low, middle, high = (x ** (1 / order) for x in (low_gain, gain, high_gain))
-    pole = omega * np.sqrt((middle**2 - high**2) / (low**2 - middle**2))
+    pole = omega * np.sqrt((middle - high) / (low - middle) * ((middle + high) / (low + middle)))
     return _repeated(_lag(high, (low - high) * pole, pole), order)
 
 
@@ -302,6 +306,7 @@ class DesignWeights(Shown):
         return [*sizes, ("contradiction", "; ".join(c.text for c in self.conflicts) or "none was found")]
 
 
+@told_as("design_weights")
 def design_weights(
     *,
     bandwidth: float | None = None,
@@ -362,6 +367,7 @@ def design_weights(
     return DesignWeights(W1, W2, W3, tuple(check_weights(W1, W2, W3, plant=plant)))
 
 
+@told_as("check_weights")
 def check_weights(W1: Any = None, W2: Any = None, W3: Any = None, *, plant: Any = None) -> list[Conflict]:
     r"""Contradictions among weights on S, K S and T: lower bounds of gamma above one, largest first.
 
@@ -471,6 +477,7 @@ def _model(weight: Any, name: str) -> StateSpaceModel:
     return model
 
 
+@told_as("noise_weight")
 def noise_weight(
     samples: ArrayLike, dt: float, *, order: int = 4, tolerance: float = 0.3, bands: int = 8, segments: int = 16
 ) -> Overbound:

@@ -174,7 +174,9 @@ def overbound(
 
 
 def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, dt: float) -> tuple[Array, Array]:
-    w, b = np.asarray(omega, dtype=np.float64), np.asarray(bound, dtype=np.float64)
+    w, b = np.asarray(omega, dtype=np.float64), np.asarray(bound)
+    if b.dtype.kind not in "biuf":
+        raise InputError("overbound: bound", f"dtype {b.dtype}", "real numbers")
     if w.ndim != 1 or w.shape != b.shape or len(w) < 2:
         raise InputError("overbound", f"shapes {w.shape} and {b.shape}", "two vectors of the same length, at least 2")
     if not (np.isfinite(w).all() and (w > 0).all() and (np.diff(w) > 0).all()):
