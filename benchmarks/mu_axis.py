@@ -72,6 +72,10 @@ NEW = {
     "graph, 16 masses, 24 springs x 4, 2, 0.002": lambda: mu_models.spring_graph(16, 24, 4, 2, 0.002),
     "24 x 3, 5, damping 0.01": lambda: mu_models.chain(24, 3, 5, 0.01),
     "graph, 24 masses, 30 springs x 5, 3": lambda: mu_models.spring_graph(24, 30, 5, 3),
+    "graph, 20 masses, 24 springs x 4, 7": lambda: mu_models.spring_graph(20, 24, 4, 7),
+    "24 x 2, 11": lambda: mu_models.chain(24, 2, 11),
+    "24 x 2, 12": lambda: mu_models.chain(24, 2, 12),
+    "24 x 4, 11": lambda: mu_models.chain(24, 4, 11),
     "platform legs as the thesis has them": lambda: mu_models.platform_legs(MOTOR),
 }
 

@@ -141,6 +141,10 @@ class Budget:
         """Say that the time limit ended something elsewhere: in a solver that has a limit of its own."""
         self._tell("_struck")
 
+    def use_up(self) -> None:
+        """Say that a search ended because what is left would not have done."""
+        self._tell("_used_up")
+
     def _tell(self, what: str) -> None:
         setattr(self, what, True)
         if self._parent is not None:

@@ -54,6 +54,7 @@ class MuTuning:
     first_branches: float = 0.02  # share of the work for it before a smaller Delta is sought by modes
     regions: int = 16  # solved together; more: quicker each, more of them in vain where a Delta is met
     searched: int = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
+    kept: float = 0.0625  # share of the work kept for a smaller set, and spent before a set is judged out of reach
     narrow: float = 1e-7  # relative width below which a box is not cut again: rounding decides there
     inside: float = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
     proved: float = 0.9999  # a level below this proves the point
@@ -80,12 +81,13 @@ class MuTuning:
     axis_rounds: int = 15  # of descent along the axis at most ...
     least_axis_descent: float = 1e-5  # ... each of which has to lower the norm by this share
     # --- modes driven to the axis inside a box (mode_ascent) ---
+    ascent_least: float = 0.25  # the smallest box looked into, in sizes of the smallest member known at first ...
+    ascent_reach: float = 0.99  # ... and of the largest one
+    ascents_in_vain: int = 5  # as many ascents there, for each mode, without anything smaller end a chain of them ...
+    ascent_chains: int = 3  # ... and so many chains in a row the search
     ascent_members: int = 100  # of the box, looked at for starts ...
-    ascent_modes: int = 5  # ... of so many least damped modes, and as many others ...
-    ascent_rounds: int = 16  # ... so often in a row without anything smaller
-    ascent_reaches: tuple[float, ...] = (0.99, 0.85, 0.97, 0.7)
-    # boxes of one round after the other, in sizes of the smallest member known: smaller ones hide less among more
-    ascent_gain: float = 1e-3  # share by which a member has to be smaller for the rounds to count anew
+    ascent_modes: int = 5  # ... of so many least damped modes, and as many others; twice as many go on from their best
+    ascent_thrown: int = 3  # so many parameters at most are thrown anew for that
     ascent_first: float = 0.3  # share of the way to its own corner at which a nominal mode begins
     ascent_step: float = 0.05  # share by which the box shrinks around a mode that was led across the axis ...
     ascent_last_step: float = 0.01  # ... and at the end

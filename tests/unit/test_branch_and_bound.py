@@ -70,6 +70,15 @@ def test_the_leaves_fill_the_set_at_every_frequency(uncertain, margins):
             assert np.linalg.svd(np.eye(6) - M * delta, compute_uv=False)[-1] > 0
 
 
+def test_what_two_boxes_have_in_common():
+    one, other = Box(np.array([0.0, 1.0]), np.array([1.0, 1.0])), Box(np.array([1.5, 1.0]), np.array([1.0, 0.5]))
+    common = one.within(other)
+    assert common is not None
+    np.testing.assert_allclose(common.centre, [0.75, 1.0])
+    np.testing.assert_allclose(common.half, [0.25, 0.5])
+    assert one.within(Box(np.array([2.0, 1.0]), np.array([1.0, 1.0]))) is None  # they share a face
+
+
 def test_a_matrix_to_a_tolerance_against_a_dense_search():
     """Two real parameters: det(I - M Delta) = 0 is two real equations, solved on a fine grid of directions."""
     rng = np.random.default_rng(3)

@@ -80,6 +80,21 @@ def test_regions_that_cannot_be_proved_lead_to_smaller_members():
     assert proof.upper <= proof.lower * 1.0501
 
 
+def test_where_the_work_will_not_do_a_smaller_set_is_proved():
+    """Cut back to a larger level: its leaves fill the smaller set, none lies outside, and no attack inside succeeds."""
+    model, blocks = chain(12, 2, 0)
+    proof = tighten(MarginProblem(model, blocks, None), 1 / 2.0783, 1 / 1.37, 0.05, Budget(1.2e6))
+    assert proof.lower * 1.05 < proof.upper < 1 / 1.37
+    for leaf in proof.leaves:
+        assert (np.abs(leaf.box.centre) + leaf.box.half <= (1 + 1e-12) / proof.upper).all()
+    rng = np.random.default_rng(2)
+    for turn in range(200):
+        share = rng.uniform(-1, 1, 6)
+        values = (np.sign(share) if turn % 2 else share) / proof.upper
+        assert any((np.abs(values - leaf.box.centre) <= leaf.box.half + 1e-12).all() for leaf in proof.leaves)
+        assert np.linalg.eigvals(member(model, values, 2)).real.max() < 0
+
+
 def test_ranges_that_are_wider_on_one_side_are_measured_by_their_share():
     model, _ = chain(8, 2, 0)
     blocks = [RealScalar(f"k{i}", 2, parameter=ParameterRange(1.0, 0.3, "N/m", below=0.15)) for i in range(4)]

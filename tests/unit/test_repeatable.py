@@ -43,7 +43,7 @@ def test_mu_to_a_tolerance_is_the_same_under_load():
     found = same_under_load("""
 rng = np.random.default_rng(3)
 M = rng.standard_normal((2, 8, 8)) + 1j * rng.standard_normal((2, 8, 8))
-bounds = rl.mu(M, [[-1, 0]] * 8, tolerance=1e-4, effort=0.002)
+bounds = rl.mu(M, [[-1, 0]] * 8, tolerance=1e-4, effort=0.001)
 print(*bounds.notes, digest(bounds))
 """)
     assert USED_UP in found

@@ -95,20 +95,18 @@ class _AxisProblem:
 class MarginProblem(_AxisProblem):
     """The largest mu over the axis: levels are mu, the set has size ``1 / level``."""
 
-    size = 0.0
-
     def root(self, level: float) -> Region:
         """All Delta of size ``1 / level`` on the whole axis."""
-        self.size = 1 / level
         return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
 
-    def attack(self, region: Region) -> Improved | None:
-        """From the centre along the mode next to where the region was missed, inside the whole set."""
-        values, blocks = region.box.centre, self.blocks
+    def attack(self, region: Region, level: float) -> Improved | None:
+        """From the centre along the mode next to where the region was missed, inside a box below the size known."""
+        values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
         if is_stable_member(self.model, blocks, values):
-            values, _ = ascended(self.model, blocks, values, self.size, 1j * (region.hot or 0.0), self.tuning)
-        if values is None:
-            return None
+            found = ascended(self.model, blocks, values, self.tuning.ascent_reach / level, aim, self.tuning)
+            if found is None or found.pole.real <= 0:
+                return None
+            values = found.values
         values = shrunk(self.model, blocks, values, Budget(), self.tuning)
         size = gauge(blocks, values)
         return Improved(1 / size, values) if size > 0 else None
@@ -124,7 +122,7 @@ class GainProblem(_AxisProblem):
         half[-1] = 1 / level
         return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
 
-    def attack(self, region: Region) -> Improved | None:
+    def attack(self, region: Region, level: float) -> Improved | None:
         """From the centre to the corner that raises the gain at the frequency in question, as long as that helps."""
         M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
         met = ascend_corners(M, self.blocks, region.box, region.box.centre)

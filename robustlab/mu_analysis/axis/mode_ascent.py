@@ -3,17 +3,25 @@ r"""Smaller destabilising members, by driving one mode after the other to the ax
 .. math:: \max_{|\delta_i| \le s} \; \mathrm{Re} \, \lambda_k (A + B \Delta (I - D \Delta)^{-1} C)
 
 Where modes are lightly damped, two of them that meet somewhere inside the box may exchange their damping there, and
-nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here modes are followed
-from those of many members of a box that damp them least, by quasi-Newton steps with the exact derivative; the box is
-slightly smaller than the smallest member known. The mode is told by its frequency, for the one of largest real part is
-nearly always the slowest, whatever the others do. What is found is made smaller as far as that mode leads, and ends on
-the axis exactly. Branch and bound asks for the same from the centres of the regions that it cannot prove.
+nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here modes are led by
+quasi-Newton steps with the exact derivative; the box is slightly smaller than the smallest member known. What comes of
+one mode is a local maximum among many, so the search goes on from the best of each mode: a few parameters are thrown
+anew and the ascent is made again, more often for modes that are less damped by now (iterated local search; from points
+without such a past a member that destabilises is met far less often). The mode is told by its frequency, for the one of
+largest real part is nearly always the slowest, whatever the others do. What is found is made smaller as far as that
+mode leads, and ends on the axis exactly. Branch and bound asks for the same from the centres of the regions that it
+cannot prove.
+
+References
+----------
+Lourenço, Martin, Stützle, "Iterated local search", Handbook of Metaheuristics (2003).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -31,7 +39,7 @@ from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Mode", "ascended", "is_stable_member", "mode_next_to", "shrunk", "smaller_destabilising"]
+__all__ = ["Ascent", "Mode", "ascended", "is_stable_member", "mode_next_to", "shrunk", "smaller_destabilising"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,15 @@ class Mode:
 
     pole: complex
     slopes: Array
+
+
+@dataclass(frozen=True)
+class Ascent:
+    """Entries (n_blocks,) of the member that an ascent ended at, its pole, and how many members were looked at."""
+
+    values: Array
+    pole: complex
+    looks: int
 
 
 def mode_next_to(model: StateSpaceModel, blocks: Sequence[Block], values: Array, aim: complex) -> Mode | None:
@@ -75,16 +92,16 @@ def is_stable_member(model: StateSpaceModel, blocks: Sequence[Block], values: Ar
 
 def ascended(
     model: StateSpaceModel, blocks: Sequence[Block], start: Array, size: float, aim: complex, tuning: MuTuning = TUNING
-) -> tuple[Array | None, int]:
-    """The member of a box that quasi-Newton steps end at, None where it is stable; and how many they looked at.
+) -> Ascent | None:
+    """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim.
 
-    The pole next to the imaginary aim is followed by its frequency, from the entries ``start`` (n_blocks,).
+    It is told by its frequency. They begin at the entries ``start`` (n_blocks,). None where these are ill-posed.
     """
     from scipy.optimize import minimize
 
     first = mode_next_to(model, blocks, start, aim)
     if first is None:
-        return None, 1
+        return None
     unit = max(abs(first.pole.real), 1e-9 * abs(first.pole))
     place = aim
 
@@ -99,7 +116,7 @@ def ascended(
     bounds = [(float(low), 1.0) for low in lowest(blocks)]
     options = {"maxiter": tuning.ascents_of_mode}
     found = minimize(damping, start / size, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return (found.x * size if found.fun < 0 else None), 1 + found.nfev
+    return Ascent(found.x * size, complex(-found.fun * unit, abs(place.imag)), 1 + found.nfev)
 
 
 def shrunk(
@@ -119,6 +136,7 @@ def smaller_destabilising(
     budget: Budget,
     seed: int = 0,
     tuning: MuTuning = TUNING,
+    proved: float = 0.0,
 ) -> Destabilising:
     """A destabilising Delta of real blocks alone that is smaller than ``worst``, or ``worst`` where none was found.
 
@@ -132,8 +150,10 @@ def smaller_destabilising(
         Where it is over, the search ends with what it has.
     seed
         Seed of the points where ascents begin.
+    proved
+        Size of a set in which none destabilises, where one is known: it need not be looked at.
     """
-    return _Search(model, tuple(blocks), worst, budget, tuning).run(seed)
+    return _Search(model, tuple(blocks), worst, budget, tuning).run(seed, proved)
 
 
 class _Search:
@@ -152,74 +172,112 @@ class _Search:
         self.size, self.all_real = gauge(blocks, block_entries(blocks, worst.delta)), all(b.interval for b in blocks)
         nominal = model.poles()
         self.frequencies = np.sort(nominal.imag[nominal.imag > 0])
+        self.box = 0.0
+        # Of each mode, by its order in frequency: its least damping met in this box, and the point of the unit set.
+        self.led: dict[int, tuple[float, Array]] = {}
 
-    def run(self, seed: int) -> Destabilising:
-        """From each nominal mode, then from members that are lightly damped already, until these lead to nothing."""
+    def run(self, seed: int, proved: float) -> Destabilising:
+        """In boxes between what is proved and the smallest member, by bisection; then in those slightly smaller."""
         rng = np.random.default_rng(seed)
         if np.isfinite(self.best.pole):
             self.follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
-        reaches = self.tuning.ascent_reaches
-        self._ascend_from(self._nominal_modes(), reaches[0])
-        failed = 0
-        while failed < self.tuning.ascent_rounds and self._may_go_on():
-            reach = reaches[failed % len(reaches)]
-            failed = 0 if self._ascend_from(self._least_damped(rng, reach), reach) else failed + 1
+        empty, chains, in_vain = max(proved, self.tuning.ascent_least * self.size), 0, 0
+        while chains < self.tuning.ascent_chains and self._may_go_on():
+            before, largest = self.size, self.size * self.tuning.ascent_reach
+            size = min(float(np.sqrt(empty * self.size)), largest)
+            ascents = self._ascents_within(size, size == largest, rng)
+            if self.size < before:
+                chains = in_vain = 0
+            elif size < largest:
+                empty = size
+            elif (in_vain := in_vain + max(ascents, 1)) >= self.tuning.ascents_in_vain * len(self.frequencies):
+                chains, in_vain, self.box = chains + 1, 0, 0.0  # what modes were led to is forgotten
         return self.best
+
+    def _ascents_within(self, size: float, thorough: bool, rng: np.random.Generator) -> int:
+        """How many ascents were made inside a box until one led to a smaller member, or to the end of the turn.
+
+        At first from members that damp a mode least (thorough: from the nominal modes as well), then and in later turns
+        from where modes have come to.
+        """
+        ascents, starts = 0, []
+        if size != self.box:
+            self.box, self.led = size, {}
+            starts = self._least_damped(rng) + (self._nominal_modes() if thorough else [])
+        for mode, point in chain(starts, self._thrown(rng)):
+            if not self._may_go_on():
+                break
+            ascents += 1
+            values = self._led(mode, point)
+            if values is not None:
+                self.follow(values)
+                break
+        return ascents
 
     def _may_go_on(self) -> bool:
         """Work is left. That it may end here is no news, for the search ends somewhere; a clock that ended it is."""
         return self.budget.left > 0 and not (self.budget.seconds_left <= 0 and self.budget.over)
 
-    def _ascend_from(self, starts: list[tuple[Array, complex]], reach: float) -> bool:
-        """Ascents from points of the unit set, each of the mode next to an aim; whether any led to smaller members.
-
-        The box has the share ``reach`` of the smallest size known: a much smaller one hides less among more.
-        """
-        before = self.size
-        for point, aim in starts:
-            if not self._may_go_on():
-                break
-            size = self.size * reach
-            found = self._ascent(size * point, size, aim)
-            if found is not None:
-                self.follow(found)
-        return self.size < before * (1 - self.tuning.ascent_gain)
-
-    def _nominal_modes(self) -> list[tuple[Array, complex]]:
-        """Each mode of the nominal model, on its own way out."""
+    def _nominal_modes(self) -> list[tuple[int, Array]]:
+        """Each mode of the nominal model, at a point of the unit set on its own way out."""
         starts = []
-        for aim in 1j * self.frequencies:
+        for mode, aim in enumerate(1j * self.frequencies):
             now = mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
             slopes = np.zeros(len(self.blocks)) if now is None else now.slopes
-            starts.append((self.tuning.ascent_first * np.where(slopes < 0, self.low, 1.0), aim))
+            starts.append((mode, self.tuning.ascent_first * np.where(slopes < 0, self.low, 1.0)))
         return starts
 
-    def _least_damped(self, rng: np.random.Generator, reach: float) -> list[tuple[Array, complex]]:
-        """Of random corners and points, for each mode the one that damps it least: the least damped, and some others.
-
-        Modes are told by their order in frequency.
-        """
-        size = self.size * reach
-        best: dict[int, tuple[float, Array, complex]] = {}
+    def _least_damped(self, rng: np.random.Generator) -> list[tuple[int, Array]]:
+        """Of random corners and points, those that damp a mode least: of the least damped modes, and of some others."""
+        best: dict[int, tuple[float, Array]] = {}
         for turn in range(self.tuning.ascent_members):
             share = rng.random(len(self.blocks))
             point = self.low + (1 - self.low) * (np.round(share) if turn % 2 else share)
-            poles = self._poles(size * point)
-            poles = poles[poles.imag > 0]
-            for k, pole in enumerate(poles[np.argsort(poles.imag)]):
+            for mode, pole in enumerate(self._modes(point)):
                 damping = float(-pole.real / abs(pole))
-                if k not in best or damping < best[k][0]:
-                    best[k] = damping, point, 1j * float(pole.imag)
-        met = [(point, aim) for _, point, aim in sorted(best.values(), key=lambda start: start[0])]
+                if mode not in best or damping < best[mode][0]:
+                    best[mode] = damping, point
+        met = [(mode, best[mode][1]) for mode in sorted(best, key=lambda mode: best[mode][0])]
         least, others = met[: self.tuning.ascent_modes], met[self.tuning.ascent_modes :]
-        picked = rng.permutation(len(others))[: self.tuning.ascent_modes]
-        return least + [others[k] for k in picked]
+        return least + [others[k] for k in rng.permutation(len(others))[: self.tuning.ascent_modes]]
 
-    def _ascent(self, start: Array, size: float, aim: complex) -> Array | None:
+    def _thrown(self, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
+        """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often.
+
+        Each is told when it is asked for: what the one before has led to counts.
+        """
+        for _ in range(2 * self.tuning.ascent_modes):
+            order = sorted(self.led, key=lambda mode: self.led[mode][0])
+            if not order:
+                return
+            mode = order[min(int(rng.exponential(self.tuning.ascent_modes)), len(order) - 1)]
+            point = self.led[mode][1].copy()
+            thrown = rng.permutation(len(point))[: rng.integers(1, self.tuning.ascent_thrown + 1)]
+            point[thrown] = rng.uniform(self.low[thrown], 1.0)
+            yield mode, point
+
+    def _led(self, mode: int, point: Array) -> Array | None:
+        """Lead a mode, told by its order in frequency, from a point of the unit set; its end where that is unstable."""
+        poles = self._modes(point)
+        found = self._ascent(self.box * point, self.box, 1j * poles[mode].imag) if mode < len(poles) else None
+        if found is None:
+            return None
+        damping = -found.pole.real / max(abs(found.pole), 1e-300)
+        if mode not in self.led or damping < self.led[mode][0]:
+            self.led[mode] = damping, found.values / self.box
+        return found.values if found.pole.real > 0 else None
+
+    def _modes(self, point: Array) -> ComplexArray:
+        """Poles of the upper half plane by their frequency, at a point of the unit set."""
+        poles = self._poles(self.box * point)
+        poles = poles[poles.imag > 0]
+        return poles[np.argsort(poles.imag)]
+
+    def _ascent(self, start: Array, size: float, aim: complex) -> Ascent | None:
         """`ascended` inside the box of this size, counted."""
-        values, looks = ascended(self.model, self.blocks, start, size, aim, self.tuning)
-        self._count(looks)
-        return values
+        found = ascended(self.model, self.blocks, start, size, aim, self.tuning)
+        self._count(1 if found is None else found.looks)
+        return found
 
     def follow(self, values: Array) -> None:
         """Ever smaller members along the mode that was led across the axis, then to the axis exactly."""
@@ -231,8 +289,8 @@ class _Search:
             aim = 1j * abs(float(poles[poles.real.argmax()].imag))
             smaller = size * (1 - step)
             found = self._ascent(np.clip(values, smaller * self.low, smaller), smaller, aim)
-            if found is not None:
-                values = self._at_crossing(found)
+            if found is not None and found.pole.real > 0:
+                values = self._at_crossing(found.values)
             elif step == self.tuning.ascent_step and size < self.size / (1 - step):
                 step = self.tuning.ascent_last_step
             else:

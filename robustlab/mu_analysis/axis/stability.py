@@ -218,8 +218,8 @@ def _apart(found: _Found, tolerance: float) -> bool:
 def _led_to_the_axis(found: _Found, budget: Budget, seed: int) -> None:
     """A smaller Delta where the gap may be that of the search: only modes that meet inside the box tell of it."""
     if found.worst is not None and all(b.interval for b in found.blocks):
-        part = budget.share(found.tuning.ascent_share)
-        better = smaller_destabilising(found.model, found.blocks, found.worst, part, seed, found.tuning)
+        part, proved = budget.share(found.tuning.ascent_share), 1 / found.level
+        better = smaller_destabilising(found.model, found.blocks, found.worst, part, seed, found.tuning, proved)
         found.worst = _as_seen(found.model, better)
 
 

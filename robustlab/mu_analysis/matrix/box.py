@@ -36,6 +36,12 @@ class Box:
         high[index] += half[index]
         return Box(low, half), Box(high, half)
 
+    def within(self, other: Box) -> Box | None:
+        """What both boxes have in common; None where that has no volume."""
+        low = np.maximum(self.centre - self.half, other.centre - other.half)
+        high = np.minimum(self.centre + self.half, other.centre + other.half)
+        return Box((low + high) / 2, (high - low) / 2) if (high > low).all() else None
+
 
 def lowest(blocks: Sequence[Block]) -> Array:
     """What multiplies in Delta at the lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""

@@ -95,8 +95,8 @@ class Problem(Protocol):
         """
         ...
 
-    def attack(self, region: Region) -> Improved | None:
-        """The worst Delta found cheaply from the region's centre, inside it."""
+    def attack(self, region: Region, level: float) -> Improved | None:
+        """The worst Delta found cheaply from the region's centre, where it lies above the level attained."""
         ...
 
 
@@ -105,24 +105,21 @@ def tighten(
 ) -> Proof:
     """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
 
-    A wide gap is halved first, and halved again: each level costs several times the one before it, so that what is
-    proved when the work is done is worth having, and the way there cost little.
+    That level is tried at once. Where a larger ``lower`` is met on the way, or the work will not do, what is left is
+    cut back to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
 
     ``lower``, ``upper``: level attained, and level proved already (inf: none).
     ``budget``: where it is over, the search stops.
     """
-    proof = Proof(lower, upper)
+    proof, last = Proof(lower, upper), 0.0
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
-        gap = min(proof.upper / proof.lower - 1, 2.0)
-        level = proof.lower * (1 + (tolerance if gap <= 3 * tolerance else gap / 2))
-        regions, leaves = [problem.root(level)], []
-        worse = _prove(problem, regions, level, budget, leaves, proof, tuning)
-        if worse is not None:
-            proof.lower, proof.values = worse.level, worse.values
-        elif regions:  # the budget is over, or a box has come to rounding size
+        if budget.left <= last:  # the next level costs more than the one before
+            budget.use_up()
             break
-        else:
-            proof.upper, proof.leaves = level, leaves
+        before = budget.left
+        if not _Descent(problem, proof, tolerance, budget, tuning).run():
+            break
+        last = before - budget.left
     return proof
 
 
@@ -131,49 +128,108 @@ def by_regions(count: int) -> str:
     return f"proved by branch and bound; regions of parameters and frequency: {count}"
 
 
-def _prove(
-    problem: Problem,
-    regions: list[Region],
-    level: float,
-    budget: Budget,
-    leaves: list[Region],
-    proof: Proof,
-    tuning: MuTuning,
-) -> Improved | None:
-    """Work on the regions, a stack emptied in place, until all are proved or the budget is over; or a Delta above it.
+class _Descent:
+    """One proof of a set that may get smaller on the way: what is open of it, a stack, and what is proved."""
 
-    A region whose box has come to rounding size is put back, and ends the work.
-    """
-    real, root = real_blocks(problem.blocks), problem.root(level).box
-    while regions and not budget.over:
-        chosen = regions[-tuning.regions :]
-        del regions[-tuning.regions :]
+    def __init__(self, problem: Problem, proof: Proof, tolerance: float, budget: Budget, tuning: MuTuning) -> None:
+        self.problem, self.proof, self.tolerance, self.budget, self.tuning = problem, proof, tolerance, budget, tuning
+        self.real = real_blocks(problem.blocks)
+        self.regions: list[Region] = []
+        self.leaves: list[Region] = []
+        self.level = proof.lower * (1 + tolerance)
+        self.root = problem.root(self.level)
+        self.regions.append(self.root)
+        self._begin()
+
+    def run(self) -> bool:
+        """Whether all regions were proved: then the level is in the proof, as its ``upper``."""
+        while self.regions and not self.budget.over:
+            if not self._look():
+                return False
+            if self.regions and self._out_of_reach() and not self._give_way():
+                self.budget.use_up()
+                return False
+        if self.regions:
+            return False
+        self.proof.upper, self.proof.leaves = self.level, self._within_root(self.leaves)
+        return True
+
+    def _look(self) -> bool:
+        """Take some regions off the stack, put back what is left of them; False where one has come to rounding size."""
+        chosen = self.regions[-self.tuning.regions :]
+        del self.regions[-self.tuning.regions :]
         before = [list(r.open) for r in chosen]
-        proof.solves += len(chosen)
-        weights = problem.examine(chosen)
-        budget.spend(problem.work(len(chosen)))
-        stuck, worst = False, None
+        self.proof.solves += len(chosen)
+        weights = self.problem.examine(chosen)
+        self.budget.spend(self.problem.work(len(chosen)))
+        sound = True
         for region, was, weight in zip(chosen, before, weights, strict=True):
             if not region.open:
-                leaves.append(Region(region.box, was, region.hot))
+                self.leaves.append(Region(region.box, was, region.hot))
                 continue
             if weight is None:
-                regions.append(region)
+                self.regions.append(region)
                 continue
-            found = problem.attack(region)
-            if found is not None and found.level > level and (worst is None or found.level > worst.level):
-                worst = found
-            index = _where_to_cut(region.box, weight, real, root, tuning.narrow)
+            self._take(self.problem.attack(region, self.proof.lower))
+            index = _where_to_cut(region.box, weight, self.real, self.root.box, self.tuning.narrow)
             if index is None:
-                regions.append(region)
-                stuck = True
+                self.regions.append(region)
+                sound = False
                 continue
-            regions.extend(Region(half, list(region.open), region.hot) for half in region.box.halves(index))
-        if worst is not None:
-            return worst
-        if stuck:
-            return None
-    return None
+            self.regions.extend(Region(half, list(region.open), region.hot) for half in region.box.halves(index))
+        if self.proof.lower * (1 + self.tolerance) > self.level * (1 + 1e-12):
+            self._cut_back(self.proof.lower * (1 + self.tolerance))
+        return sound
+
+    def _take(self, found: Improved | None) -> None:
+        if found is not None and found.level > self.proof.lower:
+            self.proof.lower, self.proof.values = found.level, found.values
+
+    def _begin(self) -> None:
+        self.work, self.seconds, self.open = self.budget.left, self.budget.seconds_left, self._volume()
+
+    def _volume(self) -> float:
+        """What is open of the set, as a share of its volume."""
+        whole = np.maximum(self.root.box.half[self.real], 1e-300)
+        return sum(float(np.prod(region.box.half[self.real] / whole)) for region in self.regions)
+
+    def _out_of_reach(self) -> bool:
+        """Whether the work, or the time, will not do, as far as the volume proved so far tells."""
+        left = self._volume() / self.open
+        if self._too_little(self.budget.left, self.work, left):
+            return True
+        if self._too_little(self.budget.seconds_left, self.seconds, left):
+            self.budget.strike()  # the clock chooses the set: not repeatable
+            return True
+        return False
+
+    def _too_little(self, there: float, begun_with: float, left: float) -> bool:
+        """Whether what there is will not do for the volume left, by what was done with the rest of it.
+
+        The more was done, the more that is believed; nothing at first. Some is kept for the smaller set.
+        """
+        if begun_with == np.inf:
+            return False
+        done = (1 - max(there, 0.0) / begun_with) / (1 - self.tuning.kept) if begun_with > 0 else 1.0
+        return done >= 1 or (done >= self.tuning.kept and done**2 * left > (1 - done) * (1 - left))
+
+    def _give_way(self) -> bool:
+        """A quarter of the way back to what is proved already; False where that is next to it."""
+        known = self.proof.upper
+        level = self.level * (known / self.level) ** 0.25 if np.isfinite(known) else 2 * self.level
+        if level * (1 + self.tolerance) >= known:
+            return False
+        self._cut_back(float(level))
+        return True
+
+    def _cut_back(self, level: float) -> None:
+        self.level, self.root = level, self.problem.root(level)
+        self.regions = self._within_root(self.regions)
+        self._begin()
+
+    def _within_root(self, regions: list[Region]) -> list[Region]:
+        cut = ((region.box.within(self.root.box), region) for region in regions)
+        return [Region(box, list(region.open), region.hot) for box, region in cut if box is not None]
 
 
 def real_blocks(blocks: Sequence[Block]) -> Mask:
@@ -249,6 +305,6 @@ class MatrixProblem:
         if singularity(self.M, whole) <= self.tuning.singular and (self._found is None or 1 / size > self._found.level):
             self._found = Improved(1 / size, whole)
 
-    def attack(self, region: Region) -> Improved | None:
+    def attack(self, region: Region, level: float) -> Improved | None:
         """The worst Delta that the search of open regions has met."""
         return self._found
