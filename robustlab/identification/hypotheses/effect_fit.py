@@ -33,6 +33,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
@@ -58,6 +59,9 @@ __all__ = [
 ]
 
 
+UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """What every hypothesis refits: nominal parameters that a common factor of their references scales
@@ -78,6 +82,21 @@ class Nuisance:
         if not self.additive:
             return float(np.exp(self.spread * z))
         return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The standardised z at the two ends of the tolerance; a clock has none."""
+        if self.input:
+            return -np.inf, np.inf
+        if self.additive:
+            return -np.inf if self.never_negative else -UNIFORM, UNIFORM
+        tolerance = np.expm1(UNIFORM * self.spread)
+        return float(np.log1p(-tolerance)) / self.spread if tolerance < 1.0 else -np.inf, UNIFORM
+
+    def beyond(self, z: float, std: float) -> float:
+        """Probability that what is known as z, give or take ``std``, lies outside of the tolerance."""
+        low, high = self.ends
+        return float(ndtr((low - z) / std) + ndtr((z - high) / std))
 
 
 Effects = Sequence[tuple[Effect, Site]]
@@ -244,7 +263,7 @@ class Problem:
     def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
         """Plant factors and effect values of the standardised parameters."""
         factors = {}
-        for nuisance, moves, value in zip(self.nuisances, self._moving(hypothesis), z, strict=False):
+        for nuisance, moves, value in zip(self.nuisances, self.moving(hypothesis), z, strict=False):
             if moves:
                 factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
         values, at = [], len(self.nuisances)
@@ -253,7 +272,7 @@ class Problem:
             at += len(candidate.parameters)
         return factors, values
 
-    def _moving(self, hypothesis: Hypothesis) -> list[bool]:
+    def moving(self, hypothesis: Hypothesis) -> list[bool]:
         """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
         sites = [c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"]
         wrong = {*sites, *(name for site in sites for name in site.split("+"))}
@@ -520,7 +539,7 @@ class Problem:
         columns = [moved(z + self.tuning.step * unit, xi, self.tuning.step)[:, :, None] for unit in units]
         j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
         if borrowed:
-            over_z = borrowed[0] * self._moving(hypothesis)
+            over_z = borrowed[0] * self.moving(hypothesis)
             return Linearised.of(residual, np.concatenate([over_z, j], axis=2), borrowed[1], xi)
         x = [moved(z, xi + self.tuning.start_step * unit, self.tuning.start_step) for unit in np.eye(xi.shape[1])]
         return Linearised.of(residual, j, np.stack(x, axis=2), xi)

@@ -46,12 +46,13 @@ from robustlab.identification.naming.discovery_parts import (
     SearchEntry,
     SetProbability,
 )
-from robustlab.identification.naming.discovery_result import AS_LARGE, Discovery, Verdict, overall
+from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.tuning import AS_LARGE
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
@@ -439,8 +440,7 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     for name, p in problem.plant.parameters.items():
         low, value, high = moved.get(name, [p.value] * 3)
         tolerance = stated[name][0]
-        far = abs(np.log(value / p.value)) > np.log1p(tolerance) if p.value else abs(value) > tolerance
-        beyond = name in moved and bool(far)
+        beyond = name in moved and abs(value - p.value) > tolerance * abs(p.value or 1.0)
         ends = min(low, high), max(low, high)
         values.append(NominalValue(name, p.value, value, p.unit, *ends, *stated[name], beyond))
     return tuple(values)

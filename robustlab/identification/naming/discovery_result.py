@@ -19,6 +19,7 @@ from robustlab.identification.naming.discovery_parts import (
     SetProbability,
     wave_amplitude,
 )
+from robustlab.identification.tuning import AS_LARGE
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
-    "AS_LARGE",
     "Discovery",
     "LINEAR",
     "Verdict",
@@ -45,7 +45,6 @@ __all__ = [
 
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
-AS_LARGE = 5e-3  # share by which errors differ that are called as large
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
 
