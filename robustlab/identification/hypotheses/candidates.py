@@ -18,7 +18,8 @@ from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
-from robustlab.identification.hypotheses.effect_fit import UNIFORM, Candidate, Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate
+from robustlab.identification.hypotheses.nuisance import UNIFORM, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -48,13 +49,14 @@ def candidates(
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
+    What does exactly the same as others together is told by their names: it is not looked for.
     An effect whose period over the position or over time must be known is given once for each strong line.
     """
     model = _with_told_positions(model, records)
     found = []
     known: dict[Site, Scales] = {}
     for effect in catalogue().values():
-        if not effect.nameable:
+        if not effect.nameable or effect.equals:
             continue
         for site in effect.sites(plant, model):
             if site.kind == "output" and not all(site.name in r.record.outputs for r in records):

@@ -33,7 +33,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
@@ -41,6 +40,7 @@ from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -51,52 +51,11 @@ __all__ = [
     "FitPlan",
     "Hypothesis",
     "NoiseModel",
-    "Nuisance",
     "Problem",
     "predicted",
     "refit_distance",
     "simulated_outputs",
 ]
-
-
-UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
-
-
-@dataclass(frozen=True)
-class Nuisance:
-    """What every hypothesis refits: nominal parameters that a common factor of their references scales
-    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
-    """
-
-    # label, names: of the group, and its parameters
-    label: str
-    names: tuple[str, ...]
-    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
-    spread: float
-    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
-    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
-    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
-
-    def factor(self, z: float) -> float:
-        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
-        if not self.additive:
-            return float(np.exp(self.spread * z))
-        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The standardised z at the two ends of the tolerance; a clock has none."""
-        if self.input:
-            return -np.inf, np.inf
-        if self.additive:
-            return -np.inf if self.never_negative else -UNIFORM, UNIFORM
-        tolerance = np.expm1(UNIFORM * self.spread)
-        return float(np.log1p(-tolerance)) / self.spread if tolerance < 1.0 else -np.inf, UNIFORM
-
-    def beyond(self, z: float, std: float) -> float:
-        """Probability that what is known as z, give or take ``std``, lies outside of the tolerance."""
-        low, high = self.ends
-        return float(ndtr((low - z) / std) + ndtr((z - high) / std))
 
 
 Effects = Sequence[tuple[Effect, Site]]
@@ -302,6 +261,12 @@ class Problem:
             for r in self.records
         ]
 
+    def quick(self, hypothesis: Hypothesis) -> list[Simulator]:
+        """Simulators for derivatives, which need not be as exact as errors: no step with force laws is made again in
+        halves.
+        """
+        return self.under(replace(self.clock, rough=True)).simulators(hypothesis)
+
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None,
         near: Array | None = None,
@@ -423,6 +388,8 @@ class Problem:
         n_x = len(self.plant.states)
         xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
         simulators = self.simulators(hypothesis)
+        forced = simulators[0].laws(self.split(hypothesis, z)[1]) and not plan.robust
+        quick = self.quick(hypothesis) if forced else simulators
         damping, count, rounds = self.tuning.damping, 0, plan.iterations
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
         cost = _total(residual, xi, z)
@@ -431,7 +398,7 @@ class Problem:
         while rounds > 0 or not plan.draft:
             parts = [
                 self._linearised(
-                    k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed, borrowed[k] if borrowed else None
+                    k, hypothesis, z, xi[k], residual[k], quick[k], noise, fixed, borrowed[k] if borrowed else None
                 )
                 for k in range(len(xi))
             ]
@@ -530,9 +497,13 @@ class Problem:
     ) -> Linearised:  # fmt: skip
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
 
+        def at(there: Array, start: Array) -> Array:
+            return _whiten(self._record_errors(k, simulator, hypothesis, there, start, z), noise)
+
+        here = at(z, xi) if simulator.rough and not self.clock.rough else residual
+
         def moved(there: Array, start: Array, step: float) -> Array:
-            error = self._record_errors(k, simulator, hypothesis, there, start, z)
-            return (_whiten(error, noise) - residual) / step
+            return (at(there, start) - here) / step
 
         known = len(self.nuisances) if borrowed else 0
         units = np.eye(len(z))[known:] if not fixed else []

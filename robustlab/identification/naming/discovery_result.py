@@ -349,9 +349,6 @@ def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]
     lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
     lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
     lines += _wave_line(effect)
-    if equals := catalogue()[effect.name].equals:
-        same = " and ".join(catalogue()[e].title for e in equals)
-        lines.append(_row("  the same as", f"{same} together: no record of the motion tells one from the other"))
     if not details:
         return lines
     lines += [_row("  equation", effect.equation)]

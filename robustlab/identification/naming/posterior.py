@@ -283,9 +283,7 @@ def _folded(problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key,
     return sorted(kept, key=lambda w: order[w.key])
 
 
-def _misjudged(
-    found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, float]
-) -> tuple[list[Weighed], set[Key]]:
+def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, float]) -> tuple[list[Weighed], set[Key]]:
     """The sets, most probable first, each under the name that its parameters ask for; and which have another name now.
 
     A set whose refit takes a parameter beyond its tolerance predicts the same as the set that calls this parameter

@@ -38,7 +38,6 @@ from robustlab.identification.hypotheses.effect_fit import (
     FitPlan,
     Hypothesis,
     NoiseModel,
-    Nuisance,
     Problem,
     refit_distance,
 )
@@ -51,6 +50,7 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
 from robustlab.identification.tuning import NamingTuning
@@ -160,7 +160,7 @@ def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
     """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
-        total += math.log(tuning.prior_effect) * max(1, len(candidate.effect.equals))
+        total += math.log(tuning.prior_effect)
         if candidate.effect.refines:
             total += math.log(tuning.prior_refinement)
         if candidate.effect.spatial and candidate.scales.orders:
