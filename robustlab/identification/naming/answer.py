@@ -433,9 +433,14 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     moved: dict[str, list[float]] = {}
     for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
         for name in nuisance.names:
-            centre = z if name in factors else 0.0  # an effect that scales the group has its factor instead
+            centre = z if name in factors else 0.0  # what is named misplaced has its shift there
             factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
             moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
+    for k, candidate in enumerate(fit.hypothesis.candidates):
+        if candidate.site.kind == "parameter" and candidate.effect.scale:  # what is named misjudged has its value here
+            s = _effect_values(problem, fit, k)[0]
+            for name in candidate.effect.factors(problem.plant, candidate.site, {s.name: s.value}):
+                moved[name] = [problem.plant.parameters[name].reference * f for f in (s.lower, s.value, s.upper)]
     values = []
     for name, p in problem.plant.parameters.items():
         low, value, high = moved.get(name, [p.value] * 3)

@@ -173,16 +173,12 @@ def promising(
 ) -> list[Start]:  # fmt: skip
     """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
 
-    Before them the parameters that are `stretched`.
-
     ``best``: the most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
     ``known``: key of an effect -> fit of base and effect that an earlier look ended with; put down here. ``said``:
     called with the number of short fits done and to do.
     """
     tuning, noise = problem.tuning, base.noise
-    wrong = stretched(problem, base, pool)
-    asked = {start.candidate.key for start in wrong}
-    jobs = [start for c in pool if c.key not in asked for start in _starts(problem, base, c, known)]
+    jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
     rough = replace(problem.clock, rough=True)
     few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.first_windows)
     some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.second_windows)
@@ -216,7 +212,7 @@ def promising(
     nearer = _best_of_each(workers.map(second, kept))
     known.update({job.candidate.key: fit for job, fit in nearer})
     kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
-    return [*wrong, *(Start(job.candidate, fit.hypothesis, fit.z) for job, fit in kept)]
+    return [Start(job.candidate, fit.hypothesis, fit.z) for job, fit in kept]
 
 
 def _kept(

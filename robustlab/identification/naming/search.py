@@ -52,7 +52,7 @@ from robustlab.identification.hypotheses.noise import (
 )
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
-from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
+from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.tuning import NamingTuning
 
 __all__ = [
@@ -389,7 +389,11 @@ class _Search:
 
         known = self.looked.setdefault(key, {})
         best = self.best.fit
-        starts = promising(self.problem, base, best, open_ones, known, self.workers, said)
+        # Of a set that something else is missing from, the parameters stand for that, and are no finding.
+        wrong = stretched(self.problem, base, open_ones) if self.sharpened and key == self._told().key else []
+        asked = {start.candidate.key for start in wrong}
+        open_ones = [c for c in open_ones if c.key not in asked]
+        starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said)]
         if not self.sharpened:
             starts = starts[: self.tuning.rough_fits]
         ceiling = min(base.cost - 2.0 * self.tuning.promising, best.cost + 2.0 * self.tuning.far_behind)
