@@ -180,7 +180,7 @@ class Effect(ABC):
     person: str = ""
     # Id of the parent on top of which alone it is looked for. A refinement contains its parent.
     refines: str | None = None
-    # Ids of effects that together do exactly the same; it is as probable as they are.
+    # Ids of effects that together do exactly the same: `discover` tells it by their names.
     equals: tuple[str, ...] = ()
     nameable: bool = True  # False for what is known noise and never a name (quantisation)
     needs_position: bool = False  # True where it sits only at joints whose position is a state
