@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import log_ndtr
 
 __all__ = ["Nuisance", "UNIFORM"]
 
@@ -44,7 +44,9 @@ class Nuisance:
         tolerance = np.expm1(UNIFORM * self.spread)
         return float(np.log1p(-tolerance)) / self.spread if tolerance < 1.0 else -np.inf, UNIFORM
 
-    def beyond(self, z: float, std: float) -> float:
-        """Probability that what is known as z, give or take ``std``, lies outside of the tolerance."""
+    def log_within(self, z: float, std: float) -> float:
+        """Log probability that what is known as z, give or take ``std``, lies within the tolerance."""
         low, high = self.ends
-        return float(ndtr((low - z) / std) + ndtr((z - high) / std))
+        near, far = sorted(((z - high) / std, (low - z) / std), reverse=True)
+        inside = float(log_ndtr(-near))
+        return inside + float(np.log1p(-np.exp(log_ndtr(far) - inside)))

@@ -287,8 +287,8 @@ def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, flo
     """The sets, most probable first, each under the name that its parameters ask for; and which have another name now.
 
     A set whose refit takes a parameter beyond its tolerance predicts the same as the set that calls this parameter
-    misjudged; they differ in its prior alone. So what is probable of the parameter beyond its tolerance goes to the set
-    that says so; where several parameters are, to each of these sets as its evidence tells.
+    misjudged; they differ in its prior alone. Between the two the tolerance is a bound: of its evidence the first keeps
+    the part within, against the second with the prior of an effect more; and together they are as probable as before.
     """
     nuisances, renamed = found.problem.nuisances, set[Key]()
     own = {w.key: w for w in sets}
@@ -296,23 +296,26 @@ def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, flo
         entry = own.get(key)
         if entry is None:
             continue
-        told: list[tuple[float, Visited]] = []
+        within, saying = 0.0, dict[Key, Visited]()
         for k, nuisance in enumerate(nuisances):
             z, std = float(entry.fit.z[k]), float(entry.fit.std[k])
             low, high = nuisance.ends
-            saying = [v for v in found.sets if v.allowed and _misjudges(v, entry.key, nuisance.label)]
-            if not low <= z <= high and saying:
-                told.append((nuisance.beyond(z, std), saying[0]))
-        if not told:
+            misjudged = [v for v in found.sets if v.allowed and _misjudges(v, key, nuisance.label)]
+            if misjudged and not low <= z <= high:
+                within = min(within, nuisance.log_within(z, std))
+                saying |= {v.key: v for v in misjudged[:1]}
+        if not saying:
             continue
-        beyond = max(share for share, _ in told)
-        weight = np.array([evidence.get(v.key, v.evidence) for _, v in told])
-        weight = np.exp(weight - weight.max())
-        for share, (_, v) in zip(beyond * weight / weight.sum(), told, strict=True):
+        ahead = [evidence.get(v.key, v.evidence) - evidence[key] for v in saying.values()]
+        log = np.array([within, *ahead])
+        share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+        total = entry.probability + sum(own[k].probability for k in saying.keys() & own.keys())
+        own[key] = replace(entry, probability=float(share[0]) * total)
+        for part, v in zip(share[1:], saying.values(), strict=True):
             there = own.get(v.key, Weighed(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
-            own[v.key] = replace(there, probability=there.probability + float(share) * entry.probability)
-        own[key] = replace(entry, probability=(1.0 - beyond) * entry.probability)
-        renamed.add(key)
+            own[v.key] = replace(there, probability=float(part) * total)
+        if share[0] < 0.5:
+            renamed.add(key)
     return sorted(own.values(), key=lambda w: -w.probability), renamed
 
 
