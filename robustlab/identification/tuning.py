@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["NamingTuning", "TUNING"]
+__all__ = ["AS_LARGE", "NamingTuning", "TUNING"]
+
+AS_LARGE = 5e-3  # share by which errors differ that are called as large
 
 
 @dataclass(frozen=True)

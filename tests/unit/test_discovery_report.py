@@ -246,13 +246,6 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     assert wave_amplitude({"Fc": 1.0}) is None
 
 
-def test_an_effect_that_is_two_others_together_says_so():
-    uneven = replace(COULOMB, name="asymmetric-coulomb-friction")
-    told = "the same as Coulomb (dry) friction and Constant load together: no record of the motion tells"
-    assert told in " ".join(made(effects=(uneven,)).summary().split())
-    assert "the same as" not in made().summary()
-
-
 def test_rivals_say_how_far_apart_they_are():
     text = ambiguous().summary()
     assert "60 %          coulomb-friction@v\n  38 %          presliding@v; 1.4 noise sigmas from the first" in text

@@ -9,6 +9,7 @@ from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, n
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.noise import held_out_fit
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import posterior as posterior_module
@@ -68,7 +69,7 @@ def test_the_errors_of_the_right_set_are_noise(weighed):
 def test_a_higher_temperature_is_less_sure():
     found = usual(friction=20.0)
     problem = found.problem.on(found.problem.records, found.problem.chosen)
-    problem.tuning = replace(TUNING, temperature=1000.0)
+    problem.tuning = replace(TUNING, temperature=1e5)  # the empty set is 2e5 behind
     cold, warm = weigh(found), weigh(replace(found, problem=problem))
     assert warm.best.probability < cold.best.probability
     assert sum(w.probability for w in warm.sets) == pytest.approx(1.0)
@@ -172,3 +173,47 @@ def test_a_random_force_beyond_that_of_a_machine_weighs_nothing_where_another_se
     assert set(of_a_machine(weights, TUNING.most_random)) == {named}
     alike = {named: weight(0.2), empty: weight(0.1)}  # neither is noise: they are weighed alike
     assert of_a_machine(alike, TUNING.most_random) == alike
+
+
+# --- parameters beyond their tolerances ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.08, True), (0.92, True), (1.045, False), (1.3, True)])
+def test_a_parameter_known_to_lie_beyond_its_tolerance_is_named_misjudged(factor, named):
+    """At 1.08 a normal prior of the tolerance, 5 %, would still rather have it stretched than misjudged."""
+    heavier = AXIS.with_parameters(M=factor * AXIS.values["M"])
+    record = rl.Record(T, {"u": U}, noisy({k: rl.simulate(heavier, T, U)[k] for k in ("q", "v")}, 3), name="run")
+    found = searched(record, ("inertia @ M", FRICTION))
+    told = weigh(found)
+    assert told.best.key == ({"inertia @ M"} if named else frozenset())
+    assert told.best.probability > 0.95
+    assert len(told.collection) == 1
+    assert sum(w.probability for w in told.sets) == pytest.approx(1.0)
+    if named:
+        assert told.of_effect("inertia @ M") == pytest.approx(1.0, abs=0.01)
+        fit = told.best.fit
+        s = fit.hypothesis.candidates[0].values(fit.z[len(found.problem.nuisances) :])["s"]
+        assert s == pytest.approx(factor, rel=0.01)
+
+
+def test_a_parameter_that_is_hardly_known_stays_within_its_tolerance():
+    """At 1.08 with so much noise that 1.04 does as well."""
+    heavier = AXIS.with_parameters(M=1.08 * AXIS.values["M"])
+    run = rl.simulate(heavier, T, U)
+    record = rl.Record(T, {"u": U}, noisy({k: run[k] for k in ("q", "v")}, 3, size=0.3), name="run")
+    told = weigh(searched(record, ("inertia @ M", FRICTION)))
+    assert told.best.key == frozenset()
+    assert told.best.probability > 0.9
+
+
+@pytest.mark.parametrize("tolerance", [0.05, 0.5, 1.0])
+def test_the_ends_of_a_tolerance_are_those_of_the_factor(tolerance):
+    (nuisance,) = [n for n in nuisance_parameters(AXIS, stated_tolerances(AXIS, {"M": tolerance})) if n.label == "M"]
+    low, high = nuisance.ends
+    assert nuisance.factor(high) == pytest.approx(1.0 + tolerance)
+    assert nuisance.factor(max(low, -1e3)) == pytest.approx(1.0 - tolerance, abs=1e-9)
+    assert np.exp(nuisance.log_within(high, 0.1)) == pytest.approx(0.5, abs=1e-6)
+    draws = np.random.default_rng(0).normal(1.2, 0.4, 200_000)
+    share = np.mean((draws < high) & (draws > low))
+    assert np.exp(nuisance.log_within(1.2, 0.4)) == pytest.approx(share, abs=0.005)
+    assert nuisance.log_within(high + 300.0, 1.0) == pytest.approx(-0.5 * 300.0**2, rel=1e-3)

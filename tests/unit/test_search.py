@@ -24,6 +24,7 @@ from naming_cases import (
 )
 
 import robustlab as rl
+from robustlab.dynamics.effects.catalogue import effect
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import noise_ratio
 from robustlab.identification.naming import first_look
@@ -147,13 +148,13 @@ def test_the_prior_pays_for_each_effect_more_for_a_refinement_and_for_the_choice
     assert prior("cogging @ v") == pytest.approx(each - math.log(TUNING.looked_elsewhere))
 
 
-def test_what_equals_two_effects_together_is_as_probable_as_they_are():
-    _, _, pool, _ = opened(machine(friction=20.0))
-    one = pool["asymmetric-coulomb-friction @ v"]
-    assert set(one.effect.equals) == {"coulomb-friction", "constant-load"}
-    refined = math.log(TUNING.prior_refinement) if one.effect.refines else 0.0
-    both = log_prior(Hypothesis((pool[FRICTION], pool[LOAD])), TUNING)
-    assert log_prior(Hypothesis((one,)), TUNING) == pytest.approx(both + refined)
+def test_what_equals_two_effects_together_is_told_by_their_names():
+    assert set(effect("asymmetric-coulomb-friction").equals) == {"coulomb-friction", "constant-load"}
+    found = searched(machine(friction=20.0, load=8.0, seed=3), (*POOL, "asymmetric-coulomb-friction @ v"))
+    assert found.best.key == {FRICTION, LOAD}
+    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
+    assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
+    assert not any("asymmetric-coulomb-friction @ v" in v.key for v in found.sets)
 
 
 def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():

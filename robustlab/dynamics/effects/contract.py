@@ -180,7 +180,7 @@ class Effect(ABC):
     person: str = ""
     # Id of the parent on top of which alone it is looked for. A refinement contains its parent.
     refines: str | None = None
-    # Ids of effects that together do exactly the same; it is as probable as they are.
+    # Ids of effects that together do exactly the same: `discover` tells it by their names.
     equals: tuple[str, ...] = ()
     nameable: bool = True  # False for what is known noise and never a name (quantisation)
     needs_position: bool = False  # True where it sits only at joints whose position is a state
@@ -247,6 +247,10 @@ class Effect(ABC):
     def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
         """Parameters as a record tells them that begins later by so many seconds."""
         return values
+
+    def plainly(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        """Parameters of each of the effects that this one `equals`."""
+        return {}
 
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Parameters of the effect that this one refines, as far as its own tell; those of one name by default."""

@@ -18,7 +18,8 @@ from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
-from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate
+from robustlab.identification.hypotheses.nuisance import UNIFORM, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -47,7 +48,6 @@ def candidates(
     plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
-
     An effect whose period over the position or over time must be known is given once for each strong line.
     """
     model = _with_told_positions(model, records)
@@ -331,16 +331,16 @@ def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, b
         moving = tuple(name for name in names if tolerances[name][0] > 0)
         if moving:
             widest = max(tolerances[name][0] for name in moving)
-            found.append(Nuisance(label, moving, math.log1p(widest) / math.sqrt(3.0)))
+            found.append(Nuisance(label, moving, math.log1p(widest) / UNIFORM))
     for name, p in plant.parameters.items():
         tolerance = tolerances[name][0]
         if name in seen or not tolerance or not _matters(plant, name):
             continue
         if p.value:
-            found.append(Nuisance(name, (name,), math.log1p(tolerance) / math.sqrt(3.0)))
+            found.append(Nuisance(name, (name,), math.log1p(tolerance) / UNIFORM))
         else:
             bounded = p.sign == "nonnegative" or p.role == "viscous-friction"
-            found.append(Nuisance(name, (name,), tolerance / math.sqrt(3.0), additive=True, never_negative=bounded))
+            found.append(Nuisance(name, (name,), tolerance / UNIFORM, additive=True, never_negative=bounded))
     return tuple(found)
 
 

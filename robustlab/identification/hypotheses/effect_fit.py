@@ -40,6 +40,7 @@ from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
@@ -50,34 +51,11 @@ __all__ = [
     "FitPlan",
     "Hypothesis",
     "NoiseModel",
-    "Nuisance",
     "Problem",
     "predicted",
     "refit_distance",
     "simulated_outputs",
 ]
-
-
-@dataclass(frozen=True)
-class Nuisance:
-    """What every hypothesis refits: nominal parameters that a common factor of their references scales
-    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
-    """
-
-    # label, names: of the group, and its parameters
-    label: str
-    names: tuple[str, ...]
-    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
-    spread: float
-    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
-    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
-    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
-
-    def factor(self, z: float) -> float:
-        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
-        if not self.additive:
-            return float(np.exp(self.spread * z))
-        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
 
 
 Effects = Sequence[tuple[Effect, Site]]
@@ -244,7 +222,7 @@ class Problem:
     def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
         """Plant factors and effect values of the standardised parameters."""
         factors = {}
-        for nuisance, moves, value in zip(self.nuisances, self._moving(hypothesis), z, strict=False):
+        for nuisance, moves, value in zip(self.nuisances, self.moving(hypothesis), z, strict=False):
             if moves:
                 factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
         values, at = [], len(self.nuisances)
@@ -253,7 +231,7 @@ class Problem:
             at += len(candidate.parameters)
         return factors, values
 
-    def _moving(self, hypothesis: Hypothesis) -> list[bool]:
+    def moving(self, hypothesis: Hypothesis) -> list[bool]:
         """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
         sites = [c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"]
         wrong = {*sites, *(name for site in sites for name in site.split("+"))}
@@ -282,6 +260,12 @@ class Problem:
             Simulator(self.plant, effects, r.u, r.record.dt, sub=sub, hold=hold, rough=rough, motion=r.motion)
             for r in self.records
         ]
+
+    def quick(self, hypothesis: Hypothesis) -> list[Simulator]:
+        """Simulators for derivatives, which need not be as exact as errors: no step with force laws is made again in
+        halves.
+        """
+        return self.under(replace(self.clock, rough=True)).simulators(hypothesis)
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None,
@@ -404,6 +388,8 @@ class Problem:
         n_x = len(self.plant.states)
         xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
         simulators = self.simulators(hypothesis)
+        forced = simulators[0].laws(self.split(hypothesis, z)[1]) and not plan.robust
+        quick = self.quick(hypothesis) if forced else simulators
         damping, count, rounds = self.tuning.damping, 0, plan.iterations
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
         cost = _total(residual, xi, z)
@@ -412,7 +398,7 @@ class Problem:
         while rounds > 0 or not plan.draft:
             parts = [
                 self._linearised(
-                    k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed, borrowed[k] if borrowed else None
+                    k, hypothesis, z, xi[k], residual[k], quick[k], noise, fixed, borrowed[k] if borrowed else None
                 )
                 for k in range(len(xi))
             ]
@@ -511,16 +497,20 @@ class Problem:
     ) -> Linearised:  # fmt: skip
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
 
+        def at(there: Array, start: Array) -> Array:
+            return _whiten(self._record_errors(k, simulator, hypothesis, there, start, z), noise)
+
+        here = at(z, xi) if simulator.rough and not self.clock.rough else residual
+
         def moved(there: Array, start: Array, step: float) -> Array:
-            error = self._record_errors(k, simulator, hypothesis, there, start, z)
-            return (_whiten(error, noise) - residual) / step
+            return (at(there, start) - here) / step
 
         known = len(self.nuisances) if borrowed else 0
         units = np.eye(len(z))[known:] if not fixed else []
         columns = [moved(z + self.tuning.step * unit, xi, self.tuning.step)[:, :, None] for unit in units]
         j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
         if borrowed:
-            over_z = borrowed[0] * self._moving(hypothesis)
+            over_z = borrowed[0] * self.moving(hypothesis)
             return Linearised.of(residual, np.concatenate([over_z, j], axis=2), borrowed[1], xi)
         x = [moved(z, xi + self.tuning.start_step * unit, self.tuning.start_step) for unit in np.eye(xi.shape[1])]
         return Linearised.of(residual, j, np.stack(x, axis=2), xi)

@@ -15,6 +15,7 @@ from scipy.stats import t as student
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.tuning import AS_LARGE
 
 __all__ = [
     "careful",
@@ -119,12 +120,12 @@ def window_errors(problem: Problem, fit: Fit) -> Array:
 
 
 def clearly_larger(errors: Array, others: Array) -> bool:
-    """Whether errors of windows (mean squares) are larger than others of the same windows, on the whole and by more
-    than chance: by Student's test of the logarithm of their ratio, at 95 %.
+    """Whether errors of windows (mean squares) are larger than others of the same windows, on the whole (by what is
+    worth a word) and by more than chance: by Student's test of the logarithm of their ratio, at 95 %.
     """
     tiny = np.finfo(float).tiny
     ratio = np.log(np.maximum(errors, tiny) / np.maximum(others, tiny))
-    if not errors.sum() > others.sum():
+    if not errors.sum() > (1.0 + AS_LARGE) ** 2 * others.sum():
         return False
     if len(ratio) < 2 or not ratio.std() > 0.0:
         return bool(ratio.mean() > 0.0)

@@ -151,17 +151,18 @@ def force_response(problem: Problem, fit: Fit, places: Sequence[Site]) -> list[F
     dt = problem.records[0].record.dt
     pulses = [Candidate(_RecordedForce(dt), place, (), ({},), Scales()) for place in places]
     wider = Hypothesis((*fit.hypothesis.candidates, *pulses))
-    return [_of_record(problem, fit, wider, places, k, s) for k, s in enumerate(problem.simulators(wider))]
+    both = zip(problem.simulators(wider), problem.quick(wider), strict=True)
+    return [_of_record(problem, fit, wider, places, k, exact, quick) for k, (exact, quick) in enumerate(both)]
 
 
 def _of_record(
-    problem: Problem, fit: Fit, wider: Hypothesis, places: Sequence[Site], k: int, simulator: Simulator
+    problem: Problem, fit: Fit, wider: Hypothesis, places: Sequence[Site], k: int, exact: Simulator, quick: Simulator
 ) -> ForceResponse:
     record, chosen, xi, count = problem.records[k], problem.chosen[k], fit.starts[k], len(places)
     nothing = np.zeros(len(record.u))
     single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0)) / np.sqrt(record.thin)
 
-    def outputs(z: Array, start: Array, samples: Array = nothing, at: int = 0) -> Array:
+    def outputs(z: Array, start: Array, samples: Array = nothing, at: int = 0, simulator: Simulator = quick) -> Array:
         setting = problem.setting(wider, z)
         pushed = [{"samples": samples if j == at else nothing} for j in range(count)]
         values = [*setting.values[: len(setting.values) - count], *pushed]
@@ -188,7 +189,7 @@ def _of_record(
             force[samples[:, edges[s] : edges[s + 1]]] = size
             return (outputs(fit.z, xi, force, at) - here) / size
 
-        shifts, o = _shifts(problem, fit, simulator, count), []
+        shifts, o = _shifts(problem, fit, exact, count), []
         for at in range(count):
             if shifts:
                 first = pulse(0, at)
@@ -197,7 +198,7 @@ def _of_record(
                 o += [points(r * (last if s == len(ends) - 1 else 1.0)) for s, r in enumerate(ends)]
             else:
                 o += [points(pulse(s, at)) for s in range(len(edges) - 1)]
-    error = points(record.measured[chosen] - here)
+        error = points(record.measured[chosen] - outputs(fit.z, xi, simulator=exact))
     known = np.isfinite(error)
     columns = np.nan_to_num(np.stack([*o, *j, *x, error], axis=2)) * known[:, :, None]
     gram = np.swapaxes(columns, 1, 2) @ columns

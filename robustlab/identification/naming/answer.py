@@ -46,12 +46,13 @@ from robustlab.identification.naming.discovery_parts import (
     SearchEntry,
     SetProbability,
 )
-from robustlab.identification.naming.discovery_result import AS_LARGE, Discovery, Verdict, overall
+from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.tuning import AS_LARGE
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
@@ -432,15 +433,19 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     moved: dict[str, list[float]] = {}
     for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
         for name in nuisance.names:
-            centre = z if name in factors else 0.0  # an effect that scales the group has its factor instead
+            centre = z if name in factors else 0.0  # what is named misplaced has its shift there
             factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
             moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
+    for k, candidate in enumerate(fit.hypothesis.candidates):
+        if candidate.site.kind == "parameter" and candidate.effect.scale:  # what is named misjudged has its value here
+            s = _effect_values(problem, fit, k)[0]
+            for name in candidate.effect.factors(problem.plant, candidate.site, {s.name: s.value}):
+                moved[name] = [problem.plant.parameters[name].reference * f for f in (s.lower, s.value, s.upper)]
     values = []
     for name, p in problem.plant.parameters.items():
         low, value, high = moved.get(name, [p.value] * 3)
         tolerance = stated[name][0]
-        far = abs(np.log(value / p.value)) > np.log1p(tolerance) if p.value else abs(value) > tolerance
-        beyond = name in moved and bool(far)
+        beyond = name in moved and abs(value - p.value) > tolerance * abs(p.value or 1.0)
         ends = min(low, high), max(low, high)
         values.append(NominalValue(name, p.value, value, p.unit, *ends, *stated[name], beyond))
     return tuple(values)

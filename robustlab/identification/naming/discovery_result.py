@@ -19,6 +19,7 @@ from robustlab.identification.naming.discovery_parts import (
     SetProbability,
     wave_amplitude,
 )
+from robustlab.identification.tuning import AS_LARGE
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
-    "AS_LARGE",
     "Discovery",
     "LINEAR",
     "Verdict",
@@ -45,7 +45,6 @@ __all__ = [
 
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
-AS_LARGE = 5e-3  # share by which errors differ that are called as large
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
 
@@ -350,9 +349,6 @@ def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]
     lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
     lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
     lines += _wave_line(effect)
-    if equals := catalogue()[effect.name].equals:
-        same = " and ".join(catalogue()[e].title for e in equals)
-        lines.append(_row("  the same as", f"{same} together: no record of the motion tells one from the other"))
     if not details:
         return lines
     lines += [_row("  equation", effect.equation)]

@@ -28,7 +28,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import Linearised
 
-__all__ = ["Start", "akin", "may_follow", "promising", "without"]
+__all__ = ["Start", "akin", "may_follow", "promising", "stretched", "without"]
 
 
 NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
@@ -116,6 +116,25 @@ def _gain(
     g = gradient[n:] - solved.T @ gradient[:n]
     strength = np.linalg.solve(h, g)
     return 0.0 if not linear and strength[0] > 0.0 else float(g @ strength)
+
+
+def stretched(problem: Problem, base: Fit, pool: Sequence[Candidate]) -> list[Start]:
+    """The parameters that the refit of a set has taken beyond their tolerances, as effects on top of it.
+
+    Their fits begin with the errors of the set, exactly: only the parameter's prior is another one. So no look at a few
+    windows, in which something else may seem to gain more, decides whether they are fitted.
+    """
+    found = []
+    for nuisance, z in zip(problem.nuisances, base.z, strict=False):
+        low, high = nuisance.ends
+        if low <= z <= high:
+            continue
+        for candidate in pool:
+            if candidate.site.kind == "parameter" and candidate.site.name == nuisance.label:
+                for start in _as_refitted(problem, base, candidate):
+                    hypothesis, there = extended(problem, base.hypothesis, base.z, candidate, start)
+                    found.append(Start(candidate, hypothesis, there))
+    return found
 
 
 def akin(a: Candidate, b: Candidate) -> bool:
@@ -228,8 +247,8 @@ def _starts(problem: Problem, base: Fit, candidate: Candidate, known: Mapping[st
 
 
 def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dict[str, float], ...]:
-    """For a wrong parameter: the factor that the refit within the tolerances has already stretched it to."""
-    if candidate.site.kind != "parameter":
+    """For a wrong parameter: the factor that the refit has already stretched it to."""
+    if candidate.site.kind != "parameter" or not candidate.effect.scale:
         return ()
     for nuisance, z in zip(problem.nuisances, base.z, strict=False):
         if nuisance.label == candidate.site.name:
@@ -266,7 +285,9 @@ def extended(
             continue
         kept.append(there)
         z.extend(own)
-    return Hypothesis((*kept, candidate)), np.array([*z, *candidate.standardised(start)])
+    hypothesis = Hypothesis((*kept, candidate))
+    z[: len(problem.nuisances)] = z[: len(problem.nuisances)] * np.array(problem.moving(hypothesis))
+    return hypothesis, np.array([*z, *candidate.standardised(start)])
 
 
 def _thinned(problem: Problem, fit: Fit, best: Fit, wanted: int) -> tuple[Problem, list[Array], float]:

@@ -206,11 +206,11 @@ def weigh(found: Found) -> Posterior:
         Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets = sorted(_folded(problem, weighed, evidence), key=lambda w: -w.probability)
+    sets, renamed = _misjudged(found, _folded(problem, weighed, evidence), evidence)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
-    twins = {key for key, d in distance.items() if d < tuning.cannot_tell}
+    twins = {key for key, d in distance.items() if d < tuning.cannot_tell} - renamed
     collection = tuple(_collected(sets, tuning.sure, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
     return Posterior(tuple(sets), collection, generalises, left)
@@ -281,6 +281,48 @@ def _folded(problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key,
             kept.append(entry)
     order = {w.key: k for k, w in enumerate(weighed)}
     return sorted(kept, key=lambda w: order[w.key])
+
+
+def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, float]) -> tuple[list[Weighed], set[Key]]:
+    """The sets, most probable first, each under the name that its parameters ask for; and which have another name now.
+
+    A set whose refit takes a parameter beyond its tolerance predicts the same as the set that calls this parameter
+    misjudged; they differ in its prior alone. Between the two the tolerance is a bound: of its evidence the first keeps
+    the part within, against the second with the prior of an effect more; and together they are as probable as before.
+    """
+    nuisances, renamed = found.problem.nuisances, set[Key]()
+    own = {w.key: w for w in sets}
+    for key in sorted({v.key for v in found.sets}, key=len):
+        entry = own.get(key)
+        if entry is None:
+            continue
+        within, saying = 0.0, dict[Key, Visited]()
+        for k, nuisance in enumerate(nuisances):
+            z, std = float(entry.fit.z[k]), float(entry.fit.std[k])
+            low, high = nuisance.ends
+            misjudged = [v for v in found.sets if v.allowed and _misjudges(v, key, nuisance.label)]
+            if misjudged and not low <= z <= high:
+                within = min(within, nuisance.log_within(z, std))
+                saying |= {v.key: v for v in misjudged[:1]}
+        if not saying:
+            continue
+        ahead = [evidence.get(v.key, v.evidence) - evidence[key] for v in saying.values()]
+        log = np.array([within, *ahead])
+        share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+        total = entry.probability + sum(own[k].probability for k in saying.keys() & own.keys())
+        own[key] = replace(entry, probability=float(share[0]) * total)
+        for part, v in zip(share[1:], saying.values(), strict=True):
+            there = own.get(v.key, Weighed(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
+            own[v.key] = replace(there, probability=float(part) * total)
+        if share[0] < 0.5:
+            renamed.add(key)
+    return sorted(own.values(), key=lambda w: -w.probability), renamed
+
+
+def _misjudges(visited: Visited, key: Key, label: str) -> bool:
+    """Whether a set is that of this key and one effect more, that the parameters of this label are misjudged."""
+    more = [c.site for c in visited.fit.hypothesis.candidates if c.key not in key]
+    return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
 
 
 def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visited]:

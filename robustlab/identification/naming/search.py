@@ -38,7 +38,6 @@ from robustlab.identification.hypotheses.effect_fit import (
     FitPlan,
     Hypothesis,
     NoiseModel,
-    Nuisance,
     Problem,
     refit_distance,
 )
@@ -51,8 +50,9 @@ from robustlab.identification.hypotheses.noise import (
     noise_ratio,
     whitening,
 )
+from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
-from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, without
+from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.tuning import NamingTuning
 
 __all__ = [
@@ -160,7 +160,7 @@ def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
     """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
-        total += math.log(tuning.prior_effect) * max(1, len(candidate.effect.equals))
+        total += math.log(tuning.prior_effect)
         if candidate.effect.refines:
             total += math.log(tuning.prior_refinement)
         if candidate.effect.spatial and candidate.scales.orders:
@@ -381,7 +381,7 @@ class _Search:
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
         base = self.visited[key].fit
-        open_ones = [c for c in self.pool if may_follow(c, base.hypothesis)]
+        open_ones = [c for c in self.pool if may_follow(c, base.hypothesis) and self._has_parts(c, base.hypothesis)]
         text = " + ".join(sorted(key)) or "the nominal model"
 
         def said(done: int, expected: int) -> None:
@@ -389,7 +389,11 @@ class _Search:
 
         known = self.looked.setdefault(key, {})
         best = self.best.fit
-        starts = promising(self.problem, base, best, open_ones, known, self.workers, said)
+        # Of a set that something else is missing from, the parameters stand for that, and are no finding.
+        wrong = stretched(self.problem, base, open_ones) if self.sharpened and key == self._told().key else []
+        asked = {start.candidate.key for start in wrong}
+        open_ones = [c for c in open_ones if c.key not in asked]
+        starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said)]
         if not self.sharpened:
             starts = starts[: self.tuning.rough_fits]
         ceiling = min(base.cost - 2.0 * self.tuning.promising, best.cost + 2.0 * self.tuning.far_behind)
@@ -398,7 +402,7 @@ class _Search:
             gain = start.candidate.effect.gain_like
             rounds = self.tuning.full if self.sharpened else self.tuning.rough_full
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
-            return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
+            return self._plain(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
 
         self.progress(0, len(starts), f"full fits of what could be added to {text}")
         for done, fit in enumerate(self.workers.map(full, starts), 1):
@@ -407,6 +411,28 @@ class _Search:
         self.expanded.add(key)
         self.expansions += 1
         self._from_children(key)
+
+    def _parts(self, candidate: Candidate) -> list[Candidate]:
+        """The candidates that together do the same as this one."""
+        return [c for c in self.pool if c.site == candidate.site and c.effect.id in candidate.effect.equals]
+
+    def _has_parts(self, candidate: Candidate, base: Hypothesis) -> bool:
+        """Whether what equals others together could add them: all are candidates, and more than one is new."""
+        parts = {c.key for c in self._parts(candidate)}
+        there = {c.key for c in base.candidates if c.effect.id != candidate.effect.refines}
+        return len(parts) == len(candidate.effect.equals) and not parts & there
+
+    def _plain(self, fit: Fit) -> Fit:
+        """The fit told by plain names: one effect may stand for others that together do the same."""
+        _, values = self.problem.split(fit.hypothesis, fit.z)
+        for k, candidate in enumerate(fit.hypothesis.candidates):
+            if parts := self._parts(candidate):
+                rest, z = without(self.problem, fit, k)
+                told = candidate.effect.plainly(values[k])
+                z = np.concatenate([z, *(c.standardised(told[c.effect.id]) for c in parts)])
+                hypothesis = Hypothesis((*rest.candidates, *parts))
+                return self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(self.tuning.last))
+        return fit
 
     def _from_children(self, key: Key) -> None:
         """Fit a set once more from where its best extension stands.
