@@ -19,7 +19,6 @@ import itertools
 import json
 import os
 import random
-import re
 import resource
 import select
 import shutil
@@ -38,6 +37,7 @@ import h5py
 import numpy as np
 import scipy.io
 import scipy.sparse
+from fuzz_edits import BYTES, STRUCTURAL, TEXT, Edit, hdf5_object, json_node, matlab_variables
 
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
@@ -54,7 +54,6 @@ ROOT = Path(__file__).parents[1]
 FAULTS = ("traceback", "hang", "memory", "silent", "unclear")
 SECONDS, WALL, MEMORY, BATCH = 5, 300, 1 << 30, 25
 ADDRESS_SPACE = 4096 << 20  # as robustlab.files.reader_process
-Edit = Callable[[random.Random, bytes], bytes]
 
 
 @dataclass(frozen=True)
@@ -79,206 +78,6 @@ class Found:
     faults: list[tuple[str, str, bytes]] = field(default_factory=list)
     largest: int = 0
     slowest: float = 0.0
-
-
-# --- edits of bytes and of text --------------------------------------------------------------------------------------
-
-NUMBERS = [0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1]
-
-
-def flip(rng: random.Random, raw: bytes) -> bytes:
-    """One to eight bits, or one byte."""
-    out = bytearray(raw)
-    for _ in range(rng.choice((1, 1, 2, 8))):
-        out[rng.randrange(len(out))] ^= rng.choice((1 << rng.randrange(8), rng.randrange(1, 256)))
-    return bytes(out)
-
-
-def cut(rng: random.Random, raw: bytes) -> bytes:
-    """The end, or a piece out of the middle, is missing."""
-    i, j = sorted(rng.randrange(len(raw)) for _ in range(2))
-    return raw[:i] if rng.random() < 0.5 else raw[:i] + raw[j:]
-
-
-def insert(rng: random.Random, raw: bytes) -> bytes:
-    """Bytes more than there were: noise, a repeated piece, a thousand of one kind."""
-    i, j = sorted(rng.randrange(len(raw)) for _ in range(2))
-    piece = rng.choice(
-        (rng.randbytes(rng.randrange(1, 64)), raw[i : min(j, i + 4096)], bytes([rng.randrange(256)]) * 1000)
-    )
-    return raw[:i] + piece + raw[i:]
-
-
-def number(rng: random.Random, raw: bytes) -> bytes:
-    """A whole number of 1, 2, 4 or 8 bytes is another one: a size, an offset, a type."""
-    size = rng.choice((1, 2, 4, 8))
-    i = rng.randrange(max(len(raw) - size, 1)) // size * size
-    value = (rng.choice(NUMBERS) + rng.choice((-1, 0, 0, 1))) % (1 << 8 * size)
-    return raw[:i] + value.to_bytes(size, rng.choice(("little", "big"))) + raw[i + size :]
-
-
-BYTES: tuple[Edit, ...] = (flip, flip, cut, insert, number, number)
-
-WORDS = [
-    "", "0", "-1", "1e400", "-1e-400", "nan", "inf", "1_0", "0x" + "f" * 5000, "9" * 5000, "1" * 25, "true", "null",
-    "[" * 200_000, "{" * 100_000, '{"a":' * 3000, "(" * 5000, " " * 60_000, "\t" * 60_000, "a" * 300_000, "-" * 9000,
-    '"', "'", '"""', "\\", "\\ud800", "\x00", "\x1b[31m", "\u202e", "é" * 3000, "\ufeff", "=", "#", ",", ";",
-    "\n" * 5000, "1979-05-27T07:32:00Z", "25:61:61", "a." * 4000, "[[a]]\n", "../../../etc/passwd", "x\u0000y",
-    "k**30", "1/0", "x/(x-x)",
-]  # fmt: skip
-TOKEN = re.compile(r'"[^"\n]*"|[A-Za-z_][\w.-]*|[-+]?[\d.]+(?:[eE][-+]?\d+)?|[^\w\s]')
-
-
-def word(rng: random.Random, raw: bytes) -> bytes:
-    """A word, a number or a sign of the text is replaced, or one is added."""
-    text = raw.decode("utf-8", "replace")
-    places = [m.span() for m in TOKEN.finditer(text)] or [(0, len(text))]
-    i, j = rng.choice(places)
-    other = rng.choice(places)
-    new = rng.choice((*WORDS, *WORDS, text[slice(*other)]))
-    if rng.random() < 0.3:
-        new = f'"{new}"'
-    return (text[: i if rng.random() < 0.8 else j] + new + text[j:]).encode("utf-8", "surrogatepass")
-
-
-def line(rng: random.Random, raw: bytes) -> bytes:
-    """Lines are missing, doubled, swapped, a thousand times there."""
-    lines = raw.split(b"\n")
-    i, j = (rng.randrange(len(lines)) for _ in range(2))
-    match rng.randrange(4):
-        case 0:
-            del lines[i]
-        case 1:
-            lines[i:i] = [lines[j]]
-        case 2:
-            lines[i], lines[j] = lines[j], lines[i]
-        case _:
-            lines[i:i] = [lines[j]] * 2000
-    return b"\n".join(lines)
-
-
-def encoding(rng: random.Random, raw: bytes) -> bytes:
-    """Another encoding, or another end of lines."""
-    text = raw.decode("utf-8", "replace")
-    name = rng.choice(("utf-16", "utf-8-sig", "utf-32", "latin-1"))
-    return rng.choice((text.encode(name, "replace"), raw.replace(b"\n", b"\r"), raw.replace(b",", b";"), raw.upper()))
-
-
-TEXT: tuple[Edit, ...] = (flip, cut, insert, word, word, word, line, encoding)
-
-
-# --- edits that know the structure -----------------------------------------------------------------------------------
-
-VALUES: list[Any] = [
-    None, True, 0, -1, 1e308, -1e-320, "", "x" * 5000, "\ud800", "\x1b[2J", [], {}, [[]], [[1, 2], [3]], [None],
-    10**400, {"a": {"b": []}}, [1] * 3000, "inf", "certified", "robustlab.controller/9", [["u", "V"]], 2**63,
-]  # fmt: skip
-
-
-def json_node(rng: random.Random, raw: bytes) -> bytes:
-    """One value somewhere in the JSON is another one, or missing."""
-    root = {"root": json.loads(raw)}
-    places: list[tuple[Any, Any]] = []
-    pending: list[Any] = [root]
-    while pending:
-        node = pending.pop()
-        for key in list(node) if isinstance(node, dict) else range(len(node)):
-            places.append((node, key))
-            if isinstance(node[key], (dict, list)):
-                pending.append(node[key])
-    node, key = rng.choice(places)
-    other, there = rng.choice(places)
-    action = rng.randrange(4)
-    if action == 0 and node is not root:
-        del node[key]
-    elif action == 1 and isinstance(node, dict) and node is not root:
-        node[f"{key}x"] = node.pop(key)
-    elif action == 2:
-        node[key] = json.loads(json.dumps(other[there]))
-    else:
-        node[key] = rng.choice(VALUES)
-    return json.dumps(root["root"]).encode()
-
-
-def hdf5_object(rng: random.Random, raw: bytes) -> bytes:
-    """One object, attribute or link of an HDF5 file is another one."""
-    image = io.BytesIO(raw)
-    with h5py.File(image, "r+") as file:
-        paths: list[str] = []
-        file.visit(paths.append)
-        path = rng.choice(paths or ["/"])
-        thing = file[path]
-        match rng.randrange(10):
-            case 0:
-                del file[path]
-            case 1:
-                file.move(path, path + rng.choice(("x", "%", "é", " ", "A")))
-            case 2:
-                file[f"{path}_l"] = rng.choice((h5py.SoftLink(path), h5py.ExternalLink("other.h5", "/A"), thing))
-            case 3 | 4:
-                _attribute(rng, rng.choice((file, thing)))
-            case 5 if isinstance(thing, h5py.Dataset) and thing.size and thing.dtype.kind in "fi":
-                index = tuple(rng.randrange(n) for n in thing.shape)
-                thing[index] = rng.choice((np.nan, np.inf, 1e308, 0.0, -1.0, 1e-320)) if thing.dtype.kind == "f" else 7
-            case 6 | 7:
-                del file[path]
-                if rng.random() < 0.2:
-                    file.create_group(path)
-                else:
-                    file[path] = rng.choice(_hostile(rng))
-            case 8:
-                file.create_dataset(
-                    f"{path}_z", (1500, 1500), dtype=rng.choice("bf"), chunks=(500, 500), compression=9
-                )[...] = 0
-            case _:
-                pass
-        if rng.random() < 0.7:  # with its hash, the file is refused before anybody looks at the structure
-            file.attrs.pop("content_sha256", None)
-        file.flush()
-    return image.getvalue()
-
-
-def _hostile(rng: random.Random) -> list[Any]:
-    return [
-        np.zeros((0, 3)), np.zeros((3, 0)), np.float64(1.0), np.ones((2, 2, 2)), np.array([[1 + 2j]]),
-        np.ones((2, 2), bool), b"text", np.array(["a", "\x1b[31m"], dtype=h5py.string_dtype()),
-        np.full((3, 3), np.nan), np.ones(3, ">i2"),
-        np.full(2, 2**63 + 5, np.uint64), np.zeros(2, [("a", "f8"), ("b", "i4")]), np.ones((2, 2), np.float16),
-        np.full((2, 2), -1, np.int64), h5py.Empty("f8"), np.array([b"\xff\xfe"]), np.arange(rng.randrange(1, 50) * 1.0),
-        np.frombuffer(b"\x01" * 8, "V8"), np.array("x" * 60_000, dtype=h5py.string_dtype()),
-    ]  # fmt: skip
-
-
-def _attribute(rng: random.Random, thing: Any) -> None:
-    name = rng.choice([*thing.attrs, "dt", "Ts", "sequence", "null", "MATLAB_class", "OCTAVE_NEW_FORMAT", "format"])
-    value = rng.choice(
-        (0, -1, 1e400, np.nan, 2**62, "", "x" * 3000, "robustlab", "9.9", np.ones(3), np.zeros(0), b"\xff")
-    )
-    if rng.random() < 0.3:
-        thing.attrs.pop(name, None)
-    else:
-        thing.attrs[name] = value
-
-
-def matlab_variables(rng: random.Random, raw: bytes) -> bytes:
-    """Other variables in a MATLAB file: another class, nested, empty, many."""
-    content = {k: v for k, v in scipy.io.loadmat(io.BytesIO(raw)).items() if not k.startswith("__")}
-    name = rng.choice([*content, "new"])
-    deep: Any = 1.0
-    for _ in range(rng.choice((3, 15, 40))):
-        deep = {"s": deep}
-    content[name] = rng.choice((
-        np.zeros((0, 3)), "text", np.array(["a", "b"], object), deep, np.ones((2, 2, 2)), np.full((2, 2), np.nan),
-        scipy.sparse.csc_matrix((60_000, 60_000)), np.array([np.eye(2), "x"], object), np.zeros((3000, 3000), np.uint8),
-        np.array([1 + 2j]), np.array(True), np.array([[b"x"]]), np.zeros(3, [("a", object), ("b", object)]),
-        np.int8(-1),
-    ))  # fmt: skip
-    out = io.BytesIO()
-    scipy.io.savemat(out, content, do_compression=rng.random() < 0.5)
-    return out.getvalue()
-
-
-STRUCTURAL = (json_node, hdf5_object, matlab_variables)
 
 
 # --- readers ---------------------------------------------------------------------------------------------------------
