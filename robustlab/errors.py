@@ -19,11 +19,11 @@ Every message says WHERE, what was FOUND and what was EXPECTED on one line; the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from inspect import signature, unwrap
 from operator import index
-from typing import ParamSpec, TypeVar, get_origin
+from typing import Literal, ParamSpec, TypeVar, get_origin
 
 __all__ = [
     "EXIT_BUG",
@@ -260,7 +260,7 @@ def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tu
 def _meant(annotation: str, function: Callable[..., object]) -> str:
     """What a name of the module stands for, and ``str`` for one of several words; another annotation as it is."""
     alias = getattr(unwrap(function), "__globals__", {}).get(annotation)
-    if get_origin(alias) is not None:
+    if get_origin(alias) in (Literal, get_origin(Callable[[], None]), Sequence):
         annotation = str(alias).removeprefix("typing.").removeprefix("collections.abc.")
     return "str" if annotation.startswith("Literal['") else annotation
 
@@ -319,7 +319,6 @@ _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "str": ("a word", lambda value: isinstance(value, str)),
     "ArrayLike": ("numbers", _are_numbers),
     "UncertainModel": ("an UncertainModel", _is_named("UncertainModel")),
-    "DelayedModel": ("a DelayedModel", _is_named("DelayedModel")),
 }
 # Beginning of an annotation -> what is expected, and whether a value is that.
 _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {

@@ -124,7 +124,7 @@ def test_bad_simulations():
     with pytest.raises(rl.InputError, match="3 numbers for phi_1"):
         rl.simulate(PLANT, T, hold, np.zeros(3))
     for bad in ({"rtol": 0.0}, {"rtol": "small"}, {"step": -1.0}, {"rtol": float("nan")}):
-        with pytest.raises(rl.InputError, match="between 0 and 1|'small', expected a number"):
+        with pytest.raises(rl.InputError, match=r"between 0 and 1|'small', expected a number"):
             rl.simulate(PLANT, T, hold, **bad)
     with pytest.raises(rl.InputError, match="one of them"):
         rl.simulate(PLANT, T, hold, rtol=1e-8, step=1e-3)
