@@ -149,12 +149,10 @@ def test_the_prior_pays_for_each_effect_more_for_a_refinement_and_for_the_choice
 
 
 def test_what_equals_two_effects_together_is_told_by_their_names():
+    _, _, pool, _ = opened(machine(friction=20.0))
     assert set(effect("asymmetric-coulomb-friction").equals) == {"coulomb-friction", "constant-load"}
-    found = searched(machine(friction=20.0, load=8.0, seed=3), (*POOL, "asymmetric-coulomb-friction @ v"))
-    assert found.best.key == {FRICTION, LOAD}
-    assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
-    assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
-    assert not any("asymmetric-coulomb-friction @ v" in v.key for v in found.sets)
+    assert {FRICTION, LOAD} <= pool.keys()
+    assert "asymmetric-coulomb-friction @ v" not in pool
 
 
 def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():

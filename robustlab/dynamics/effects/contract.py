@@ -248,10 +248,6 @@ class Effect(ABC):
         """Parameters as a record tells them that begins later by so many seconds."""
         return values
 
-    def plainly(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        """Parameters of each of the effects that this one `equals`."""
-        return {}
-
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Parameters of the effect that this one refines, as far as its own tell; those of one name by default."""
         return values

@@ -112,10 +112,6 @@ class AsymmetricCoulombFriction(Effect):
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
         return {"Fc": 0.5 * (values["F_pos"] + values["F_neg"])}
 
-    def plainly(self, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
-        load = 0.5 * (values["F_pos"] - values["F_neg"])
-        return {"coulomb-friction": self.unrefined(values), "constant-load": {"T0": load}}
-
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # At a sine of the speed amplitude a the first harmonic is that of the mean level, 4 F / (pi a).
         gain = 2.0 * (values["F_pos"] + values["F_neg"]) / (math.pi * amplitude)

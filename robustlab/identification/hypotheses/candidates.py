@@ -48,13 +48,15 @@ def candidates(
     plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
 ) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
+
+    What does exactly the same as others together is told by their names: it is not looked for.
     An effect whose period over the position or over time must be known is given once for each strong line.
     """
     model = _with_told_positions(model, records)
     found = []
     known: dict[Site, Scales] = {}
     for effect in catalogue().values():
-        if not effect.nameable:
+        if not effect.nameable or effect.equals:
             continue
         for site in effect.sites(plant, model):
             if site.kind == "output" and not all(site.name in r.record.outputs for r in records):

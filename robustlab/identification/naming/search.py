@@ -381,7 +381,7 @@ class _Search:
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
         base = self.visited[key].fit
-        open_ones = [c for c in self.pool if may_follow(c, base.hypothesis) and self._has_parts(c, base.hypothesis)]
+        open_ones = [c for c in self.pool if may_follow(c, base.hypothesis)]
         text = " + ".join(sorted(key)) or "the nominal model"
 
         def said(done: int, expected: int) -> None:
@@ -402,7 +402,7 @@ class _Search:
             gain = start.candidate.effect.gain_like
             rounds = self.tuning.full if self.sharpened else self.tuning.rough_full
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
-            return self._plain(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
+            return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
 
         self.progress(0, len(starts), f"full fits of what could be added to {text}")
         for done, fit in enumerate(self.workers.map(full, starts), 1):
@@ -411,28 +411,6 @@ class _Search:
         self.expanded.add(key)
         self.expansions += 1
         self._from_children(key)
-
-    def _parts(self, candidate: Candidate) -> list[Candidate]:
-        """The candidates that together do the same as this one."""
-        return [c for c in self.pool if c.site == candidate.site and c.effect.id in candidate.effect.equals]
-
-    def _has_parts(self, candidate: Candidate, base: Hypothesis) -> bool:
-        """Whether what equals others together could add them: all are candidates, and more than one is new."""
-        parts = {c.key for c in self._parts(candidate)}
-        there = {c.key for c in base.candidates if c.effect.id != candidate.effect.refines}
-        return len(parts) == len(candidate.effect.equals) and not parts & there
-
-    def _plain(self, fit: Fit) -> Fit:
-        """The fit told by plain names: one effect may stand for others that together do the same."""
-        _, values = self.problem.split(fit.hypothesis, fit.z)
-        for k, candidate in enumerate(fit.hypothesis.candidates):
-            if parts := self._parts(candidate):
-                rest, z = without(self.problem, fit, k)
-                told = candidate.effect.plainly(values[k])
-                z = np.concatenate([z, *(c.standardised(told[c.effect.id]) for c in parts)])
-                hypothesis = Hypothesis((*rest.candidates, *parts))
-                return self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(self.tuning.last))
-        return fit
 
     def _from_children(self, key: Key) -> None:
         """Fit a set once more from where its best extension stands.
