@@ -317,7 +317,6 @@ _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "float": ("a number", _is_number),
     "bool": ("True or False", lambda value: type(value).__name__ in ("bool", "bool_", "int")),
     "str": ("a word", lambda value: isinstance(value, str)),
-    "ArrayLike": ("numbers", _are_numbers),
     "UncertainModel": ("an UncertainModel", _is_named("UncertainModel")),
 }
 # Beginning of an annotation -> what is expected, and whether a value is that.
