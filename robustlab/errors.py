@@ -279,14 +279,14 @@ def _is_number(value: object) -> bool:
     return not isinstance(value, int) or value.bit_length() < 64  # arrays hold no longer ones
 
 
-def _are_numbers(value: object, kinds: str = "biufc", most_axes: int = 99) -> bool:
+def _is_row(value: object) -> bool:
     import numpy as np  # not for whoever only wants the errors
 
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
         return False
-    return array.dtype.kind in kinds and array.ndim <= most_axes
+    return array.dtype.kind in "biuf" and array.ndim <= 1
 
 
 def _is_named(name: str) -> Callable[[object], bool]:
@@ -307,7 +307,7 @@ def _is_seed(value: object) -> bool:
 # What an argument of that name is wherever it stands.
 _BY_NAME = {
     "seed": ("a whole number, 0 or more", _is_seed),
-    "omega": ("frequencies, real numbers in one row", lambda value: value is None or _are_numbers(value, "biuf", 1)),
+    "omega": ("frequencies, real numbers in one row", _or_none(_is_row)),
 }
 # An annotation -> what is expected, and whether a value is that.
 _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
