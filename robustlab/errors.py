@@ -19,7 +19,7 @@ Every message says WHERE, what was FOUND and what was EXPECTED on one line; the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from inspect import signature, unwrap
 from operator import index
@@ -289,6 +289,11 @@ def _is_row(value: object) -> bool:
     return array.dtype.kind in "biuf" and array.ndim <= 1
 
 
+def _looked_at(values: Iterable[object]) -> Iterable[object]:
+    """What may be looked at; of an iterator nothing, for the function would find it used up."""
+    return () if isinstance(values, Iterator) else values
+
+
 def _is_named(name: str) -> Callable[[object], bool]:
     """Whether a value is of the class of that name, which this module, below all others, cannot import.
 
@@ -323,13 +328,13 @@ _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
 _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "Sequence[str]": (
         "a list of names",
-        lambda value: isinstance(value, Iterable) and all(isinstance(name, str) for name in value),
+        lambda value: isinstance(value, Iterable) and all(isinstance(name, str) for name in _looked_at(value)),
     ),
     "Mapping[": ("names with their values, {...}", lambda value: isinstance(value, Mapping)),
     "Callable[": ("a function", callable),
     "Sequence[Block]": (
         "a list of blocks",
-        lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in value),
+        lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in _looked_at(value)),
     ),
     "Sequence[": ("a list", lambda value: isinstance(value, Iterable) and not isinstance(value, bytes)),
     "Iterable[Any]": ("a list", lambda value: isinstance(value, Iterable)),

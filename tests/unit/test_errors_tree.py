@@ -92,3 +92,13 @@ def test_arguments_of_another_kind_are_refused_by_the_signature(arguments, text)
     assert outer(2.0, 1, {}, print, ["a"], [1]) == 2.0
     with pytest.raises(InputError, match="outer: " + text):
         outer(*arguments)
+
+
+def test_the_check_of_a_list_does_not_use_up_an_iterator():
+    @errors.told_as("outer")
+    def outer(names: Sequence[str]) -> list[str]:
+        return list(names)
+
+    assert outer(name for name in ("a", "b")) == ["a", "b"]
+    with pytest.raises(InputError, match="names: \\[1\\], expected a list of names"):
+        outer([1])
