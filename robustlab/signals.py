@@ -35,6 +35,92 @@ class Signal(NamedTuple):
     unit: str = ""
 
 
+# What an input of a controller takes of a signal y with the reference r -> the sign with which y comes in.
+TAKES = {"y": 1, "-y": -1, "r - y": -1, "y - r": 1, "r": 0}
+
+
+class Taken(Signal):
+    """An input of a controller that knows what it takes: with it the sign of the feedback travels with the model.
+
+    Attributes
+    ----------
+    takes
+        ``"y"`` the signal itself, ``"-y"``, ``"r - y"`` the error, ``"y - r"``, or ``"r"``, the reference alone.
+    of
+        Name of the plant's signal; that of the input where left out.
+    """
+
+    takes: str
+    of: str
+
+    def __new__(cls, name: str, unit: str = "", takes: str = "y", of: str = "") -> Taken:
+        """An input of this name; one word for what it takes."""
+        if takes not in TAKES:
+            raise InputError(f"input {name!r}", f"takes {takes!r}", f"one of {', '.join(TAKES)}")
+        made = super().__new__(cls, name, unit)
+        made.takes, made.of = takes, of or name
+        return made
+
+    def __repr__(self) -> str:
+        return f"Taken(name={self.name!r}, unit={self.unit!r}, takes={self.takes!r}, of={self.of!r})"
+
+    @property
+    def sign(self) -> int:
+        """The sign with which the plant's signal comes in: 1, -1, or 0 for a reference."""
+        return TAKES[self.takes]
+
+    def negated(self) -> Taken:
+        """The input of ``-K`` in the place of K's."""
+        other = {"y": "-y", "-y": "y", "r - y": "y - r", "y - r": "r - y", "r": "r"}
+        return Taken(self.name, self.unit, other[self.takes], self.of)
+
+    @property
+    def text(self) -> str:
+        """What is taken, with the name of the signal: ``r - omega``."""
+        return self.takes.replace("y", self.of) if "y" in self.takes else f"r of {self.of}"
+
+
+def law(inputs: Sequence[Signal]) -> str:
+    """The law of a controller with these inputs: ``u = K (r - y)``; empty where an input does not know what it takes.
+
+    Examples
+    --------
+    >>> law([Taken("e omega", "rad/s", "r - y", "omega")]), law([Signal("omega")])
+    ('u = K (r - y)', '')
+    """
+    taken = [s for s in inputs if isinstance(s, Taken)]
+    if not taken or len(taken) < len(inputs):
+        return ""
+    words = {"y": "u = K y", "-y": "u = -K y", "r - y": "u = K (r - y)", "y - r": "u = K (y - r)"}
+    kinds = {s.takes for s in taken}
+    if len(kinds) == 1 and kinds <= set(words):
+        return words[kinds.pop()]
+    return f"u = K [{'; '.join(s.text for s in taken)}]"
+
+
+def taken_through(second: Sequence[Signal], first: Sequence[Signal]) -> Sequence[Signal]:
+    """The inputs of a product, those of ``first``: what a controller that comes second takes reaches them."""
+    signs = {s.sign for s in second if isinstance(s, Taken)}
+    if not signs or any(isinstance(s, Taken) for s in first) or not all(isinstance(s, Taken) for s in second):
+        return first
+    if len(first) == len(second):
+        both = zip(first, second, strict=True)
+        return [Taken(s.name, s.unit, k.takes, k.of) for s, k in both if isinstance(k, Taken)]
+    if len(signs) > 1 or 0 in signs:
+        return first
+    return [Taken(s.name, s.unit, "y" if signs == {1} else "-y") for s in first]
+
+
+def scaled(inputs: Sequence[Signal], factor: ArrayLike) -> Sequence[Signal]:
+    """The inputs of a controller times a constant: a negative one turns what they take, one of both signs loses it."""
+    entries = np.asarray(factor)
+    if (entries >= 0).all() or not any(isinstance(s, Taken) for s in inputs):
+        return inputs
+    if (entries <= 0).all():
+        return [s.negated() if isinstance(s, Taken) else s for s in inputs]
+    return [Signal(*s) for s in inputs]
+
+
 SignalLike = str | Signal | tuple[str, str]
 
 
@@ -77,9 +163,10 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
         if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):
             raise InputError(where, f"signal {item!r}", "a name or a (name, unit) pair")
         name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
+        taken = item if isinstance(item, Taken) else None
         if not name or len(name) > MAX_NAME:
             raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
-        result.append(Signal(name, unit))
+        result.append(taken or Signal(name, unit))
     if len(result) != count:
         raise InputError(where, f"{len(result)} signal names", f"{count}")
     names = [s.name for s in result]
@@ -157,6 +244,15 @@ def is_constant(operand: Any) -> bool:
 def names_of(other: Any, owner: Any, own: Sequence[Signal], others: Sequence[Signal]) -> Sequence[Signal]:
     """The signals of ``owner``; those of the other operand where the owner is a constant and the sizes are equal."""
     return others if is_constant(owner) and not is_constant(other) and len(others) == len(own) else own
+
+
+def inputs_of_product(second: Any, first: Any, into: Sequence[Signal], own: Sequence[Signal]) -> Sequence[Signal]:
+    """The inputs of ``second @ first``, whose own ones are ``into`` and ``own``, with what a controller takes."""
+    if is_constant(second):
+        return scaled(own, second)
+    if is_constant(first):
+        return scaled(names_of(second, first, own, into), first)
+    return taken_through(into, own)
 
 
 def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:

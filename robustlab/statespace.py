@@ -23,6 +23,7 @@ from robustlab.signals import (
     Signal,
     SignalLike,
     indices,
+    inputs_of_product,
     is_constant,
     is_number,
     names_of,
@@ -405,7 +406,7 @@ def product(second: Any, first: Any) -> StateSpaceModel:
     g2, g1 = _operand(second, "product"), _operand(first, "product")
     if g1.n_outputs != g2.n_inputs:
         raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
-    inputs = names_of(second, first, g1.inputs, g2.inputs)
+    inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
     outputs = names_of(first, second, g2.outputs, g1.outputs)
     return series(g1, g2).renamed(inputs, outputs)
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, require_trust
-from robustlab.cli.offers import one_of, plant_or_file
+from robustlab.cli.console import emit, note, require_trust
+from robustlab.cli.margins import ControllerOptions
+from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, load_model, names, put_once
 from robustlab.errors import UsageError
 
@@ -39,21 +40,15 @@ class BlockOptions:
 
 
 @dataclass(frozen=True)
-class EffectOptions:
+class EffectOptions(ControllerOptions):
     """The loop of a plant with effects."""
 
-    controller: Annotated[
-        str | None, typer.Option("--controller", "-k", help="File with the controller of a plant with effects.")
-    ] = None
     amplitude: Annotated[
         list[str] | None, typer.Option(help="Bound of the signal at an effect's place, NAME=VALUE; repeatable.")
     ] = None
     stick_speed: Annotated[
         list[str] | None, typer.Option(help="Speed below which dry friction is creep, JOINT=VALUE; repeatable.")
     ] = None
-    feedback: Annotated[
-        str, typer.Option(help="negative (u = -K y) or positive.", autocompletion=one_of("negative", "positive"))
-    ] = "negative"
 
 
 @app.command()
@@ -101,17 +96,21 @@ def gain(
 
 
 def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: int, effort: EffortOptions) -> Any:
+    from robustlab.closing import closing
+
     if effects.controller is None:
         raise UsageError("iqc gain", "a plant with effects without --controller", "the loop that it stands in")
     if blocks.nature or blocks.inputs or blocks.stability:
         raise UsageError("iqc gain", "--nature, --inputs or --stability for a plant with effects", "none of them",
                          "its effects say what they are")  # fmt: skip
-    if effects.feedback not in ("negative", "positive"):
-        raise UsageError(f"--feedback {effects.feedback}", "no such word", "negative or positive")
+    k, sign, remark = effects.read("iqc gain")
+    if remark:
+        note(remark)
+    outputs = _names(blocks.outputs)
+    sign = closing(plant.plant.state_space().select(None, outputs), k, sign, "iqc gain", None).sign
     return rl.effect_gain(
-        plant, rl.load(effects.controller), _names(blocks.outputs), assignments("--amplitude", effects.amplitude),
-        assignments("--stick-speed", effects.stick_speed), 1 if effects.feedback == "positive" else -1, order,
-        **vars(effort),
+        plant, k, outputs, assignments("--amplitude", effects.amplitude),
+        assignments("--stick-speed", effects.stick_speed), sign, order, **vars(effort),
     )  # fmt: skip
 
 

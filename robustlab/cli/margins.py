@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
@@ -37,19 +37,33 @@ class ControllerOptions:
     feedback: Annotated[
         str | None,
         typer.Option(
-            help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
+            help="negative (u = -K y) or positive; if left out, as the controller's file says.",
             autocompletion=one_of("negative", "positive"),
         ),
     ] = None
 
-    def read(self, transpose: bool = False) -> tuple[Any, Literal[-1, 1]]:
-        """The controller, None where left out, and the sign of its feedback."""
+    def read(self, where: str, transpose: bool = False) -> tuple[Any, Literal[-1, 1] | None, str]:
+        """The controller (None where left out), the sign that was asked for, and a note where the file says another."""
+        from robustlab.closing import SIGNS, as_controller, silenced
+        from robustlab.signals import Taken, law
+
         k: Any = None if self.controller is None else rl.load(self.controller, transpose=transpose)
         if self.feedback is None:
-            return k, 1 if isinstance(k, rl.Controller) else -1
+            return k, None, ""
         if self.feedback not in ("negative", "positive"):
             raise UsageError(f"--feedback {self.feedback}", "no such word", "negative or positive")
-        return k, -1 if self.feedback == "negative" else 1
+        sign = -1 if self.feedback == "negative" else 1
+        inputs = () if k is None else as_controller(k, where).inputs
+        if all(s.sign in (0, sign) for s in inputs if isinstance(s, Taken)):
+            return k, sign, ""
+        note = (
+            f"note: {self.controller} says {law(inputs)}; --feedback {self.feedback} closes {SIGNS[sign]} all the same"
+        )
+        return silenced(k, where), sign, note
+
+    def said(self, loop: str) -> str:
+        """The loop in words, with the controller's file."""
+        return loop.replace("the controller", self.controller or "the file")
 
 
 @dataclass(frozen=True)
@@ -88,22 +102,26 @@ def margins(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
+    from robustlab.closing import WORDS, closing, silenced
     from robustlab.delays.model import as_delayed
     from robustlab.mu_analysis.margins.disk_margin import PLACES, Place
 
     if loop.at not in PLACES:
         raise UsageError(f"--at {loop.at}", "no such place", "input, output or both")
     thing: Any = rl.load(plant, transpose=transpose)
-    k, sign = loop.read(transpose)
+    k, asked, note = loop.read("model margins", transpose)
     late = isinstance(thing, rl.DelayedModel) or isinstance(k, rl.DelayedModel)
     if late:
         thing, k = (None if o is None else as_delayed(getattr(o, "K", o), plant) for o in (thing, k))
+    closed = closing(thing, k, asked, "model margins", None if k is not None else -1)
+    thing, sign = closed.plant, closed.sign
+    k = None if closed.K is None else silenced(closed.K, "model margins")
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
     if loop.frequency is not None or isinstance(thing, rl.UncertainFrequencyData):
         if loop.classical:
             raise UsageError("--frequency", "with --classical", "the disk margin")
         points = None if loop.frequency is None else numbers("--frequency", loop.frequency)
-        result: Any = rl.disk_margin_at(thing, getattr(k, "K", k), points, **options)
+        result: Any = rl.disk_margin_at(thing, k, points, **options)
         text = result.summary()
     elif loop.classical:
         if isinstance(thing, rl.UncertainModel):
@@ -126,11 +144,11 @@ def margins(
     else:
         result = rl.disk_margin(thing, k, **options, **vars(effort))
         text = _text(result)
-    word = "negative" if sign < 0 else "positive"
+    result = replace(result, loop=closed.said)
     where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
     kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
-    head = f"{kind} margins at the {where}, {word} feedback{skew}"
-    output.finish("model margins", result, f"{head}\n{text}", feedback=word)
+    head = f"{kind} margins at the {where}{skew}; loop: {loop.said(closed.said)}"
+    output.finish("model margins", result, "\n".join(filter(None, (note, head, text))), feedback=WORDS[sign])
 
 
 def _text(margins: DiskMargins) -> str:

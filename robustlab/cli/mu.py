@@ -129,10 +129,10 @@ def mu(
         found = f"accuracy {proof.accuracy}, tolerance {proof.tolerance}"
         raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
     options: dict[str, Any] = {**vars(proof), "seed": seed}
-    uncertain = _uncertain(file, loop, question.inputs, question.outputs)
+    uncertain, closed, head = _uncertain(file, loop, question.inputs, question.outputs)
     if question.frequency is not None or isinstance(uncertain, rl.UncertainFrequencyData):
         question.check_at(voices, shown)
-        _at_frequencies(uncertain, question, shown, seed, output)
+        _at_frequencies(uncertain, question, shown, seed, output, closed, head)
         return
     with progress.shown("mu"):
         if question.gain:
@@ -143,8 +143,7 @@ def mu(
             result, text = _robust_gain(uncertain, question.level, options, shown)
         else:
             result, text = _margin(uncertain, question.performance, options, shown)
-    more: dict[str, Any] = {}
-    trusted = True
+    text, more, trusted = f"{head}{text}", dict(closed), True
     if voices.certify:
         from robustlab.mu_analysis.axis.margin import margin_in_balls
 
@@ -162,7 +161,9 @@ def mu(
         raise typer.Exit(4)
 
 
-def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int, output: Any) -> None:
+def _at_frequencies(
+    uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int, output: Any, closed: Any, head: str
+) -> None:
     """Margin or gain at frequencies, and where it holds."""
     points = None if question.frequency is None else numbers("--frequency", question.frequency)
     found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
@@ -172,15 +173,30 @@ def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptio
         save_drawing(bounds_at(found), shown.figure)
     bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
     rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
-    text = f"{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
-    output.finish("mu", found, text)
+    text = f"{head}{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
+    output.finish("mu", found, text, **closed)
 
 
-def _uncertain(file: str, loop: ControllerOptions, inputs: str | None, outputs: str | None) -> Any:
+def _uncertain(
+    file: str, loop: ControllerOptions, inputs: str | None, outputs: str | None
+) -> tuple[Any, dict[str, Any], str]:
+    """The set, closed where a controller is given; the loop as JSON says it, and as the text begins."""
     uncertain: Any = rl.load(file)
-    k, sign = loop.read()
+    closed: dict[str, Any] = {}
+    head = ""
+    k, asked, note = loop.read("mu")
+    if k is None and asked is not None:
+        raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
     if k is not None and isinstance(uncertain, (rl.UncertainFrequencyData, rl.UncertainModel)):
-        uncertain = uncertain.feedback(getattr(k, "K", k), sign)
+        from robustlab.closing import fed_back
+
+        around, sign, said = fed_back(uncertain, k, asked, "mu", None)
+        uncertain, closed = uncertain.feedback(around, sign), {"loop": said}
+        head = "".join(f"{line}\n" for line in (note, f"loop  {loop.said(said)}", "") if line or not note)
+    return _chosen(uncertain, file, inputs, outputs), closed, head
+
+
+def _chosen(uncertain: Any, file: str, inputs: str | None, outputs: str | None) -> Any:
     if isinstance(uncertain, rl.UncertainFrequencyData):
         sides = (uncertain.outputs, outputs), (uncertain.inputs, inputs)
         return uncertain[tuple(given.split(",") if given else [s.name for s in side] for side, given in sides)]

@@ -192,7 +192,8 @@ class CoverOptions:
     order: Annotated[int, typer.Option(help="Largest order of the cover's weight.")] = 4
     directions: Annotated[int | None, typer.Option(help="Number of directions of the forms pca and ellipsoid.")] = None
     controller: Annotated[
-        str | None, typer.Option(help="File of a controller u = K y: the cover's worst gain is that of its loop.")
+        str | None,
+        typer.Option(help="File of a controller, closed as it says: the cover's worst gain is that of its loop."),
     ] = None
 
     def build(
@@ -203,8 +204,13 @@ class CoverOptions:
 
         files = self.cover or []
         models = [load_model(path) for path in files]
-        k = None if self.controller is None else load_model(self.controller)
-        loop = None if k is None else lambda g: g.feedback(k, 1)  # u = K y, positive feedback
+        loop: Any = None
+        if self.controller is not None:
+            from robustlab.closing import fed_back
+
+            around, sign, said = fed_back(models[0], rl.load(self.controller), None, "uncertain build", None)
+            note(f"loop: {said.replace('the controller', self.controller)}")
+            loop = lambda g: g.feedback(around, sign)  # noqa: E731
         options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
         found = rl.cover(
             models, self.form, directions=self.directions, order=self.order, loop=loop, progress=report,

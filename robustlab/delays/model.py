@@ -331,7 +331,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         """
         return self.carried(inverse, self)
 
-    def feedback(self, other: Any = 1.0, sign: int = -1) -> DelayedModel:
+    def feedback(self, other: Any = 1.0, sign: int | None = None) -> DelayedModel:
         """``y = self e, e = r + sign other y``; the other may be a model, a delayed one, a matrix or a number."""
         return self.carried(feedback, self, other, sign=sign)
 

@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from robustlab.closing import fed_back
 from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_blocks
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.errors import InputError, told_as
@@ -52,6 +53,8 @@ class EffectGain(Shown):
         is no proof for a nonlinearity; it shows the price of one.
     left_out
         Effect at its place -> why it is in no block; bounded errors, which are inputs and no gains, among them.
+    loop
+        The law that closes the loop, and who says so.
     status
         That of ``proved``.
     """
@@ -59,6 +62,7 @@ class EffectGain(Shown):
     proved: IqcGain
     as_constants: WorstCaseGain
     left_out: Mapping[str, str]
+    loop: str = ""
 
     @property
     def status(self) -> Status:
@@ -68,11 +72,16 @@ class EffectGain(Shown):
     def facts(self) -> Facts:
         """Both gains."""
         constants = bracket(self.as_constants.lower, self.as_constants.upper, ("attained", "proved for constants"))
-        return [*self.proved.facts(), ("as constant gains", constants), ("not in it", listed(self.left_out))]
+        return [
+            ("loop", self.loop),
+            *self.proved.facts(),
+            ("as constant gains", constants),
+            ("not in it", listed(self.left_out)),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """Both results and what is left out."""
-        parts = {"proved": self.proved, "as_constants": self.as_constants, "left_out": self.left_out}
+        parts = {name: getattr(self, name) for name in ("loop", "proved", "as_constants", "left_out")}
         return {"type": "EffectGain", **parts, "status": self.status}
 
 
@@ -83,7 +92,7 @@ def effect_gain(
     outputs: Sequence[str] | None = None,
     amplitude: Mapping[str, float] | None = None,
     stick_speed: Mapping[str, float] | None = None,
-    sign: int = -1,
+    sign: int | None = None,
     order: int = 2,
     time_limit: float | None = None,
     effort: float = 1.0,
@@ -107,7 +116,7 @@ def effect_gain(
     stick_speed
         Joint -> speed below which its dry friction grows in proportion to the speed.
     sign
-        s: -1 for negative feedback, 1 for positive.
+        s: -1 for negative feedback, 1 for positive; left out: as the controller says, negative where it says nothing.
     order, time_limit, effort
         As in `iqc_gain`.
 
@@ -143,12 +152,13 @@ def effect_gain(
     levels = {**(amplitude or {}), **{name: STICK * v for name, v in slow.items()}}
     made = effect_blocks(plant, outputs, amplitude=levels, dry="gain")
     inputs = [s.name for s in plant.inputs]
-    loop = made.model.select(inputs).feedback(controller, sign)
+    around, s, said = fed_back(made.model.select(inputs), controller, sign, "effect_gain")
+    loop = made.model.select(inputs).feedback(around, s)
     natures = _natures(plant, made, amplitude or {}, slow)
     proved = iqc_gain(loop, natures, None, None, order, None, time_limit, effort)
     constants = worst_case_gain(loop, time_limit=time_limit, effort=effort)
     noise = {n.name: "a bounded error: an input, no gain" for n in made.noise}
-    return EffectGain(proved, constants, {**made.left_out, **noise})
+    return EffectGain(proved, constants, {**made.left_out, **noise}, said)
 
 
 def _natures(

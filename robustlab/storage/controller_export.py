@@ -29,6 +29,7 @@ from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, UsageError, told_as
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
+from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.storage.controller_json import controller_to_json
 from robustlab.storage.interchange import save
@@ -145,7 +146,8 @@ def c_source(
         states=[_terms(*rows) for rows in zip(model.A, model.B, back, strict=True)],
         fed_back=[i for i in range(model.n_outputs) if back[:, i].any()],
         anti_windup=time,
-        signs=[_sign(signal, model.input_names) for signal in model.inputs],
+        signs=[_sign(signal, model.inputs) for signal in model.inputs],
+        law=law(model.inputs),
         check=_first_samples(model),
         unused=unused,
         TERMS=TERMS,
@@ -173,20 +175,22 @@ def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> li
     return [(v, place.format(j)) for place, row in rows for j, v in enumerate(row.tolist()) if v != 0]
 
 
-def _sign(signal: Signal, names: Sequence[str]) -> list[str]:
-    """What an input is, with its sign, as its name in the model tells it: lines for the comment.
-
-    Designs call the error ``e NAME`` (reference minus measurement) and a reference ``r NAME``; every other name is the
-    signal itself, and then the loop's minus is within the controller: ``u = K (y - r)`` follows a reference.
-    """
-    kind, _, name = signal.name.partition(" ")
-    if name and kind == "e":
-        return [f"REFERENCE MINUS MEASUREMENT: ({name} wanted) - ({name} measured)", f"positive: {name} is too small"]
-    if name and kind == "r":
-        return [f"THE REFERENCE of {name}: the value that is wanted, by itself"]
-    lines = [f"THE SIGNAL ITSELF: {signal.name} with its own sign, not negated"]
-    if not any(other.startswith("r ") for other in names):
-        lines.append("to follow a reference: MEASUREMENT MINUS REFERENCE, never reference minus measurement")
+def _sign(signal: Signal, inputs: Sequence[Signal]) -> list[str]:
+    """What an input is, with its sign, as the controller says it: lines for the comment."""
+    if not isinstance(signal, Taken):
+        return ["SIGN NOT STATED by what this was written from: find out how the loop is closed, before it moves"]
+    of = signal.of
+    if signal.takes == "r":
+        return [f"THE REFERENCE of {of}: the value that is wanted, by itself"]
+    if signal.takes == "r - y":
+        return [f"REFERENCE MINUS MEASUREMENT: ({of} wanted) - ({of} measured)", f"positive: {of} is too small"]
+    if signal.takes == "y - r":
+        return [f"MEASUREMENT MINUS REFERENCE: ({of} measured) - ({of} wanted)", f"positive: {of} is too large"]
+    minus = signal.takes == "-y"
+    lines = [f"MINUS THE SIGNAL: -({of})" if minus else f"THE SIGNAL ITSELF: {of} with its own sign, not negated"]
+    if not any(isinstance(s, Taken) and s.takes == "r" for s in inputs):
+        words = ["REFERENCE MINUS MEASUREMENT", "MEASUREMENT MINUS REFERENCE"]
+        lines.append("to follow a reference: {}, never {}".format(*(words if minus else words[::-1])))
     return lines
 
 
@@ -234,7 +238,7 @@ def export_controller(
     anti_windup: Any = None,
     provenance: Provenance | None = None,
 ) -> Path:
-    r"""Write a controller ``u = K y`` for another program; the extension of the file says which.
+    r"""Write a controller for another program, with the sign of its feedback; the extension of the file says which.
 
     ``.c``
         C99 without allocation: a struct of state, ``<prefix>_init`` and ``<prefix>_step``. The sample time, the names,

@@ -16,11 +16,14 @@ from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import Limits, size_text
 from robustlab.provenance import Provenance
 from robustlab.result import Status, plain
+from robustlab.signals import Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
+from robustlab.storage.models import said_by_names
 from robustlab.synthesis.problem.design import Controller
 
 SCHEMA, VERSION = "robustlab.controller", 1
-CONVENTION = "u = K y, positive feedback; x[k+1] = A x[k] + B y[k], u[k] = C x[k] + D y[k]; dx/dt if dt = 0"
+RECURSION = "x[k+1] = A x[k] + B v[k], u[k] = C x[k] + D v[k] with the inputs v; dx/dt if dt = 0"
+NOT_SAID = "the sign of the feedback is not stated"
 NEEDED = ("schema", "dt", "inputs", "outputs", "states", "A", "B", "C", "D")
 OPTIONAL = ("convention", "gamma", "status", "method", "saturation", "operating_point", "provenance")
 
@@ -48,13 +51,16 @@ def controller_to_json(
     if not k.n_inputs * k.n_outputs:
         raise InputError("JSON export", f"{k.n_inputs} inputs and {k.n_outputs} outputs", "at least one of each")
     signals = {
-        side: [{"name": s.name, "unit": s.unit} for s in held]
+        side: [
+            {"name": s.name, "unit": s.unit} | ({"takes": s.takes, "of": s.of} if isinstance(s, Taken) else {})
+            for s in held
+        ]
         for side, held in (("inputs", k.inputs), ("outputs", k.outputs), ("states", k.states))
     }
     point = k.operating_point
     return {
         "schema": f"{SCHEMA}/{VERSION}",
-        "convention": CONVENTION,
+        "convention": f"{controller.law or NOT_SAID}; {RECURSION}",
         "dt": k.dt,
         **signals,
         **{name: plain(getattr(k, name)) for name in "ABCD"},
@@ -104,7 +110,8 @@ def read_controller_json(path: str | Path, limits: Limits | None = None, isolate
         matrices["A"], matrices["B"], matrices["C"], matrices["D"], dt, sides["inputs"], sides["outputs"],
         sides["states"], point, where=where,
     )  # fmt: skip
-    controller = Controller(K, _gamma(data.get("gamma"), where), _status(data, where), _method(data, where))
+    method = _method(data, where)
+    controller = Controller(said_by_names(K, method), _gamma(data.get("gamma"), where), _status(data, where), method)
     origin = data.get("provenance")
     if origin is not None and not isinstance(origin, dict):
         raise InputError(f"{where}: provenance", f"{origin!r:.60}", "a table")
@@ -149,10 +156,10 @@ def _signals(given: Any, where: str) -> list[Signal]:
     found: list[Signal] = []
     for i, item in enumerate(given):
         entry = item if isinstance(item, dict) else {}
-        name, unit = entry.get("name"), entry.get("unit", "")
-        if not isinstance(name, str) or not isinstance(unit, str) or set(entry) - {"name", "unit"}:
+        texts = [entry.get("name"), *(entry.get(key, "") for key in ("unit", "takes", "of"))]
+        if not all(isinstance(text, str) for text in texts) or set(entry) - {"name", "unit", "takes", "of"}:
             raise InputError(f"{where}[{i}]", f"{item!r:.60}", '{ "name": .., "unit": .. } with texts')
-        found.append(Signal(name, unit))
+        found.append(Taken(*texts) if "takes" in entry else Signal(*texts[:2]))
     return found
 
 

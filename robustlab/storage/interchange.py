@@ -37,6 +37,7 @@ from robustlab.files.tree import (
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
 from robustlab.result import Result, Status
+from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.models import decode_pair, looks_like_a_pair
@@ -397,6 +398,9 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
     for side, signals in (("State", model.states), ("Input", model.inputs), ("Output", model.outputs)):
         variables[f"{side}Name"] = [s.name for s in signals]
         variables[f"{side}Unit"] = [s.unit for s in signals]
+    if any(isinstance(s, Taken) for s in model.inputs):
+        variables["InputTakes"] = [getattr(s, "takes", "") for s in model.inputs]
+        variables["InputOf"] = [getattr(s, "of", "") for s in model.inputs]
     return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread, type_name
-from robustlab.signals import COMPLEX
+from robustlab.signals import COMPLEX, TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
 if TYPE_CHECKING:
@@ -69,11 +69,12 @@ def encode_model(tree: Tree, model: StateSpaceModel) -> None:
 
 
 def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
-    """Put names and units of states, inputs and outputs into ``tree``."""
+    """Put names and units of states, inputs and outputs into ``tree``, and what a controller takes, where known."""
     for side, signals in zip(SIDES, given, strict=True):
         group = tree.group("signals").group(side)
-        for kind in ("name", "unit"):
-            group.put(kind, np.array([getattr(s, kind) for s in signals], dtype=np.str_))
+        kinds = ("name", "unit", "takes", "of") if any(isinstance(s, Taken) for s in signals) else ("name", "unit")
+        for kind in kinds:
+            group.put(kind, np.array([getattr(s, kind, "") for s in signals], dtype=np.str_))
 
 
 def encode_point(tree: Tree, point: OperatingPoint) -> None:
@@ -290,9 +291,11 @@ def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None,
     for side in SIDES:
         group = node.groups.get("signals", Tree()).groups.get(side)
         if group is not None:
-            result.append(_named(group, "name", "unit", problems))
+            result.append(_taken(group, _named(group, "name", "unit", problems), problems))
         elif f"{side.capitalize()}Name" in node.datasets:
-            result.append(_named(node, f"{side.capitalize()}Name", f"{side.capitalize()}Unit", problems))
+            title = side.capitalize()
+            named = _named(node, f"{title}Name", f"{title}Unit", problems)
+            result.append(_taken(node, named, problems, f"{title}Takes", f"{title}Of"))
         else:
             result.append(None)
     return tuple(result)
@@ -309,6 +312,25 @@ def _named(group: Tree, name: str, unit: str, problems: Problems) -> list[Signal
         )
         return None
     return [Signal(*pair) for pair in zip(names, units or [], strict=True)] if units is not None else None
+
+
+def _taken(
+    group: Tree, named: list[Signal] | None, problems: Problems, takes: str = "takes", source: str = "of"
+) -> list[Signal] | None:
+    """The signals with what they take of others; an empty word says nothing."""
+    if named is None or takes not in group.datasets:
+        return named
+    columns = [_texts(group, kind, problems) for kind in (takes, source)]
+    words, of = ([] if column is None else column for column in columns)
+    if len(words) != len(named) or len(of) != len(named):
+        both = f"{group.child_path(takes)} and {group.child_path(source)}"
+        problems.add(f"{both} have {len(words)} and {len(of)} entries, expected {len(named)}")
+        return named
+    wrong = [word for word in words if word and word not in TAKES]
+    if wrong:
+        problems.add(f"{group.child_path(takes)} is {wrong[0]!r}, expected one of {', '.join(TAKES)}")
+        return named
+    return [Taken(*s, word, name) if word else s for s, word, name in zip(named, words, of, strict=True)]
 
 
 def _texts(group: Tree, name: str, problems: Problems) -> list[str] | None:

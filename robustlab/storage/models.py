@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.files.tree import Tree, Unread
 from robustlab.result import Status
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.storage.matrices import (
     SIDES,
@@ -36,6 +38,14 @@ from robustlab.uncertainty.lft import UncertainModel
 if TYPE_CHECKING:
     from robustlab.synthesis.problem.design import Controller
 
+# How designs called what a controller takes, before its inputs said it themselves.
+OLD_NAMES = (
+    (re.compile(r"e (.+)|error (.+) measured"), "r - y"),
+    (re.compile(r"(.+) reference(?: taken)?|(.+)_ref"), "r"),
+    (re.compile(r"(.+) measured"), "y"),
+)
+# Those whose measurements are named by the plant: "e NAME" is a signal of it.
+BY_PLANT = ("hinf", "h2", "h2-hinf", "dk", "fixed")
 FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
 
 
@@ -179,7 +189,25 @@ def decode_controller(tree: Tree, problems: Problems, transpose: bool = False) -
     assert model is not None
     from robustlab.synthesis.problem.design import Controller
 
-    return Controller(model, gamma, Status(text), str(np.asarray(tree.attrs.get("method", ""))))
+    method = str(np.asarray(tree.attrs.get("method", "")))
+    return Controller(said_by_names(model, method), gamma, Status(text), method)
+
+
+def said_by_names(K: StateSpaceModel, method: str) -> StateSpaceModel:
+    """A controller of an older file, which does not say what it takes, with what its method and its names say.
+
+    Designs called the error ``e NAME`` or ``error NAME measured``, a reference ``NAME reference (taken)`` or
+    ``NAME_ref``, a signal itself ``NAME`` or ``NAME measured``. Without a method nothing is known.
+    """
+    if not method or any(isinstance(s, Taken) for s in K.inputs):
+        return K
+    inputs = []
+    known = [(pattern, takes) for pattern, takes in OLD_NAMES if takes != "r - y" or method not in BY_PLANT]
+    for name, unit in K.inputs:
+        met = ((pattern.fullmatch(name), takes) for pattern, takes in known)
+        takes, of = next(((t, next(filter(None, m.groups()))) for m, t in met if m), ("y", name))
+        inputs.append(Taken(name, unit, takes, of))
+    return K.renamed(inputs)
 
 
 def encode_frequency_data(tree: Tree, data: UncertainFrequencyData) -> None:

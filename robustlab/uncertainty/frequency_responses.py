@@ -218,7 +218,7 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         one = np.broadcast_to(np.eye(len(self.inputs)), self.nominal.shape)
         return UncertainFrequencyData(self.omega, one, (), self.inputs, self.outputs)
 
-    def feedback(self, other: Any = 1.0, sign: int = -1) -> UncertainFrequencyData:
+    def feedback(self, other: Any = 1.0, sign: int | None = None) -> UncertainFrequencyData:
         """``y = self e, e = r + sign other y``; the other may be data, a model of any kind, a matrix or a number."""
         return self.carried(feedback, self, other, sign=sign)
 

@@ -167,7 +167,7 @@ def unique_names(given: Sequence[Signal], last: int = 0) -> list[Signal]:
             count += 1
             name = f"{signal.name[: MAX_NAME - 8]}_{count}"
         taken.add(name)
-        result.append(Signal(name, signal.unit))
+        result.append(signal if count == 1 else Signal(name, signal.unit))
     return [*result[last:], *result[:last]]
 
 

@@ -17,12 +17,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import is_rank_deficient
+from robustlab.closing import fed_back
+from robustlab.closing import wired as wired_controller
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, with_units
-from robustlab.signals import Signal, indices, is_constant, is_number, names_of, picked, real_array, same_units
+from robustlab.signals import (
+    Signal,
+    indices,
+    inputs_of_product,
+    is_constant,
+    is_number,
+    names_of,
+    picked,
+    real_array,
+    same_units,
+)
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
 from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, weighted, wired
@@ -221,7 +233,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         """The set of the inverses; see `robustlab.uncertainty.lft.inverse`."""
         return inverse(self)
 
-    def feedback(self, other: Any = 1.0, sign: int = -1) -> UncertainModel:
+    def feedback(self, other: Any = 1.0, sign: int | None = None) -> UncertainModel:
         """``y = self e, e = r + sign other y``; see `robustlab.uncertainty.lft.feedback`."""
         return feedback(self, other, sign)
 
@@ -299,8 +311,13 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
     def close(self, K: StateSpaceModel) -> UncertainModel:
-        """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs."""
-        return UncertainModel(lower_lft(self.M, as_model(K, "close: K")), self.blocks)
+        """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs.
+
+        Signals of K and of the plant meet by name where they can, and by what K says it takes (`robustlab.closing`).
+        """
+        k = as_model(K, "close: K")
+        y, u = self.M.outputs[self.M.n_outputs - k.n_inputs :], self.M.inputs[self.M.n_inputs - k.n_outputs :]
+        return UncertainModel(lower_lft(self.M, wired_controller(k, y, u, "close")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
         """The same set with each scalar block repeated as rarely as its channels allow; `reduction` shows the evidence.
@@ -401,7 +418,7 @@ def product(second: Any, first: Any) -> UncertainModel:
     if n_m != len(g2.inputs):
         raise InputError("product", f"{n_m} outputs into {len(g2.inputs)} inputs", "equal numbers")
     same_units("product", zip(g1.outputs, g2.inputs, strict=True))
-    inputs = names_of(second, first, g1.inputs, g2.inputs)
+    inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
     outputs = names_of(first, second, g2.outputs, g1.outputs)
     wiring = Wiring(
         K=np.block([[np.zeros((n_v, n_m + n_o))], [np.eye(n_m), np.zeros((n_m, n_o))]]),
@@ -438,20 +455,22 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
     return interconnected([a, b], wiring, inputs, outputs, "parallel")
 
 
-def feedback(forward: Any, back: Any = 1.0, sign: int = -1) -> UncertainModel:
+def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> UncertainModel:
     r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G.
 
-    Raises InputError: sizes or sample times that do not fit; NoTrustworthyNumber: the nominal loop is not well posed:
-    ``I - sign D_G D_H`` is singular at Delta = 0.
+    Without a sign a controller that comes from a design is closed as it says of itself, anything else with negative
+    feedback. Signals that H shares with G by name are the ones it takes and drives.
+
+    Raises InputError: sizes or sample times that do not fit, a sign that contradicts the controller;
+    NoTrustworthyNumber: the nominal loop is not well posed: ``I - sign D_G D_H`` is singular at Delta = 0.
     """
-    if sign not in (1, -1):
-        raise InputError("feedback", f"sign {sign!r}", "1 or -1")
     g = as_uncertain(forward, "feedback")
     n_u, n_y = len(g.inputs), len(g.outputs)
     if is_number(back):
         if n_u != n_y:
             raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
         back = float(back) * np.eye(n_u)
+    back, sign, _ = fed_back(g, back, sign)
     h = as_uncertain(back, "feedback")
     if (len(h.outputs), len(h.inputs)) != (n_u, n_y):
         found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"

@@ -46,6 +46,7 @@ from robustlab.dynamics.ports.law_kernel import V, law
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.errors import InputError, unknown_name
 from robustlab.result import Status
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 
@@ -147,7 +148,7 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     upper = np.array([0.0, -3 * p_up**2, -3 * p_up, 0.0]) * inertia
     a = [[0.0, 0.0, 0.0], [p_up**3 * inertia, 0.0, 0.0], [0.0, gains.ki, 0.0]]
     b = np.vstack([[1.0, -1.0, 0.0, 0.0], upper - torque, -gains.kp * torque])
-    names = [("phi_ref", "rad"), *(Signal(s.name, s.unit) for s in plant.states)]
+    names = [Taken("phi_ref", "rad", "r", "phi"), *(Taken(*s) for s in plant.states)]
     states = ["error_integral", "torque_integral", "sigma"]
     return StateSpaceModel(
         a, b, [[0.0, 0.0, 1.0]], -gains.kd * torque[None], 0.0, names, plant.inputs, states, where="actuator cascade"

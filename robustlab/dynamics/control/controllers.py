@@ -40,6 +40,7 @@ from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
 # Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
@@ -118,7 +119,10 @@ def _signals(*kinds: tuple[str, str]) -> list[Signal]:
     return [Signal(f"{name}_{i}", unit) for name, unit in kinds for i in NUMBERS]
 
 
-_ABOVE = _signals(("r", "rad"), ("phi", "rad"), ("phidot", "rad/s"))
+_ABOVE = [
+    *(Taken(f"r_{i}", "rad", "r", f"phi_{i}") for i in NUMBERS),
+    *(Taken(*s) for s in _signals(("phi", "rad"), ("phidot", "rad/s"))),
+]
 _TORQUES = _signals(("torque", "N m"))
 
 
@@ -131,7 +135,16 @@ def _above_torque_loops(upper: StateSpaceModel, lower: TorqueGains) -> StateSpac
     )  # fmt: skip
     b = np.block([[upper.B, np.zeros((n, 6))], [upper.D, -one], [np.zeros((6, 18)), -lower.kp * one]])
     c, d = np.hstack([below, none, one]), np.hstack([np.zeros((6, 18)), -lower.kd * one])
-    return StateSpaceModel(a, b, c, d, 0.0, [*_ABOVE, *_TORQUES], _signals(("u", "V")), where="two-layer")
+    return StateSpaceModel(
+        a,
+        b,
+        c,
+        d,
+        0.0,
+        [*_ABOVE, *(Taken(*s) for s in _TORQUES)],
+        _signals(("u", "V")),
+        where="two-layer",
+    )
 
 
 def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
+from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
 from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, channel_names, channel_places
@@ -156,12 +157,15 @@ class DiskMarginsAt(Shown):
         `MarginAt` with all channels changed independently.
     at, skew
         Where the factors are, and sigma.
+    loop
+        The law that closes the loop, and who says so.
     """
 
     channels: Mapping[str, MarginAt]
     simultaneous: MarginAt
     at: Place
     skew: float
+    loop: str = ""
 
     @property
     def status(self) -> Status:
@@ -172,13 +176,14 @@ class DiskMarginsAt(Shown):
         """The smallest margin of each channel and of all at once."""
         every = {"all at once": self.simultaneous, **self.channels}
         told = [(name, "; at ".join(text for _, text in m.facts()[:2])) for name, m in every.items()]
-        return [("at", f"the plant's {self.at}"), *told, *self.simultaneous.facts()[3:]]
+        return [("loop", self.loop), ("at", f"the plant's {self.at}"), *told, *self.simultaneous.facts()[3:]]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
         parts = {name: m.to_json() for name, m in self.channels.items()}
         return {
             "type": "DiskMarginsAt",
+            "loop": self.loop,
             "at": self.at,
             "skew": self.skew,
             "channels": parts,
@@ -290,7 +295,7 @@ def disk_margin_at(
     *,
     at: Place = "output",
     skew: float = 0.0,
-    sign: Literal[-1, 1] = -1,
+    sign: Literal[-1, 1] | None = None,
     seed: int = 0,
 ) -> DiskMarginsAt:
     r"""Disk margins at given frequencies of the loop ``y = P u``, ``u = sign K y``.
@@ -326,14 +331,14 @@ def disk_margin_at(
     array([2.])
     """
     where = "disk_margin_at"
-    if at not in PLACES or not abs(skew) <= 1e6 or sign not in (1, -1):
-        raise InputError(where, f"at {at!r}, skew {skew!r}, sign {sign!r}", "a place, a finite skew, 1 or -1")
+    if at not in PLACES or not abs(skew) <= 1e6:
+        raise InputError(where, f"at {at!r}, skew {skew!r}", "a place, a finite skew")
     held = next((o.omega for o in (plant, K) if isinstance(o, UncertainFrequencyData)), None)
     if held is not None and frequency is not None:
         raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
     p = _data(plant, frequency if held is None or isinstance(plant, UncertainFrequencyData) else held, where)
-    if K is None and len(p.inputs) != len(p.outputs):
-        raise InputError(where, f"an open loop of {len(p.outputs)} x {len(p.inputs)}", "a square one, or a K")
+    closed = closing(p, K, sign, where)
+    p, K, sign = closed.plant, closed.K, closed.sign
     unit = np.broadcast_to(np.eye(len(p.inputs)), (len(p.omega), len(p.inputs), len(p.inputs)))
     k = p.matched(K, where) if K is not None else UncertainFrequencyData(p.omega, unit)
     for label, data in (("plant", p), ("K", k)):
@@ -356,7 +361,7 @@ def disk_margin_at(
     }
     together = channels[names[0]] if len(names) == 1 else None
     together = together or _margin_at(p.omega, M, [ComplexScalar(name) for name in names], None, seed)
-    return DiskMarginsAt(channels, together, at, skew)
+    return DiskMarginsAt(channels, together, at, skew, closed.said)
 
 
 def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:

@@ -29,7 +29,7 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.invariant_zeros import transmission_zeros
-from robustlab.mu_analysis.margins.disk_margin import Place, controller_for, disk_channels
+from robustlab.mu_analysis.margins.disk_margin import Place, closed_around, disk_channels
 from robustlab.mu_analysis.margins.small_gain import signed
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
@@ -135,15 +135,19 @@ class ClassicalMargins(Shown):
         Where the loops were opened: at the plant's "output", "input" or "both".
     status
         The least of the channels'.
+    loop
+        The law that closes the loop, and who says so.
     """
 
     channels: Mapping[str, ClassicalMargin]
     at: Place
     status: Status
+    loop: str = ""
 
     def facts(self) -> Facts:
         """Gain, phase and delay margin of each loop."""
-        return [(name, "; ".join(f"{k} {v}" for k, v in margin.facts()[:3])) for name, margin in self.channels.items()]
+        every = [(name, "; ".join(f"{k} {v}" for k, v in margin.facts()[:3])) for name, margin in self.channels.items()]
+        return [("loop", self.loop), *every]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -151,13 +155,14 @@ class ClassicalMargins(Shown):
             "type": "ClassicalMargins",
             "channels": {name: margin.to_json() for name, margin in self.channels.items()},
             "at": self.at,
+            "loop": self.loop,
             "status": self.status,
         }
 
 
 @told_as("classical_margins")
 def classical_margins(
-    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] = -1
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
     r"""Gain, phase and delay margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time.
 
@@ -169,11 +174,11 @@ def classical_margins(
     plant
         Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out.
     K
-        Controller (m outputs, p inputs).
+        Controller (m outputs, p inputs), or one whose signals have names that the plant has too.
     at
         Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
     sign
-        -1 for negative feedback, 1 for positive feedback.
+        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
 
     Returns
     -------
@@ -183,7 +188,8 @@ def classical_margins(
     Raises
     ------
     InputError
-        Sizes or sample times that do not fit, or a closed loop that is not well posed.
+        Sizes, names or sample times that do not fit, a sign that contradicts the controller, or a closed loop that is
+        not well posed.
     NoTrustworthyNumber
         A loop whose gain is 1 at every frequency: it has no crossings; take `disk_margin`.
 
@@ -199,20 +205,21 @@ def classical_margins(
     (2.0, 2.0)
     """
     p = as_model(plant, "classical_margins: plant")
-    K = controller_for(p.n_outputs, p.n_inputs, K)
+    closed = closed_around(p, K, sign, "classical_margins")
+    p, k = closed.plant, closed.K
     # With the skew -1 the channel sees v and adds w to it: the closed loop from w to v.
-    loop, names = disk_channels(p, K, (0, 0), at, -1.0, sign)
+    loop, names = disk_channels(p, k, (0, 0), at, -1.0, closed.sign)
     stable = loop.is_stable()
     channels = {}
     for i, name in enumerate(names):
         if len(names) == 1:
-            order = (p, signed(K, -sign)) if at == "input" else (signed(K, -sign), p)
+            order = (p, signed(k, -closed.sign)) if at == "input" else (signed(k, -closed.sign), p)
             opened = series(*order)
         else:
             opened = _opened(loop.select([loop.input_names[i]], [loop.output_names[i]]), name)
         channels[name] = _margin(StateSpaceModel(opened.A, opened.B, opened.C, opened.D, opened.dt), stable, name)
     good = all(margin.status is Status.CONVERGED for margin in channels.values())
-    return ClassicalMargins(channels, at, Status.CONVERGED if good else Status.INACCURATE)
+    return ClassicalMargins(channels, at, Status.CONVERGED if good else Status.INACCURATE, closed.said)
 
 
 def _opened(closed: StateSpaceModel, name: str) -> StateSpaceModel:

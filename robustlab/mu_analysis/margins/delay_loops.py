@@ -27,6 +27,7 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import one_thread
+from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
@@ -68,12 +69,13 @@ class _Loop(NamedTuple):
     S: DelayedModel
     names: tuple[str, ...]
     stable: bool
+    said: str
 
 
 @told_as("delay_classical_margins")
 @one_thread()
 def delay_classical_margins(
-    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] = -1, highest_order: int = 16
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
 ) -> ClassicalMargins:
     r"""Gain, phase and delay margins of a loop with exact delays, one loop at a time, with all crossings.
 
@@ -113,7 +115,7 @@ def delay_classical_margins(
     for i, name in enumerate(loop.names):
         channels[name] = _classical(DelayAxis(loop.S, [i], [i]), loop.stable, name)
     good = all(m.status is Status.CERTIFIED for m in channels.values())
-    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE)
+    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, loop.said)
 
 
 @told_as("delay_disk_margins")
@@ -124,7 +126,7 @@ def delay_disk_margins(
     *,
     at: Place = "output",
     skew: float = 0.0,
-    sign: Literal[-1, 1] = -1,
+    sign: Literal[-1, 1] | None = None,
     tolerance: float = 0.01,
     highest_order: int = 16,
     seed: int = 0,
@@ -171,21 +173,21 @@ def delay_disk_margins(
         raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
     channels = {name: _disk(loop.S, [i], [name], skew, tolerance, seed) for i, name in enumerate(loop.names)}
     if len(loop.names) == 1:
-        return DiskMargins(channels, channels[loop.names[0]], at)
+        return DiskMargins(channels, channels[loop.names[0]], at, loop.said)
     every = _disk(loop.S, range(len(loop.names)), loop.names, skew, tolerance, seed)
-    return DiskMargins(channels, every, at)
+    return DiskMargins(channels, every, at, loop.said)
 
 
-def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: int, where: str) -> _Loop:
+def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1] | None, highest_order: int, where: str) -> _Loop:
     """The loop as its channels see it, and whether it is stable."""
     p = as_delayed(plant, f"{where}: plant")
-    if at not in PLACES or sign not in (1, -1):
-        raise InputError(where, f"at {at!r}, sign {sign!r}", "input, output or both; 1 or -1")
-    if (K is None and p.n_inputs != p.n_outputs) or not p.n_inputs * p.n_outputs:
+    if at not in PLACES:
+        raise InputError(where, f"at {at!r}", "input, output or both")
+    found = closing(p, K, sign, where)
+    p, sign = found.plant, found.sign
+    if not p.n_inputs * p.n_outputs:
         raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
-    k = _renamed(as_delayed(K, f"{where}: K") if K is not None else as_delayed(_gain(p.n_inputs)), "k")
-    if (k.n_outputs, k.n_inputs) != (p.n_inputs, p.n_outputs):
-        raise InputError(f"{where}: K", f"{k.n_outputs} x {k.n_inputs}", f"{p.n_inputs} x {p.n_outputs}")
+    k = _renamed(as_delayed(found.K, f"{where}: K") if found.K is not None else as_delayed(_gain(p.n_inputs)), "k")
     q, m, n = _renamed(p, "p"), p.n_inputs, p.n_outputs
     around: Any
     if at == "both":  # [u; y] = [0, sign K; P, 0] [u; y]
@@ -198,7 +200,7 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1], highest_order: 
         found = f"no set up to order {highest_order} shows whether the closed loop is stable"
         raise NoTrustworthyNumber(where, found, None, "rl.delay_stability(loop, effort=...) may")
     names = channel_names(p.input_names, p.output_names, at)
-    return _Loop(S, tuple(names), known.stable)
+    return _Loop(S, tuple(names), known.stable, found.said)
 
 
 def _gain(n: int) -> StateSpaceModel:

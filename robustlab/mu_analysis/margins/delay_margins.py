@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
@@ -86,14 +87,17 @@ class DelayDiskMargin(DiskBounds):
         The gain whose inverse it is, with its proof.
     status
         That of ``gain``.
+    loop
+        The law that closes the loop, and who says so.
     """
 
     gain: DelayGain
     status: Status
+    loop: str = ""
 
     def facts(self) -> Facts:
         """The margin, what it allows, and where it is smallest."""
-        return [*super().facts(), ("smallest at", number(self.gain.frequency, "rad/s"))]
+        return [("loop", self.loop), *super().facts(), ("smallest at", number(self.gain.frequency, "rad/s"))]
 
 
 @told_as("delay_gain")
@@ -160,7 +164,7 @@ def delay_disk_margin(
     loop: DelayedModel,
     *,
     skew: float = 0.0,
-    sign: Literal[-1, 1] = -1,
+    sign: Literal[-1, 1] | None = None,
     tolerance: float = 0.01,
     highest_order: int = 16,
     effort: float = 1.0,
@@ -174,7 +178,7 @@ def delay_disk_margin(
     skew
         sigma, as in `disk_margin`.
     sign
-        -1 for negative feedback, 1 for positive feedback.
+        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
     tolerance, highest_order, effort
         As in `delay_gain`.
 
@@ -202,20 +206,21 @@ def delay_disk_margin(
     if (g.n_outputs, g.n_inputs) != (1, 1):
         found, hint = f"a loop of {g.n_outputs} x {g.n_inputs}", "rl.worst_case_disk_margin(loop.uncertain(order))"
         raise InputError("delay_disk_margin", found, "one channel", hint)
-    if not abs(skew) <= 1e6 or sign not in (1, -1):
-        raise InputError("delay_disk_margin", f"skew {skew!r}, sign {sign!r}", "a finite skew; 1 or -1")
+    if not abs(skew) <= 1e6:
+        raise InputError("delay_disk_margin", f"skew {skew!r}", "a finite skew")
+    closed = closing(g, None, sign, "delay_disk_margin")
     one = as_delayed(StateSpaceModel([], [], [], [[1.0]], 0.0, g.inputs, g.inputs))
     same = g.select() if g.inputs == g.outputs else DelayedModel(
         g.H.renamed(outputs=[*g.H.outputs[: len(g.delays)], *g.inputs]), g.delays
     )  # fmt: skip
-    seen = one.feedback(same, sign) + 0.5 * (skew - 1.0) * np.eye(1)
+    seen = one.feedback(same, closed.sign) + 0.5 * (skew - 1.0) * np.eye(1)
     gain = delay_gain(seen, tolerance, highest_order, effort)
     if not np.isfinite(gain.upper):
         found = f"no set up to order {highest_order} proves the loop stable"
         raise NoTrustworthyNumber("delay_disk_margin", found, None, "rl.delay_stability says whether it is")
     lower, upper = (1.0 / value if value else np.inf for value in (gain.upper, gain.lower))
     low, high, phase = gain_and_phase(lower, skew)
-    return DelayDiskMargin(lower, upper, (low, high), phase, skew, gain, gain.status)
+    return DelayDiskMargin(lower, upper, (low, high), phase, skew, gain, gain.status, closed.said)
 
 
 def _attained(g: DelayedModel) -> tuple[float, float]:

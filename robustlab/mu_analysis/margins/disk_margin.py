@@ -18,16 +18,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.closing import Closing, closing
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.stability import margin_within
-from robustlab.mu_analysis.margins.small_gain import fitting_controller, replayed_pole, signed, small_gain
+from robustlab.mu_analysis.margins.small_gain import replayed_pole, signed, small_gain
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
@@ -47,7 +48,7 @@ __all__ = [
     "Place",
     "channel_names",
     "channel_places",
-    "controller_for",
+    "closed_around",
     "disk_channels",
     "disk_margin",
     "disk_margin_of",
@@ -160,11 +161,14 @@ class DiskMargins(Shown):
         Margin with all channels changed independently at once.
     at
         ``"input"``, ``"output"`` or ``"both"``: where the factors are.
+    loop
+        The law that closes the loop, and who says so.
     """
 
     channels: Mapping[str, DiskMargin]
     simultaneous: DiskMargin
     at: Place
+    loop: str = ""
 
     @property
     def status(self) -> Status:
@@ -176,7 +180,7 @@ class DiskMargins(Shown):
         """The margins of all loops at once and of each, gain and phase of the first."""
         every = {"all at once": self.simultaneous, **self.channels}
         bounds = [(name, bracket(m.lower, m.upper, ("proved", "attained"))) for name, m in every.items()]
-        return [("at", f"the plant's {self.at}"), *bounds, *self.simultaneous.facts()[1:]]
+        return [("loop", self.loop), ("at", f"the plant's {self.at}"), *bounds, *self.simultaneous.facts()[1:]]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -184,6 +188,7 @@ class DiskMargins(Shown):
         together = self.simultaneous.to_json()
         return {
             "type": "DiskMargins",
+            "loop": self.loop,
             "at": self.at,
             "channels": parts,
             "simultaneous": together,
@@ -198,7 +203,7 @@ def disk_margin(
     *,
     at: Place = "output",
     skew: float = 0.0,
-    sign: Literal[-1, 1] = -1,
+    sign: Literal[-1, 1] | None = None,
     time_limit: float | None = None,
     seed: int = 0,
     effort: float = 1.0,
@@ -210,13 +215,14 @@ def disk_margin(
     plant
         Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out.
     K
-        Controller (m outputs, p inputs).
+        Controller (m outputs, p inputs), or one whose signals have names that the plant has too.
     at
         Where the factors act: on the plant's outputs, its inputs, or both at once.
     skew
         sigma: 0 balanced, positive where the gain is more likely to rise, negative where it is more likely to fall.
     sign
-        -1 for negative feedback, 1 for positive feedback.
+        -1 for negative feedback, 1 for positive feedback. Left out: what the controller says of itself, as every
+        designed one does; negative for one that says nothing.
     time_limit, seed, effort
         For several loops at once, as in `robust_stability`.
 
@@ -228,7 +234,7 @@ def disk_margin(
     Raises
     ------
     InputError
-        Sizes or sample times that do not fit; a skew that is not finite.
+        Sizes, names or sample times that do not fit; a skew that is not finite; a sign that contradicts the controller.
     NoTrustworthyNumber
         The nominal loop is unstable.
 
@@ -244,7 +250,8 @@ def disk_margin(
     (0.666667, [0.5, 2.0])
     """
     p = as_model(plant, "disk_margin: plant")
-    loop, names = disk_channels(p, controller_for(p.n_outputs, p.n_inputs, K), (0, 0), at, skew, sign)
+    found = closed_around(p, K, sign, "disk_margin")
+    loop, names = disk_channels(found.plant, found.K, (0, 0), at, skew, found.sign)
     if len(names) > 1:
         compile_kernels()
     budget = search_budget("disk_margin", TUNING.work, effort, time_limit)
@@ -254,8 +261,8 @@ def disk_margin(
             for i, name in enumerate(names)
         }
         if len(names) == 1:
-            return DiskMargins(channels, channels[names[0]], at)
-        return DiskMargins(channels, disk_margin_of(loop, names, skew, budget, seed), at)
+            return DiskMargins(channels, channels[names[0]], at, found.said)
+        return DiskMargins(channels, disk_margin_of(loop, names, skew, budget, seed), at, found.said)
 
 
 def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
@@ -269,13 +276,11 @@ def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget
     return _one_loop(M, names[0], skew) if len(names) == 1 else _many_loops(M, names, skew, budget, seed)
 
 
-def controller_for(n_outputs: int, n_inputs: int, K: Any) -> StateSpaceModel:
-    """K as a model that fits a plant of this size; the identity where it is left out."""
-    if K is None:
-        if n_outputs != n_inputs:
-            raise InputError("disk_margin", f"an open loop of {n_outputs} x {n_inputs}", "a square one, or a K")
-        return StateSpaceModel([], [], [], np.eye(n_inputs))
-    return fitting_controller(K, n_inputs, n_outputs, "disk_margin: K")
+def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
+    """How K closes its loop, as `robustlab.closing.closing`, K a model: the identity where it is left out."""
+    found = closing(plant, K, sign, where)
+    k = StateSpaceModel([], [], [], np.eye(len(found.plant.inputs))) if found.K is None else found.K
+    return replace(found, K=as_model(k, f"{where}: K"))
 
 
 def disk_channels(

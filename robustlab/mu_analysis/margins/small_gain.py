@@ -31,6 +31,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import singularity
@@ -42,7 +43,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = ["SmallGain", "fitting_controller", "peak_response", "replayed_pole", "signed", "small_gain"]
+__all__ = ["SmallGain", "peak_response", "replayed_pole", "signed", "small_gain"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,8 @@ class SmallGain(Shown):
         What Delta sees: the closed-loop model from w to z.
     status
         CERTIFIED, or INACCURATE where the norm is, or where ``pole`` is not where it was foretold.
+    loop
+        The law that closes the loop, and who says so; empty where it was closed already.
     """
 
     robustly_stable: bool | None
@@ -81,11 +84,13 @@ class SmallGain(Shown):
     norm: HinfNorm
     M: StateSpaceModel
     status: Status
+    loop: str = ""
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         answer = {True: "yes, for every stable Delta of norm one", False: "no", None: "undecided"}[self.robustly_stable]
         return [
+            ("loop", self.loop),
             ("robustly stable", answer),
             ("margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("norm of the loop", bracket(self.norm.lower, self.norm.upper, ("attained", "proved"))),
@@ -98,7 +103,7 @@ class SmallGain(Shown):
 
 
 @told_as("small_gain")
-def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1] = -1) -> SmallGain:
+def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1] | None = None) -> SmallGain:
     r"""Small-gain test of an uncertain model with one full block, closed by a controller.
 
     Parameters
@@ -108,7 +113,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     K
         Controller ``u = sign K y`` from all outputs to all inputs; left out where the loop is closed already.
     sign
-        -1 for negative feedback, 1 for positive feedback.
+        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
 
     Returns
     -------
@@ -135,10 +140,10 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     blocks = uncertain.blocks
     if len(blocks) != 1 or blocks[0].is_scalar or not blocks[0].is_ball:
         raise InputError("small_gain", f"{uncertain!r}", "one full block", "use robust_stability")
-    closed = uncertain
+    closed, said = uncertain, ""
     if K is not None:
-        k = fitting_controller(K, len(uncertain.inputs), len(uncertain.outputs), "small_gain: K")
-        closed = uncertain.close(signed(k, sign))
+        found = closing(uncertain, K, sign, "small_gain")
+        closed, said = found.plant.close(signed(as_model(found.K), found.sign)), found.said
     M = closed.delta_channels
     norm = hinf_norm(M, rtol=TUNING.norm_width)
     if not np.isfinite(norm.upper):
@@ -149,7 +154,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
             "check the sign of the feedback: sign=, or --feedback negative | positive",
         )
     if norm.lower == 0:
-        return SmallGain(norm.upper < 1, _inverse(norm.upper), float("inf"), None, {}, None, norm, M, norm.status)
+        return SmallGain(norm.upper < 1, _inverse(norm.upper), float("inf"), None, {}, None, norm, M, norm.status, said)
     frequency, response = peak_response(M, norm)
     u, sigma, vh = np.linalg.svd(response)
     # (I - M Delta) u1 = 0
@@ -161,7 +166,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
     upper = 1 / float(sigma[0])
-    return SmallGain(stable, _inverse(norm.upper), upper, frequency, {name: delta}, pole, norm, M, status)
+    return SmallGain(stable, _inverse(norm.upper), upper, frequency, {name: delta}, pole, norm, M, status, said)
 
 
 def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np.complex128]]:
@@ -203,14 +208,6 @@ def signed(K: StateSpaceModel, sign: int) -> StateSpaceModel:
     if sign not in (-1, 1):
         raise InputError("sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
     return StateSpaceModel(K.A, K.B, sign * K.C, sign * K.D, K.dt)
-
-
-def fitting_controller(K: Any, n_inputs: int, n_outputs: int, where: str) -> StateSpaceModel:
-    """K as a model from all outputs of a plant to all its inputs."""
-    k = as_model(K, where)
-    if k.D.shape != (n_inputs, n_outputs):
-        raise InputError(where, f"{k.n_outputs} x {k.n_inputs}", f"{n_inputs} x {n_outputs}")
-    return k
 
 
 def _inverse(value: float) -> float:

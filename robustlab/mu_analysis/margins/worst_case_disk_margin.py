@@ -32,7 +32,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     DiskBounds,
     DiskMargin,
     Place,
-    controller_for,
+    closed_around,
     disk_channels,
     disk_margin_of,
     gain_and_phase,
@@ -70,6 +70,8 @@ class WorstCaseDiskMargin(DiskBounds):
         time limit ended the search before the bounds met; INCONCLUSIVE where nothing could be proved.
     notes
         Remarks for the reader of a report.
+    loop
+        The law that closes the loop, and who says so.
     """
 
     delta: Mapping[str, Any]
@@ -78,11 +80,13 @@ class WorstCaseDiskMargin(DiskBounds):
     nominal: DiskMargin
     status: Status
     notes: tuple[str, ...] = ()
+    loop: str = ""
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [
             *super().facts()[:3],
+            ("loop", self.loop),
             ("worst member", member(self.delta, self.physical)),
             ("nominal margin", number(self.nominal.lower)),
             *super().facts()[3:],
@@ -98,7 +102,7 @@ def worst_case_disk_margin(
     at: Place = "output",
     channel: str | None = None,
     skew: float = 0.0,
-    sign: Literal[-1, 1] = -1,
+    sign: Literal[-1, 1] | None = None,
     accuracy: float = 0.005,
     time_limit: float | None = None,
     seed: int = 0,
@@ -166,15 +170,16 @@ class _Search:
         at: Place,
         channel: str | None,
         skew: float,
-        sign: Literal[-1, 1],
+        sign: Literal[-1, 1] | None,
         budget: Budget,
         seed: int,
         tuning: MuTuning = TUNING,
     ) -> None:
-        k = controller_for(len(uncertain.outputs), len(uncertain.inputs), K)
+        closed = closed_around(uncertain, K, sign, "worst_case_disk_margin")
+        uncertain, self.said = closed.plant, closed.said
         self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
         self.uncertain, self.tuning = uncertain, tuning
-        loop, self.names = disk_channels(uncertain.M, k, uncertain.delta_shape, at, skew, sign)
+        loop, self.names = disk_channels(uncertain.M, closed.K, uncertain.delta_shape, at, skew, closed.sign)
         q, p = uncertain.delta_shape
         if channel is not None:
             if channel not in self.names:
@@ -317,6 +322,7 @@ class _Search:
             self.nominal,
             status,
             tuple(notes),
+            self.said,
         )
 
 

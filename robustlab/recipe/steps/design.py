@@ -25,6 +25,7 @@ from robustlab.recipe.steps.vocabulary import (
     ToDesignable,
     ToModel,
 )
+from robustlab.signals import Taken, law
 
 GammaRel = Annotated[float, Field(ge=1, le=10)]
 
@@ -114,10 +115,15 @@ class CloseLoopStep(Step):
     controller: ToController
 
     def run(self, work: Workspace) -> Outcome:
-        loop = tracking_loop(work.values[self.of], work.values[self.controller])
+        from robustlab.statespace import as_model
+
+        controller = work.values[self.controller]
+        loop = tracking_loop(work.values[self.of], controller)
         abscissa = loop.nominal.spectral_abscissa()
         numbers = {**uncertain_numbers(loop), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
+        said = law(as_model(controller, self.controller).inputs) or "u = K (r - y), as nothing else is said of it"
         facts = (
+            Fact("Loop", said),
             Fact("Inputs", ", ".join(s.name for s in loop.inputs)),
             Fact("Outputs", ", ".join(s.name for s in loop.outputs)),
             Fact("Rightmost pole of the nominal loop", quantity(abscissa, "1/s")),
@@ -438,9 +444,11 @@ class KalmanStep(Step):
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
-    """The loop ``u = K (r - y)`` around a model or an uncertain model, as an uncertain model.
+    """The loop of a controller with references around a model or an uncertain model, as an uncertain model.
 
-    Inputs: a reference for each output. Outputs: the outputs y and the control signals u.
+    ``u = K (r - y)`` for a controller that takes the error, or says nothing; ``u = K (y - r)`` for one that takes y;
+    one with inputs for references gets these. Inputs: a reference for each output. Outputs: the outputs y and the
+    control signals u.
     """
     import numpy as np
 
@@ -448,29 +456,38 @@ def tracking_loop(system: Any, controller: Any) -> Any:
 
     base = system if isinstance(system, rl.UncertainModel) else rl.UncertainModel(as_model(system), [])
     K = as_model(controller, "controller")
-    sizes = (len(base.outputs), len(base.inputs))
-    if (K.n_inputs, K.n_outputs) != sizes:
+    takes = [s if isinstance(s, Taken) else Taken(s.name, s.unit, "r - y") for s in K.inputs]
+    names = [s.name for s in base.outputs]
+    measured = [s for s in takes if s.sign]
+    by_name = all(s.of in names for s in measured)
+    if K.n_outputs != len(base.inputs) or not (by_name or len(measured) == len(names)):
         found = f"{K.n_inputs} inputs and {K.n_outputs} outputs"
-        raise InputError(
-            "controller", found, f"{sizes[0]} and {sizes[1]}: an input per output of the model, and vice versa"
-        )
+        sizes = f"{len(names)} and {len(base.inputs)}: an input per output of the model, and vice versa"
+        raise InputError("controller", found, sizes)
     m, (q, p) = base.M, base.delta_shape
     n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
-    c_y, d_yw, d_yu = m.C[p:], m.D[p:, :q], m.D[p:, q:]
+    # v = F r + S y is what K takes; one with inputs for references gets those there, and y as it is.
+    F, S = np.zeros((len(takes), n_y)), np.zeros((len(takes), n_y))
+    referred = {s.of for s in takes if not s.sign}
+    order = iter(range(n_y))
+    for row, s in enumerate(takes):
+        j = names.index(s.of) if s.of in names else next(order)
+        S[row, j], F[row, j] = s.sign, 1.0 if not s.sign else 0.0 if s.of in referred else -s.sign
+    none = np.zeros((n_u, n_y))
     plant = rl.StateSpaceModel(
         m.A,
         np.hstack([m.B[:, :q], np.zeros((n, n_y)), m.B[:, q:]]),
-        np.vstack([m.C, np.zeros((n_u, n)), -c_y]),
+        np.vstack([m.C, np.zeros((n_u, n)), S @ m.C[p:]]),
         np.block(
             [
                 [m.D[:, :q], np.zeros((m.n_outputs, n_y)), m.D[:, q:]],
-                [np.zeros((n_u, q)), np.zeros((n_u, n_y)), np.eye(n_u)],
-                [-d_yw, np.eye(n_y), -d_yu],
+                [np.zeros((n_u, q)), none, np.eye(n_u)],
+                [S @ m.D[p:, :q], F, S @ m.D[p:, q:]],
             ]
         ),
         m.dt,
         [*m.inputs[:q], *(rl.Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs],
-        [*m.outputs, *base.inputs, *(rl.Signal(f"{s.name}_error", s.unit) for s in base.outputs)],
+        [*m.outputs, *base.inputs, *(Taken(f"{s.name} taken", s.unit, s.takes, s.of) for s in takes)],
         m.states,
         where="tracking loop",
     )

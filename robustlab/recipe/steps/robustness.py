@@ -9,12 +9,14 @@ import numpy as np
 from pydantic import Field
 
 import robustlab as rl
+from robustlab.closing import closing, fed_back
 from robustlab.norms import HinfNorm
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Band,
     Effort,
+    Feedback,
     Positive,
     Text,
     TimeLimit,
@@ -148,21 +150,22 @@ class RobustnessAtStep(Step):
     do: Literal["robustness-at"]
     of: ToUncertain = Field(description="An uncertain model, or a file with frequency-response data.")
     controller: ToController | None = Field(None, description="Closes the loop, u = sign K y.")
-    sign: Literal[-1, 1] = Field(-1, description="-1 for negative feedback, 1 for positive.")
+    sign: Feedback = None
     frequency: list[Annotated[float, Field(ge=0)]] | None = Field(None, description="rad/s; data have their own.")
     what: Literal["margin", "gain"] = Field("margin", description="Stability margin, or largest gain.")
 
     def run(self, work: Workspace) -> Outcome:
         system = work.values[self.of]
+        said = ""
         if self.controller is not None:
-            k = work.values[self.controller]
-            system = system.feedback(getattr(k, "K", k), self.sign)
+            around, sign, said = fed_back(system, work.values[self.controller], self.sign, self.of, None)
+            system = system.feedback(around, sign)
         analyse = rl.robust_stability_at if self.what == "margin" else rl.worst_case_gain_at
         found = analyse(system, self.frequency, seed=work.seed)
         work.keep(found)
         k = int(np.argmin(found.lower) if self.what == "margin" else np.argmax(found.upper))
         numbers = {"lower": float(found.lower[k]), "upper": float(found.upper[k]), "frequency": float(found.omega[k])}
-        facts = tuple(Fact(label, text) for label, text in found.facts() if text)
+        facts = tuple(Fact(label, text) for label, text in [("loop", said), *found.facts()] if text)
         text = f"{self.what} of {self.of} at {len(found.omega)} frequencies; nothing is claimed between them."
         return Outcome(None, text[0].upper() + text[1:], numbers, facts, found.status, (found.assumed,))
 
@@ -198,7 +201,7 @@ class ClassicalMarginsStep(Step):
 
     do: Literal["classical-margins"]
     of: ToModel = Field(description="The open loop, square.")
-    sign: Literal[-1, 1] = Field(-1, description="-1 for negative feedback, 1 for positive.")
+    sign: Feedback = None
 
     def run(self, work: Workspace) -> Outcome:
         loop = work.values[self.of]
@@ -208,7 +211,7 @@ class ClassicalMarginsStep(Step):
         margins = [m for m in found.channels.values() if m.gain_margin is not None]
         stable = len(margins) == len(found.channels)
         numbers: dict[str, object] = {"stable": stable}
-        facts = [Fact("Closed loop", "stable" if stable else "unstable")]
+        facts = [Fact("Loop", found.loop), Fact("Closed loop", "stable" if stable else "unstable")]
         if stable:
             numbers["gain_high"] = min(m.gain_margin[1] for m in margins if m.gain_margin)
             numbers["gain_low"] = max(m.gain_margin[0] for m in margins if m.gain_margin)
@@ -297,18 +300,22 @@ class EffectGainStep(Step):
     outputs: list[Text] | None = Field(None, description="Outputs that the controller sees; all where left out.")
     amplitude: dict[str, Positive] = Field({}, description="Place of an effect -> bound of its signal.")
     stick_speed: dict[str, Positive] = Field({}, description="Joint -> speed below which dry friction is creep.")
-    sign: Literal[-1, 1] = Field(-1, description="-1 for negative feedback, 1 for positive.")
+    sign: Feedback = None
     order: FilterOrder = Field(2, description="Order of the multipliers' filters.")
     effort: Effort = Field(1.0, description="Multiple of the usual work of the proof.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
+        plant, k = work.values[self.of], work.values[self.controller]
+        base = getattr(getattr(plant, "plant", None), "state_space", None)
+        sign = self.sign
+        if base is not None:
+            sign = closing(base().select(None, self.outputs), k, sign, self.of, None).sign
         found = rl.effect_gain(
-            work.values[self.of], work.values[self.controller], self.outputs, self.amplitude, self.stick_speed,
-            self.sign, self.order, self.time_limit, self.effort,
+            plant, k, self.outputs, self.amplitude, self.stick_speed, sign, self.order, self.time_limit, self.effort,
         )  # fmt: skip
         work.keep(found)
-        facts = [_gain("Worst L2 gain", found.proved), Fact("As constant gains", quantity(found.as_constants.upper)),
+        facts = [Fact("Loop", found.loop), _gain("Worst L2 gain", found.proved), Fact("As constant gains", quantity(found.as_constants.upper)),
                  *(Fact(name, text) for name, text in found.proved.nature.items())]  # fmt: skip
         numbers = {"lower": found.proved.lower, "upper": found.proved.upper, "as_constants": found.as_constants.upper}
         left = tuple(f"{name}: {why}" for name, why in found.left_out.items())

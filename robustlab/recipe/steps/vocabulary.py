@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, WrapValidator
 from pydantic_core import PydanticCustomError, ValidationError
@@ -53,6 +53,10 @@ Points = Annotated[int, Field(ge=2, le=100_000)]
 TimeLimit = Annotated[float, Field(gt=0, le=86400)]
 Effort = Annotated[float, Field(gt=0, le=10_000)]
 Band = Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
+Feedback = Annotated[
+    Literal[-1, 1] | None,
+    Field(description="-1 for negative feedback, 1 for positive; as the controller says of itself where left out."),
+]
 GUARD = "s; a guard: where it strikes, the step ends without a repeatable answer."
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 Order = Annotated[int, Field(ge=1, le=10)]

@@ -17,6 +17,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, did_you_mean
 from robustlab.norms import bilinear_to_discrete
+from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -44,7 +45,7 @@ class StandardLoop:
         y, v = g.output_names, g.input_names
         ins = [f"{group} {s}" for group, names in zip(INPUTS, (y, v, y), strict=True) for s in names]
         outs = [f"{group} {s}" for group, names in zip(OUTPUTS, (y, v, v, y), strict=True) for s in names]
-        measured = [(f"error {s.name} measured", s.unit) for s in g.outputs]
+        measured = [Taken(f"error {s.name} measured", s.unit, "r - y", s.name) for s in g.outputs]
         model = StateSpaceModel(
             g.A, g.B @ (u + d), C, D, g.dt, [*ins, *g.inputs], [*outs, *measured], g.states, where="tune"
         )

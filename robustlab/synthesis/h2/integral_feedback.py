@@ -13,6 +13,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.structural import controllability
 from robustlab.synthesis.h2.state_feedback import lqr
@@ -176,14 +177,13 @@ def _controller(g: StateSpaceModel, chosen: list[int], K: AnyArray, K_i: AnyArra
     r, n, m = len(chosen), g.n_states, g.n_inputs
     step, stays = (g.dt, np.eye(r)) if g.is_discrete else (1.0, np.zeros((r, r)))
     outputs = [g.outputs[i] for i in chosen]
-    references = [Signal(f"{y.name} reference", y.unit) for y in outputs]
-    measured = [Signal(f"{y.name} measured", y.unit) for y in outputs]
+    references = [Taken(f"{y.name} reference", y.unit, "r", y.name) for y in outputs]
+    measured = [Taken(f"{y.name} measured", y.unit, "y", y.name) for y in outputs]
+    states = [Taken(*x) for x in g.states]
     B = step * np.hstack([np.eye(r), -np.eye(r), np.zeros((r, n))])
     D = np.hstack([np.zeros((m, 2 * r)), -K])
     integrals = [Signal(f"integral of {y.name}") for y in outputs]
-    return StateSpaceModel(
-        stays, B, -K_i, D, g.dt, [*references, *measured, *g.states], g.inputs, integrals, where="lqi"
-    )
+    return StateSpaceModel(stays, B, -K_i, D, g.dt, [*references, *measured, *states], g.inputs, integrals, where="lqi")
 
 
 def _seen_by(g: StateSpaceModel, chosen: list[int]) -> StateSpaceModel:

@@ -16,6 +16,7 @@ from robustlab.magnitude import balancing_exponents, is_moderate, refuse_overflo
 from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
+from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
 from robustlab.synthesis.problem.design import Controller
@@ -131,8 +132,8 @@ def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> State
 
 
 def gain_controller(g: StateSpaceModel, found: StateFeedback) -> Controller:
-    """``u = -K x`` as a controller that takes the states by name, as every `robustlab.Controller` does."""
-    gain = StateSpaceModel([], [], [], -found.K, g.dt, g.states, g.inputs)
+    """``u = -K x`` as a controller that takes the states by name; the minus is within it."""
+    gain = StateSpaceModel([], [], [], -found.K, g.dt, [Taken(*x) for x in g.states], g.inputs)
     return Controller(gain, None, found.status, "lqr")
 
 

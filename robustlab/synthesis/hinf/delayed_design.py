@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from robustlab.closing import wired
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, delay_gain
@@ -120,6 +121,8 @@ def verify_delayed_loop(P: Any, K: Any, *, tolerance: float = 0.01, highest_orde
     if plant.n_inputs <= k.n_outputs or plant.n_outputs <= k.n_inputs:
         found = f"P of {plant.n_outputs} x {plant.n_inputs} and K of {k.n_outputs} x {k.n_inputs}"
         raise InputError("verify_delayed_loop", found, "w and z beside the controls and measurements in P")
+    y, u = plant.outputs[plant.n_outputs - k.n_inputs :], plant.inputs[plant.n_inputs - k.n_outputs :]
+    k = wired(k, y, u, "verify_delayed_loop")
     loop: Any = star(plant, _plain(k), k.n_inputs, k.n_outputs)
     stability = delay_stability(loop, highest_order)
     gain = delay_gain(loop, tolerance, highest_order) if stability.stable else None

@@ -21,6 +21,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.shown import Facts
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.hinf.tuning import TUNING
@@ -285,7 +286,7 @@ def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
     inputs = [Signal(f"noise {s.name}", s.unit) for s in g.outputs]
     inputs += [Signal(f"disturbance {s.name}", s.unit) for s in g.inputs]
     outputs = [*g.outputs, *(Signal(f"{s.name} total", s.unit) for s in g.inputs)]
-    outputs += [Signal(f"{s.name} measured", s.unit) for s in g.outputs]
+    outputs += [Taken(f"{s.name} measured", s.unit, "y", s.name) for s in g.outputs]
     model = StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, [*inputs, *g.inputs], outputs, g.states, where="synth ncf")
     return GeneralizedPlant(model, g.n_outputs, g.n_inputs)
 

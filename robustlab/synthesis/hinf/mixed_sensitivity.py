@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError, told_as
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.tuning import TUNING
@@ -32,10 +33,10 @@ def mixsyn(
     .. math:: \min_K \left\| \begin{matrix} W_1 S \\ W_2 K S \\ W_3 T \end{matrix} \right\|_\infty, \qquad
         S = (I + G K)^{-1}, \quad T = G K S
 
-    Sign of K: the controller sees the error, ``u = K e`` with ``e = r - G u``. So K is *positive feedback* from ``y =
-    e`` into the generalised plant, as everywhere in this package, and at the same time the forward controller of the
-    usual *negative* feedback loop: its loop gain is ``G K``. To close the loop on a measured output, use
-    ``feedback(series(K, G), I)`` or ``u = K (r - y)``.
+    Sign of K: the controller sees the error, ``u = K (r - y)``. So K is *positive feedback* from ``e = r - G u`` into
+    the generalised plant, as everywhere in this package, and at the same time the forward controller of the usual
+    *negative* feedback loop: its loop gain is ``G K``. K says so itself (``K.inputs``): ``disk_margin(G, K)``,
+    ``G.feedback(K)`` and every other function that closes a loop keep to it.
 
     Parameters
     ----------
@@ -51,7 +52,8 @@ def mixsyn(
     Returns
     -------
     HinfSynthesis
-        ``K`` with the plant's output names as inputs; ``closed_loop`` is the stack above, driven by r.
+        ``K`` with inputs ``e NAME``, the errors of the plant's outputs; ``closed_loop`` is the stack above, driven
+        by r.
 
     Raises
     ------
@@ -116,7 +118,7 @@ def mixed_sensitivity_plant(
     joined = series(
         signals, append(*filters, through.renamed([f"e{i}" for i in range(n_y)], [f"e{i}" for i in range(n_y)]))
     )
-    errors = [Signal(f"e {s.name}", s.unit) for s in g.outputs]
+    errors = [Taken(f"e {s.name}", s.unit, "r - y", s.name) for s in g.outputs]
     references = [Signal(f"r {s.name}", s.unit) for s in g.outputs]
     outputs = [Signal(label) for name, w in weights.items() for label in _labels(name, channels[name], w.n_outputs)]
     states = [f"{name} x{i + 1}" for name, w in weights.items() for i in range(w.n_states)]

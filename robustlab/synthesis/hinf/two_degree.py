@@ -24,6 +24,7 @@ from robustlab.matrix_equations import care
 from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, parallel, series
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
@@ -231,8 +232,8 @@ def _plant_with_references(g: StateSpaceModel, rows: Sequence[int]) -> Generaliz
     inputs = [*references, *(Signal(f"noise {s.name}", s.unit) for s in g.outputs)]
     inputs += [Signal(f"disturbance {s.name}", s.unit) for s in g.inputs]
     outputs = [*g.outputs, *(Signal(f"{s.name} total", s.unit) for s in g.inputs)]
-    outputs += [Signal(f"{s.name} taken", s.unit) for s in references]
-    outputs += [Signal(f"{s.name} measured", s.unit) for s in g.outputs]
+    outputs += [Taken(f"{s.name} taken", s.unit, "r", g.output_names[i]) for i, s in zip(rows, references, strict=True)]
+    outputs += [Taken(f"{s.name} measured", s.unit, "y", s.name) for s in g.outputs]
     model = StateSpaceModel(g.A, g.B @ total, C, D, g.dt, [*inputs, *g.inputs], outputs, g.states, where="synth ncf")
     return GeneralizedPlant(model, n_r + n_y, n_u)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from robustlab.norms import HinfNorm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
+from robustlab.signals import Taken, law
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -22,7 +23,7 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 @dataclass(frozen=True, eq=False)
 class Controller(Shown, Traced):
-    """A controller ``u = K y`` with positive feedback (as in the literature on lower LFTs).
+    """A controller, with what it takes: its inputs say the sign with which it closes a loop (`law`).
 
     Attributes
     ----------
@@ -34,12 +35,42 @@ class Controller(Shown, Traced):
         How much ``gamma`` can be trusted.
     method
         What made it, for example ``"mixsyn"``.
+    takes
+        Not kept: what the inputs take of the plant's signals, one word for all or one for each: ``"y"`` (u = K y),
+        ``"r - y"`` (u = K (r - y)), ``"-y"``, ``"y - r"`` or ``"r"``. Left out: what they say already; designs say it.
+
+    Raises
+    ------
+    InputError
+        No such word, or another number of words than inputs.
+
+    Examples
+    --------
+    >>> pi = StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]], inputs=["omega"], outputs=["u"])
+    >>> Controller(pi, takes="r - y").law
+    'u = K (r - y)'
     """
 
     K: StateSpaceModel
     gamma: float | None = None
     status: Status = Status.INCONCLUSIVE
     method: str = ""
+    takes: InitVar[str | Sequence[str] | None] = None
+
+    def __post_init__(self, takes: str | Sequence[str] | None) -> None:
+        if takes is None:
+            return
+        words = [takes] * self.K.n_inputs if isinstance(takes, str) else list(takes)
+        if len(words) != self.K.n_inputs:
+            raise InputError("Controller: takes", f"{len(words)} words", f"one, or {self.K.n_inputs}")
+        of = [s.of if isinstance(s, Taken) else s.name for s in self.K.inputs]
+        inputs = [Taken(s.name, s.unit, word, name) for s, word, name in zip(self.K.inputs, words, of, strict=True)]
+        object.__setattr__(self, "K", self.K.renamed(inputs))
+
+    @property
+    def law(self) -> str:
+        """How it closes a loop, ``u = K (r - y)`` for example; empty where that is not known."""
+        return law(self.K.inputs)
 
     def to_model(self) -> StateSpaceModel:
         """K, so that a controller can be given where a model is asked for."""
@@ -47,11 +78,12 @@ class Controller(Shown, Traced):
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), *self.K.facts()]
+        said = self.law or "not known: say it where a loop is closed"
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", said), *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
-        """K and what was verified, as plain types."""
-        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}
+        """K, how it closes its loop, and what was verified, as plain types."""
+        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method, "law": self.law}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,7 +93,7 @@ class Synthesis(Shown):
     Attributes
     ----------
     K
-        The controller, ``u = K y`` with positive feedback into the plant's lower LFT.
+        The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs say what they take.
     gamma
         Verified upper bound of what the method makes small (its docstring says what).
     closed_loop
@@ -89,6 +121,10 @@ class Synthesis(Shown):
     plant: GeneralizedPlant
     method: str
 
+    def to_model(self) -> StateSpaceModel:
+        """K, so that a design can be given where a controller is asked for."""
+        return self.K
+
     @property
     def controller(self) -> Controller:
         """K with what was verified about it, as it is stored."""
@@ -112,6 +148,7 @@ class Synthesis(Shown):
             ("gamma", self._gamma_text()),
             ("status", self.status.value),
             ("controller", f"{self.K.n_states} states, {self.K.n_inputs} inputs, {self.K.n_outputs} outputs"),
+            ("loop", law(self.K.inputs)),
             ("fastest controller pole", f"{self.fastest_controller_pole:.4g} {unit}"),
             ("closed loop, rightmost pole", f"{self.closed_loop_abscissa:.4g} {margin}"),
             ("what limits it", self.limit),
@@ -128,6 +165,7 @@ class Synthesis(Shown):
             "status": self.status,
             "gamma": self.gamma,
             "order": self.K.n_states,
+            "law": law(self.K.inputs),
             "fastest_controller_pole": self.fastest_controller_pole,
             "closed_loop_abscissa": self.closed_loop_abscissa,
             "limit": self.limit,

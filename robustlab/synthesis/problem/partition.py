@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.closing import wired
 from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.norms import bilinear_to_continuous
 from robustlab.shown import Facts, Shown, listed, with_units
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
@@ -118,8 +120,11 @@ class GeneralizedPlant(Shown):
 
     @property
     def measurements(self) -> tuple[Signal, ...]:
-        """The measured outputs y."""
-        return self.model.outputs[self.n_z :]
+        """The measured outputs y, each with what it tells of the signal: itself where nothing else is said.
+
+        A controller with these inputs carries the sign of its feedback with it (`robustlab.signals.Taken`).
+        """
+        return tuple(s if isinstance(s, Taken) else Taken(*s) for s in self.model.outputs[self.n_z :])
 
     @property
     def controls(self) -> tuple[Signal, ...]:
@@ -138,8 +143,8 @@ class GeneralizedPlant(Shown):
         return PlantMatrices(*(np.array(part) for part in parts))
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
-        """The closed loop from w to z for ``u = K y``."""
-        return lower_lft(self.model, K)
+        """The closed loop from w to z for ``u = K y``; signals meet as `robustlab.closing.wired` says."""
+        return lower_lft(self.model, wired(K, self.measurements, self.controls, "close"))
 
     def continuous(self) -> GeneralizedPlant:
         """Itself, or the image of a discrete plant under the bilinear map, which keeps norms."""
@@ -248,13 +253,21 @@ def generalized_plant(
         )
     columns = [*range(q), *(q + i for i in [*w, *u])]
     rows = [*range(p), *(p + i for i in [*z, *y])]
-    measured = [Signal(f"{outs[i]} measured", m.outputs[p + i].unit) if i in z else m.outputs[p + i] for i in y]
+    measured = [_measured(m.outputs[p + i], copied=i in z) for i in y]
     model = StateSpaceModel(
         m.A, m.B[:, columns], m.C[rows], m.D[np.ix_(rows, columns)], m.dt,
         [m.inputs[i] for i in columns], [*(m.outputs[i] for i in rows[: p + len(z)]), *measured], m.states,
         where="generalized_plant",
     )  # fmt: skip
     return GeneralizedPlant(model, len(y), len(u), blocks)
+
+
+def _measured(s: Signal, copied: bool) -> Signal:
+    """What the controller sees of an output; a copy of one that is performance too has a name of its own."""
+    if not copied:
+        return s
+    takes, of = (s.takes, s.of) if isinstance(s, Taken) else ("y", s.name)
+    return Taken(f"{s.name} measured", s.unit, takes, of)
 
 
 def signal_positions(names: str | Sequence[str], known: Sequence[str], where: str) -> list[int]:

@@ -15,6 +15,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors, refuse_overflow
+from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
@@ -68,7 +69,8 @@ def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
-    """K with the signals that it connects, and balanced states k1, k2, ..."""
+    """K with the signals that it connects, which it takes as they are unless they say more, and balanced states."""
+    inputs = [s if isinstance(s, Taken) else Taken(*s) for s in inputs]
     names = [f"k{i + 1}" for i in range(K.n_states)]
     K = balanced_states(K)
     return StateSpaceModel(K.A, K.B, K.C, K.D, dt, inputs, outputs, names)

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.shown import Facts
@@ -287,6 +288,7 @@ def _plant_and_controller(
         plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    full = wired(full, plant.measurements, plant.controls, WHERE)
     return with_default_performance(plant, WHERE), full
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import Budget, one_thread
+from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
@@ -232,6 +233,7 @@ def discretise_controller(
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    full = wired(full, plant.measurements, plant.controls, WHERE)
     plant = with_default_performance(plant, WHERE)
     known = ("auto", "direct", *METHODS)
     if method not in known:

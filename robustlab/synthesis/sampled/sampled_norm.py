@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import dense, one_thread
+from robustlab.closing import wired
 from robustlab.errors import InputError, told_as
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
@@ -176,7 +177,7 @@ def plant_and_controller(
     check_sampling(p, k.dt, delay, where)
     if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
         raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
-    return p, _plain(k)
+    return p, _plain(wired(k, p.measurements, p.controls, where))
 
 
 def check_sampling(plant: GeneralizedPlant, dt: float, delay: float, where: str) -> None:

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.closing import closing
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import frequency_response
 from robustlab.shown import Facts, Shown, listed, number, with_units
+from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
@@ -96,7 +98,7 @@ class LoopFunctions(Shown):
 
 
 @told_as("loop_functions")
-def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunctions:
+def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] | None = None) -> LoopFunctions:
     r"""S, T, K S and S G of plant G and controller K.
 
     .. math:: S = (I - s\, G K)^{-1}, \qquad T = I - S, \qquad r \to u: -s K S, \qquad d \to y: S G
@@ -106,7 +108,8 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunction
     G, K
         Plant (n_y outputs, n_u inputs) and controller (n_u, n_y).
     sign
-        s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``.
+        s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Left out: as
+        the controller says, -1 where it says nothing.
 
     Returns
     -------
@@ -126,10 +129,8 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunction
     (True, [[1.0]], [0.707107])
     """
     g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
-    if k.D.shape != g.D.T.shape:
-        raise InputError("loop functions", f"K is {k.n_outputs} x {k.n_inputs}", f"{g.n_inputs} x {g.n_outputs}")
-    if sign not in (-1, 1):
-        raise InputError("loop functions: sign", f"{sign!r}", "-1 (u = K (r - y)) or 1 (u = K (y - r))")
+    found = closing(g, k, sign, "loop functions")
+    g, k, sign = found.plant, found.K, found.sign
     n, n_y, n_u = g.n_states, g.n_outputs, g.n_inputs
     # From (r, d, u) to (r - y, y, u, r - y) with y = G (u + d); K acts on e = r - y.
     none = np.zeros((n_u, n))
@@ -169,9 +170,9 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunction
 def loop_functions_of(design: Synthesis) -> LoopFunctions:
     """S, T, K S and S G of a finished design, at the outputs that its controller measures.
 
-    A mixed-sensitivity controller (one whose design has ``weights``) measures the error ``r - y``; every other design
-    measures y, and a reference enters as ``u = K (y - r)``. The plant is what leads from the controls to the
-    measurements of the design's generalised plant.
+    A controller that takes the error is ``u = K (r - y)``; into one that takes y a reference enters as
+    ``u = K (y - r)``.
+    The plant is what leads from the controls to the signals that are measured in the design's generalised plant.
 
     Parameters
     ----------
@@ -190,15 +191,10 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
     """
     weights = dict(getattr(design, "weights", {}))
     plant = design.plant
-    first = getattr(design, "references", 0)  # measurements that are references are no part of the loop
-    measured = [s.name for s in plant.measurements][first:]
-    inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], measured))
-    if not weights:
-        return loop_functions(inner, design.K.select(design.K.input_names[first:]) if first else design.K, sign=1)
-    # The measurement of a mixed-sensitivity plant is e = r - G u.
-    g = StateSpaceModel(inner.A, inner.B, -inner.C, -inner.D, inner.dt, inner.inputs, inner.outputs)
-    names = [(s.name.removeprefix("e "), s.unit) for s in g.outputs]
-    found = loop_functions(g.renamed(None, names), design.K, sign=-1)
+    measured = [s for s in plant.measurements if isinstance(s, Taken) and s.sign]  # references are no part of the loop
+    inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], [s.name for s in measured]))
+    signs = np.diag([float(s.sign) for s in measured])  # what is measured is r - y, or y
+    found = loop_functions((signs @ inner).renamed(inner.inputs, [(s.of, s.unit) for s in measured]), design.K)
     return LoopFunctions(found.S, found.T, found.KS, found.SG, weights, design.gamma)
 
 

@@ -27,8 +27,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.closing import wired
 from robustlab.errors import InputError, did_you_mean
 from robustlab.frequency import frequency_response
+from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.lft import UncertainModel
@@ -132,7 +134,7 @@ class TrackingProblem:
                 f"{model.n_inputs} inputs and {model.n_outputs} outputs",
                 f"{self.n_meas} inputs ({', '.join(s.name for s in self.plant.measurements)}) and {self.n_con} outputs",
             )
-        return model
+        return wired(model, self.plant.measurements, self.plant.controls, "controller")
 
 
 def tracking_problem(
@@ -277,7 +279,7 @@ def _weighted(
     joined = series(series(before, picked), append(*filters))
     states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
     inputs = [*base.M.inputs[:q], *(Signal(f"{s.name}_ref", "1") for s in follow), *others, *controls]
-    outputs = [*labels, *(Signal(f"{s.name}_ref", s.unit) for s in follow), *(Signal(s.name, s.unit) for s in seen)]
+    outputs = [*labels, *(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
     return StateSpaceModel(
         joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
     )

@@ -31,6 +31,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, search_budget
+from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.iqc import IqcGain, Nonlinearity, iqc_gain
 from robustlab.norms import hinf_norm
@@ -224,13 +225,14 @@ def anti_windup(
     if time is not None and not 0 < time < math.inf:
         raise InputError("anti_windup: time", f"{time!r}", "a positive number of seconds")
     width = 1.0 if math.isinf(reach) else 1.0 - 1.0 / reach
+    K = wired(K, P.outputs[P.n_outputs - K.n_inputs :], P.inputs[P.n_inputs - K.n_outputs :], "anti_windup")
     loop = _loop(P, K)
     linear = loop.closed(np.zeros((K.n_states + K.n_outputs, K.n_outputs)))
     if linear.n_states and not linear.is_stable():
         worst = linear.poles()[linear.poles().real.argmax()]
         raise NoTrustworthyNumber(
             "anti_windup", f"the loop u = K y is unstable without saturation (pole {worst:.4g})", "a stable loop",
-            "for negative feedback give -K",
+            "for negative feedback give -K, or a controller that says so: rl.Controller(K, takes='r - y')",
         )  # fmt: skip
     budget = search_budget("anti_windup", WORK, effort, time_limit)
     level, gain = _synthesised(loop, linear, K.n_states, width, direct, budget)

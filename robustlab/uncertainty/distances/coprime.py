@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
@@ -119,6 +120,8 @@ class CoprimeMargin(Shown):
         Status of the H-infinity norm that gave it.
     reason
         Why the margin is 0 or inaccurate; else empty.
+    loop
+        The law that closes the loop, and who says so.
     """
 
     lower: float
@@ -127,6 +130,7 @@ class CoprimeMargin(Shown):
     best: float
     status: Status
     reason: str = ""
+    loop: str = ""
 
     @property
     def value(self) -> float:
@@ -136,6 +140,7 @@ class CoprimeMargin(Shown):
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [
+            ("loop", self.loop),
             ("coprime margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("smallest at", number(self.frequency, "rad/s")),
             ("best of any controller", number(self.best)),
@@ -148,7 +153,7 @@ class CoprimeMargin(Shown):
 
 
 @told_as("coprime_margin")
-def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargin:
+def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> CoprimeMargin:
     r"""Stability margin of the loop of P and C, with the meaning of a distance in the gap and nu-gap metric.
 
     .. math:: b(P, C) = \left\| \begin{bmatrix} P \\ I \end{bmatrix} (I - s C P)^{-1}
@@ -161,7 +166,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
     P, C
         Plant (p outputs, m inputs) and controller (m outputs, p inputs), ``u = sign C y``.
     sign
-        -1 for negative feedback, 1 for positive feedback.
+        -1 for negative feedback, 1 for positive feedback; left out: as C says, negative where it says nothing.
 
     Returns
     -------
@@ -183,19 +188,15 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
     >>> round(coprime_margin(lag, StateSpaceModel([], [], [], [[1.0]])).value, 5)
     0.70711
     """
-    plant, k = as_model(P, "coprime_margin: P"), as_model(C, "coprime_margin: C")
-    if k.D.shape != plant.D.T.shape:
-        raise InputError(
-            "coprime_margin", f"C is {k.n_outputs} x {k.n_inputs}", f"{plant.n_inputs} x {plant.n_outputs}"
-        )
-    if sign not in (-1, 1):
-        raise InputError("coprime_margin: sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
+    found = closing(as_model(P, "coprime_margin: P"), as_model(C, "coprime_margin: C"), sign, "coprime_margin")
+    plant, k, sign = found.plant, found.K, found.sign
     loop = lower_lft(four_block(plant), StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt))
     norm = hinf_norm(loop, rtol=1e-9)
     best = coprime_riccati(continuous_models(plant).models[0]).best_margin
     if not np.isfinite(norm.upper):
-        return CoprimeMargin(0.0, 0.0, None, best, norm.status, norm.reason)
-    return CoprimeMargin(1 / norm.upper, 1 / norm.lower, norm.frequency, best, norm.status, norm.reason)
+        return CoprimeMargin(0.0, 0.0, None, best, norm.status, norm.reason, found.said)
+    bounds = 1 / norm.upper, 1 / norm.lower
+    return CoprimeMargin(*bounds, norm.frequency, best, norm.status, norm.reason, found.said)
 
 
 def four_block(plant: StateSpaceModel) -> StateSpaceModel:
