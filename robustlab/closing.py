@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.operators import TransferMatrix
 from robustlab.shown import listed
 from robustlab.signals import Signal, Taken, is_constant, law, same_units
 from robustlab.statespace import StateSpaceModel, as_model, feedback
@@ -25,6 +26,7 @@ Sign = Literal[-1, 1]
 SIGNS: dict[int, str] = {-1: "u = -K y", 1: "u = K y"}
 WORDS: dict[int, str] = {-1: "negative", 1: "positive"}
 SAY_WHICH = "say it: --feedback negative (u = -K y) or positive (u = K y); sign=-1 or 1 in Python and recipes"
+PADE = 4  # order of the delays where a sign is chosen by the stability of the loop; what is proved afterwards is exact
 # Names that were given by counting say nothing about what a signal is.
 COUNTED = re.compile(r"[uy]\d+")
 
@@ -148,7 +150,7 @@ def as_controller(K: Any, where: str) -> Any:
     """A controller of any kind as a model with signals: designs and files give theirs, numbers become gains."""
     if is_constant(K):
         return StateSpaceModel([], [], [], np.atleast_2d(np.asarray(K, dtype=float)))
-    if hasattr(K, "inputs") and hasattr(K, "outputs") and not hasattr(K, "to_model"):
+    if isinstance(K, TransferMatrix):  # a model of any kind
         return K
     return as_model(K, f"{where}: K")
 
@@ -193,7 +195,7 @@ def _met(plant: Any, k: Any, where: str) -> tuple[Any, Any, bool]:
     drives, _ = _among(k.outputs, ins, f"{where}: inputs of the plant")
     takes, met = _among(k.inputs, outs, f"{where}: outputs of the plant")
     if drives is None or takes is None:
-        found = f"K of {len(k.outputs)} x {len(k.inputs)}"
+        found = f"K is {len(k.outputs)} x {len(k.inputs)}"
         raise InputError(where, found, f"{len(ins)} x {len(outs)} for a plant of {len(outs)} x {len(ins)}")
     same_units(where, [*((ins[i], s) for i, s in zip(drives, k.outputs, strict=True)),
                        *((outs[i], s) for i, s in zip(takes, k.inputs, strict=True))])  # fmt: skip
@@ -245,10 +247,10 @@ def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> Cl
     Raises InputError: both signs do, or it cannot be told of these kinds of models.
     """
     around = StateSpaceModel([], [], [], np.eye(len(plant.inputs))) if k is None else k
-    one, other = (m if isinstance(m, StateSpaceModel) else getattr(m, "nominal", None) for m in (plant, around))
+    one, other = _rational(plant), _rational(around)
     whose = f"it takes {listed(_label(s) for s in takes)}, this plant has {listed(s.name for s in plant.outputs)}"
     lacks = whose if any(isinstance(s, Taken) for s in takes) else "the controller does not say its sign"
-    if not isinstance(one, StateSpaceModel) or not isinstance(other, StateSpaceModel):
+    if one is None or other is None:
         raise InputError(f"{where}: sign of the feedback", lacks, "one that is said", SAY_WHICH)
     stable = [s for s in (-1, 1) if _stable(one, other, s)]
     if len(stable) == 2:
@@ -257,6 +259,14 @@ def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> Cl
     sign = _sign(stable[0] if stable else -1)
     why = "only this sign leaves the loop stable" if stable else f"{lacks}, and no sign leaves the loop stable"
     return Closing(plant, k, sign, f"{SIGNS[sign]}: {why}")
+
+
+def _rational(thing: Any) -> StateSpaceModel | None:
+    """The nominal model, delays as Padé's approximation; None of frequency data."""
+    if hasattr(thing, "pade"):
+        return thing.pade(PADE)
+    nominal = thing if isinstance(thing, StateSpaceModel) else getattr(thing, "nominal", None)
+    return nominal if isinstance(nominal, StateSpaceModel) else None
 
 
 def _stable(plant: StateSpaceModel, k: StateSpaceModel, sign: int) -> bool:

@@ -12,7 +12,7 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, save_drawing, table
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import JsonOption, OutOption, OutputOptions, load_model, names
+from robustlab.cli.options import JsonOption, OutOption, OutputOptions, frequencies, load_model, names
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
 
@@ -245,7 +245,8 @@ def weight_of(option: str, text: str | None, make: Any) -> Any:
         key = key.strip().replace("-", "_")
         if key not in known:
             raise UsageError(option, f"unknown word {key!r}", f"one of {', '.join(known)}", did_you_mean(key, known))
-        specification[key] = _number(f"{option}: {key}", value)
+        at = value if key != "bandwidth" else str(frequencies(f"{option}: {key}", value)[0])
+        specification[key] = _number(f"{option}: {key}", at)
     if "order" in specification and specification["order"].is_integer():
         specification["order"] = int(specification["order"])
     required = known[0]

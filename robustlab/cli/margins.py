@@ -13,8 +13,8 @@ import robustlab as rl
 from robustlab.cli.console import table
 from robustlab.cli.members import delta_value, stands_for
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped, load_model, numbers
-from robustlab.errors import UsageError
+from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, frequencies, grouped, load_model
+from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.classical import ClassicalMargins
@@ -61,6 +61,17 @@ class ControllerOptions:
         )
         return silenced(k, where), sign, note
 
+    def require_stable(self, loop: Any, where: str, said: str) -> None:
+        """Refuse a nominal loop that is not stable, with the way on."""
+        nominal = getattr(loop, "nominal", None)
+        if not isinstance(nominal, rl.StateSpaceModel) or nominal.is_stable():
+            return
+        poles = nominal.poles()
+        worst = poles[(abs(poles) if nominal.is_discrete else poles.real).argmax()]
+        found = f"the nominal loop {self.said(said)} is unstable (pole {worst:.4g})"
+        hint = "was this controller designed for this plant? --feedback negative or positive closes it otherwise"
+        raise NoTrustworthyNumber(where, found, "a stable loop", hint)
+
     def said(self, loop: str) -> str:
         """The loop in words, with the controller's file."""
         return loop.replace("the controller", self.controller or "the file")
@@ -82,7 +93,9 @@ class LoopOptions(ControllerOptions):
             help="Where gain and phase change: input, output or both.", autocompletion=one_of("input", "output", "both")
         ),
     ] = "output"
-    frequency: Annotated[str | None, typer.Option(help="Disk margins at these frequencies in rad/s only: 1,10.")] = None
+    frequency: Annotated[
+        str | None, typer.Option(help="Disk margins at these frequencies only, rad/s: 1,10; or 2Hz.")
+    ] = None
     skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
 
 
@@ -120,7 +133,7 @@ def margins(
     if loop.frequency is not None or isinstance(thing, rl.UncertainFrequencyData):
         if loop.classical:
             raise UsageError("--frequency", "with --classical", "the disk margin")
-        points = None if loop.frequency is None else numbers("--frequency", loop.frequency)
+        points = None if loop.frequency is None else frequencies("--frequency", loop.frequency)
         result: Any = rl.disk_margin_at(thing, k, points, **options)
         text = result.summary()
     elif loop.classical:
@@ -147,7 +160,7 @@ def margins(
     result = replace(result, loop=closed.said)
     where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
     kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
-    head = f"{kind} margins at the {where}{skew}; loop: {loop.said(closed.said)}"
+    head = f"{kind} margins at the {where}, {WORDS[sign]} feedback{skew}\nloop: {loop.said(closed.said)}"
     output.finish("model margins", result, "\n".join(filter(None, (note, head, text))), feedback=WORDS[sign])
 
 

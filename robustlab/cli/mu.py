@@ -11,7 +11,7 @@ import robustlab as rl
 from robustlab.cli.console import note, save_drawing, table
 from robustlab.cli.margins import ControllerOptions
 from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
-from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped, numbers
+from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, frequencies, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import InputError, UsageError
 
@@ -49,7 +49,9 @@ class QuestionOptions:
     ] = None
     frequency: Annotated[
         str | None,
-        typer.Option(help="Margin, or --gain, at these frequencies in rad/s only: 1,10. Frequency data need none."),
+        typer.Option(
+            help="Margin, or --gain, at these frequencies only, rad/s: 1,10; or 2Hz. Frequency data need none."
+        ),
     ] = None
     inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None
@@ -165,7 +167,7 @@ def _at_frequencies(
     uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int, output: Any, closed: Any, head: str
 ) -> None:
     """Margin or gain at frequencies, and where it holds."""
-    points = None if question.frequency is None else numbers("--frequency", question.frequency)
+    points = None if question.frequency is None else frequencies("--frequency", question.frequency)
     found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import bounds_at
@@ -192,7 +194,8 @@ def _uncertain(
 
         around, sign, said = fed_back(uncertain, k, asked, "mu", None)
         uncertain, closed = uncertain.feedback(around, sign), {"loop": said}
-        head = "".join(f"{line}\n" for line in (note, f"loop  {loop.said(said)}", "") if line or not note)
+        loop.require_stable(uncertain, f"mu: {file}", said)
+        head = "\n".join([*([note] if note else []), f"loop  {loop.said(said)}", "", ""])
     return _chosen(uncertain, file, inputs, outputs), closed, head
 
 

@@ -150,6 +150,14 @@ def numbers(option: str, text: str) -> list[float]:
         raise UsageError(option, repr(text), "numbers, for example 1,2.5") from None
 
 
+def frequencies(option: str, text: str) -> list[float]:
+    """Frequencies in rad/s with commas between them; each may carry another unit, ``10Hz``."""
+    try:
+        return [amount(option, part, "rad/s") for part in text.split(",")]
+    except InputError as error:
+        raise UsageError(option, repr(text), "numbers in rad/s, or with a unit: 1,10 or 2Hz") from error
+
+
 def put_once(found: dict[str, Any], option: str, text: str, name: str, value: Any) -> None:
     """Keep a value under its name; one that is given twice is a mistake of which nobody knows what was meant."""
     if name in found:

@@ -16,7 +16,7 @@ from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import Limits, size_text
 from robustlab.provenance import Provenance
 from robustlab.result import Status, plain
-from robustlab.signals import Taken
+from robustlab.signals import TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.storage.models import said_by_names
 from robustlab.synthesis.problem.design import Controller
@@ -156,10 +156,13 @@ def _signals(given: Any, where: str) -> list[Signal]:
     found: list[Signal] = []
     for i, item in enumerate(given):
         entry = item if isinstance(item, dict) else {}
-        texts = [entry.get("name"), *(entry.get(key, "") for key in ("unit", "takes", "of"))]
-        if not all(isinstance(text, str) for text in texts) or set(entry) - {"name", "unit", "takes", "of"}:
+        name, unit, takes, of = (entry.get(key, "") for key in ("name", "unit", "takes", "of"))
+        texts = all(isinstance(text, str) for text in (name, unit, takes, of))
+        if "name" not in entry or not texts or set(entry) - {"name", "unit", "takes", "of"}:
             raise InputError(f"{where}[{i}]", f"{item!r:.60}", '{ "name": .., "unit": .. } with texts')
-        found.append(Taken(*texts) if "takes" in entry else Signal(*texts[:2]))
+        if takes and takes not in TAKES:
+            raise InputError(f"{where}[{i}]: takes", f"{takes!r:.60}", f"one of {', '.join(TAKES)}")
+        found.append(Taken(name, unit, takes, of) if takes else Signal(name, unit))
     return found
 
 

@@ -46,6 +46,7 @@ OLD_NAMES = (
 )
 # Those whose measurements are named by the plant: "e NAME" is a signal of it.
 BY_PLANT = ("hinf", "h2", "h2-hinf", "dk", "fixed")
+DESIGNED = re.compile(r"mixsyn|tune|lqg|lqr|lqi|ncf( with a reference model)?|cascade|(reduced|sampled) .+")
 FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
 
 
@@ -197,9 +198,10 @@ def said_by_names(K: StateSpaceModel, method: str) -> StateSpaceModel:
     """A controller of an older file, which does not say what it takes, with what its method and its names say.
 
     Designs called the error ``e NAME`` or ``error NAME measured``, a reference ``NAME reference (taken)`` or
-    ``NAME_ref``, a signal itself ``NAME`` or ``NAME measured``. Without a method nothing is known.
+    ``NAME_ref``, a signal itself ``NAME`` or ``NAME measured``. Of a controller by other hands nothing is known.
     """
-    if not method or any(isinstance(s, Taken) for s in K.inputs):
+    ours = method in BY_PLANT or DESIGNED.fullmatch(method)
+    if not ours or any(isinstance(s, Taken) for s in K.inputs):
         return K
     inputs = []
     known = [(pattern, takes) for pattern, takes in OLD_NAMES if takes != "r - y" or method not in BY_PLANT]

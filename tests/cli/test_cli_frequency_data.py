@@ -80,6 +80,7 @@ path = "{tmp_path}/k.h5"
 do = "robustness-at"
 of = "data"
 controller = "k"
+sign = -1
 
 [[require]]
 text = "Every measured frequency keeps a margin"
@@ -114,7 +115,7 @@ def test_a_measured_table_becomes_data_and_its_loop_is_bounded(run, tmp_path):
     np.testing.assert_allclose(made.omega, OMEGA, rtol=1e-14)
     np.testing.assert_allclose(made.M, known.M, atol=1e-14)
     rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]]))
-    found = json.loads(run("mu", "t.h5", "-k", "k.h5", "--json"))
+    found = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "negative", "--json"))
     np.testing.assert_allclose(found["lower"], abs(1 + 3 * G) / (3 * RADIUS), rtol=1e-6)
     positive = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "positive", "--json"))
     np.testing.assert_allclose(positive["lower"], abs(1 - 3 * G) / (3 * RADIUS), rtol=1e-6)
@@ -219,6 +220,7 @@ path = "k.h5"
 do = "robustness-at"
 of = "measured"
 controller = "k"
+sign = -1
 [[require]]
 text = "A lag falls"
 that = "modelled.peak_frequency"

@@ -100,7 +100,7 @@ def test_build_a_platform_at_a_pose(run):
 
 def test_c_code_with_limits_says_signs_and_how_it_recovers(run, tmp_path):
     K = rl.StateSpaceModel([[1.0]], [[0.01]], [[4.0]], [[2.0]], 0.01, [("e q", "m")], [("u", "V")])
-    rl.save("k.h5", K)
+    rl.save("k.h5", rl.Controller(K.renamed([("q", "m")]), takes="r - y"))
     run("convert", "k.h5", "k.c", "--saturation", "u=-12:12", "--anti-windup", "0.05")
     text = (tmp_path / "k.c").read_text()
     for words in ("(q wanted) - (q measured)", "[m]", "held in [-12.0, 12.0]", "exp(-t / 0.05 s)"):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
+from robustlab.signals import Taken
 from robustlab.statespace import OperatingPoint
 from robustlab.storage.controller_export import c_source
 from robustlab.synthesis.sampled.discretisation import discretise
@@ -226,7 +227,7 @@ def test_json_and_matlab_give_back_every_bit(tmp_path):
 
 
 def test_the_header_says_what_a_user_must_know():
-    model = random_controller(1, 2, 1, 1, dt=0.002).renamed([("phi", "rad")], [("u", "V")])
+    model = random_controller(1, 2, 1, 1, dt=0.002).renamed([Taken("phi", "rad")], [("u", "V")])
     top = c_source(model, limits=[(-12.0, 12.0)]).split("*/")[0]
     for words in (
         "every 0.002 s (sample time)", "u[0]: phi [rad]", "THE SIGNAL ITSELF: phi", "MEASUREMENT MINUS REFERENCE",
@@ -238,12 +239,20 @@ def test_the_header_says_what_a_user_must_know():
 
 
 def test_the_header_tells_errors_from_references_and_signals():
-    model = random_controller(1, 2, 3, 1).renamed([("e q", "m"), ("r q", "m"), ("i", "")])
+    inputs = [Taken("e q", "m", "r - y", "q"), Taken("r q", "m", "r", "q"), Taken("i")]
+    model = random_controller(1, 2, 3, 1).renamed(inputs)
     top = c_source(model).split("*/")[0]
+    assert "LOOP: u = K [r - q; r of q; i]" in top
     assert "REFERENCE MINUS MEASUREMENT: (q wanted) - (q measured)" in top
     assert "THE REFERENCE of q" in top
     assert "MEASUREMENT MINUS REFERENCE" not in top  # the reference has an input of its own
     assert "u[2]: i [unit not stated in the model]" in top
+
+
+def test_the_header_of_a_model_that_says_nothing_of_its_sign_says_so():
+    top = c_source(random_controller(1, 2, 1, 1)).split("*/")[0]
+    assert "the sign of the feedback is not stated" in top
+    assert "SIGN NOT STATED" in top
 
 
 @needs_cc

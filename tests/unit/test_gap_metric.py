@@ -239,7 +239,7 @@ def test_bad_inputs_are_named():
     hidden = rl.StateSpaceModel(np.diag([-1.0, 2.0]), [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable mode 2 rad/s in x2: no input moves it"):
         nu_gap(one, hidden)
-    with pytest.raises(rl.InputError, match="C is 1 x 1"):
+    with pytest.raises(rl.InputError, match="K is 1 x 1"):
         coprime_margin(random_model(2, 2, 1, 0), one)
     with pytest.raises(rl.InputError, match="sign"):
         coprime_margin(one, one, sign=0)

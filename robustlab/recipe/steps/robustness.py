@@ -315,7 +315,8 @@ class EffectGainStep(Step):
             plant, k, self.outputs, self.amplitude, self.stick_speed, sign, self.order, self.time_limit, self.effort,
         )  # fmt: skip
         work.keep(found)
-        facts = [Fact("Loop", found.loop), _gain("Worst L2 gain", found.proved), Fact("As constant gains", quantity(found.as_constants.upper)),
+        facts = [Fact("Loop", found.loop), _gain("Worst L2 gain", found.proved),
+                 Fact("As constant gains", quantity(found.as_constants.upper)),
                  *(Fact(name, text) for name, text in found.proved.nature.items())]  # fmt: skip
         numbers = {"lower": found.proved.lower, "upper": found.proved.upper, "as_constants": found.as_constants.upper}
         left = tuple(f"{name}: {why}" for name, why in found.left_out.items())

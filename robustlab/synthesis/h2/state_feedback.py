@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,6 +63,9 @@ class StateFeedback(Shown):
     status: Status
     reason: str
     X: AnyArray | None = None
+
+    # Why it is no controller by itself: it does not know the names of the states.
+    no_model: ClassVar[str] = "u = -K x: give its K, a matrix, and sign=-1, around a model with the states as outputs"
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""

@@ -1,0 +1,124 @@
+"""The sign of feedback through the real commands: the loop that is certified is the loop that is meant."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli import main
+from robustlab.cli.ending import main_guard
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    where = tmp_path_factory.mktemp("loops")
+    ranges = {"k": (1, 0.2), "c": (0.2, 0.3)}
+    oscillators = rl.parametric([[0, 1], ["-k", "-c"]], [[0], [1]], [[1, 0]], [[0]], ranges)
+    rl.save(where / "osc.h5", oscillators)
+    rl.save(where / "nominal.h5", oscillators.nominal)
+    rl.save(where / "position.h5", rl.UncertainModel(oscillators.M.renamed(
+        outputs=[*oscillators.M.output_names[:-1], "position"]), oscillators.blocks))  # fmt: skip
+    for name, w1 in (("strong", rl.performance_weight(bandwidth=10, error=0.01)), ("weak", 0.4)):
+        w2 = rl.control_weight(10) if name == "strong" else 0.5
+        rl.save(where / f"{name}.h5", rl.mixsyn(oscillators.nominal, w1, w2).controller)
+    rl.save(where / "ncf.h5", rl.ncf(oscillators.nominal, 4.0).controller)
+    weak = rl.load(where / "weak.h5")
+    rl.save(where / "plain.h5", weak.K.renamed(["error"]))
+    rl.save(where / "unsaid.h5", rl.Controller(weak.K.renamed(["error"])))
+    rl.save(where / "old.h5", rl.Controller(weak.K.renamed(["e y1"]), method="mixsyn"))
+    named = [("position", "m")]
+    rl.save(where / "named.h5", rl.Controller(weak.K.renamed(named), takes="r - y"))
+    return where
+
+
+@pytest.fixture
+def run(capfd, monkeypatch, folder):
+    monkeypatch.chdir(folder)
+
+    def call(*arguments, code=0):
+        assert main_guard(lambda: main.run(list(arguments))) == code
+        out, err = capfd.readouterr()
+        return out if code == 0 else err
+
+    return call
+
+
+def lower(text):
+    return json.loads(text)["lower"]
+
+
+def test_mu_closes_the_loop_as_the_file_says(run):
+    text = run("mu", "osc.h5", "-k", "strong.h5")
+    assert text.startswith("loop  u = K (r - y), as strong.h5 says\n")
+    assert "robust stability margin  3.18" in text
+    weak = json.loads(run("mu", "osc.h5", "-k", "weak.h5", "--json"))
+    assert weak["lower"] == pytest.approx(3.407, abs=1e-3)  # 3.123 is proved of the other sign
+    assert weak["loop"] == "u = K (r - y), as the controller says"
+    same = json.loads(run("mu", "osc.h5", "-k", "old.h5", "--json"))
+    assert same["lower"] == pytest.approx(weak["lower"], rel=1e-9)
+    assert run("mu", "osc.h5", "-k", "ncf.h5").startswith("loop  u = K y, as ncf.h5 says\n")
+
+
+def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
+    text = run("mu", "osc.h5", "-k", "weak.h5", "--feedback", "positive")
+    first, second = text.splitlines()[:2]
+    assert first == "note: weak.h5 says u = K (r - y); --feedback positive closes u = K y all the same"
+    assert second == "loop  u = K y, as asked"
+    said = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
+    assert "the nominal loop u = K y, as asked is unstable" in said
+    assert "designed for this plant? --feedback negative or positive" in said
+    text = run("model", "margins", "nominal.h5", "-k", "weak.h5", "--feedback", "positive")
+    assert text.startswith("note: weak.h5 says u = K (r - y); --feedback positive")
+
+
+@pytest.mark.parametrize("file", ["plain.h5", "unsaid.h5"])
+@pytest.mark.parametrize(
+    "command", [("mu", "osc.h5"), ("model", "margins", "osc.h5"), ("model", "margins", "nominal.h5")]
+)
+def test_a_controller_that_says_nothing_is_asked_about(run, command, file):
+    said = run(*command.split(), "-k", file, code=3)
+    assert "does not say its sign, and both signs leave the loop stable" in said
+    assert "--feedback negative (u = -K y) or positive" in said
+    assert "loop" in run(*command.split(), "-k", file, "--feedback", "negative")
+
+
+def test_a_controller_of_another_signal_is_asked_about(run):
+    assert "it takes y1, this plant has position" in run("mu", "position.h5", "-k", "weak.h5", code=3)
+    assert run("mu", "position.h5", "-k", "named.h5").startswith("loop  u = K (r - y), as named.h5 says")
+
+
+def test_margins_say_the_loop(run):
+    text = run("model", "margins", "nominal.h5", "-k", "weak.h5")
+    assert "negative feedback, skew 0\nloop: u = K (r - y), as weak.h5 says" in text
+    data = json.loads(run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--json"))
+    assert (data["feedback"], data["loop"]) == ("positive", "u = K y, as the controller says")
+    classical = run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--classical")
+    assert "positive feedback\nloop: u = K y, as ncf.h5 says" in classical
+
+
+def test_digital_reduced_and_exported_controllers_keep_it(run, folder):
+    run("model", "discretise", "weak.h5", "--dt", "0.01", "--out", "digital.h5")
+    run("synth", "reduce", "nominal.h5", "weak.h5", "--loss", "0.5", "--out", "small.h5")
+    run("model", "convert", "digital.h5", "digital.c")
+    assert "LOOP: u = K (r - y)" in (folder / "digital.c").read_text()
+    text = run("mu", "osc.h5", "-k", "small.h5")
+    assert text.startswith("loop  u = K (y - r), as small.h5 says")  # the plant of the reduction offers y
+    assert "stability margin  3." in text
+
+
+def test_frequencies_carry_units(run):
+    in_hertz = json.loads(run("mu", "osc.h5", "-k", "weak.h5", "--frequency", "1Hz", "--json"))
+    assert in_hertz["omega"] == pytest.approx([2 * np.pi])
+    assert "with a unit: 1,10 or 2Hz" in run("mu", "osc.h5", "--frequency", "1V", code=2)
+    text = run("synth", "mixsyn", "nominal.h5", "--w1", "bandwidth=0.1Hz,error=0.1", "--w2", "0.1", "--json")
+    by_hand = run(
+        "synth", "mixsyn", "nominal.h5", "--w1", "bandwidth=0.6283185307179586,error=0.1", "--w2", "0.1", "--json"
+    )
+    assert json.loads(text)["gamma"] == json.loads(by_hand)["gamma"]
+
+
+def test_a_sign_without_a_controller_is_refused(run):
+    assert "--feedback: without --controller" in run("mu", "osc.h5", "--feedback", "negative", code=2)

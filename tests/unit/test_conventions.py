@@ -1,0 +1,319 @@
+"""The sign of feedback and the order of signals travel with the controller, into files and into every loop."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.closing import closing, fed_back, wired
+from robustlab.errors import InputError, UnitMismatch
+from robustlab.recipe.steps.design import tracking_loop
+from robustlab.signals import law
+from robustlab.storage.controller_export import c_source
+
+PLANT = rl.StateSpaceModel(
+    [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=[("u", "V")], outputs=[("q", "m")]
+)
+TWO = rl.StateSpaceModel(
+    [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], np.eye(2), [[0.0], [0.0]], inputs=["u"],
+    outputs=[("q", "m"), ("v", "m/s")],
+)  # fmt: skip
+OSCILLATORS = rl.parametric([[0, 1], ["-k", "-c"]], [[0], [1]], [[1, 0]], [[0]], {"k": (1, 0.2), "c": (0.2, 0.3)})
+
+
+def poles(model):
+    return np.sort_complex(model.poles())
+
+
+def pd(takes, names=("q", "v"), gains=(3.0, 1.0)):
+    """u = 3 q + v times the sign of what is taken."""
+    K = rl.StateSpaceModel([], [], [], [list(gains)], inputs=list(names), outputs=["u"])
+    return rl.Controller(K, takes=takes)
+
+
+# --- every design says what it takes ----------------------------------------------------------------------------------
+
+
+def designs():
+    W1, W2 = rl.performance_weight(bandwidth=2.0, error=0.05), rl.control_weight(5.0)
+    P = rl.mixsyn(PLANT, W1, W2).plant
+    noisy = rl.StateSpaceModel(
+        PLANT.A, np.hstack([PLANT.B, [[0], [0]], PLANT.B]), np.vstack([PLANT.C, [[0, 0]], PLANT.C]),
+        [[0, 0, 0], [0, 0, 1], [0, 1, 0]], inputs=["d", "n", "u"], outputs=["q", "cost", "y"],
+    )  # fmt: skip
+    yield "mixsyn", lambda: rl.mixsyn(PLANT, W1, W2), "u = K (r - y)"
+    yield "tune", lambda: rl.tune(PLANT, "pid", [rl_goal()], starts=1), "u = K (r - y)"
+    yield "hinf of an error", lambda: rl.hinf(P), "u = K (r - y)"
+    yield "hinf", lambda: rl.hinf(noisy, 1, 1), "u = K y"
+    yield "h2", lambda: rl.h2(noisy, 1, 1), "u = K y"
+    yield "ncf", lambda: rl.ncf(PLANT, 4.0), "u = K y"
+    yield "ncf, references", lambda: rl.ncf(PLANT, 4.0, reference_model=lag(1.0)), "u = K [r of q; q]"
+    yield "lqg", lambda: rl.lqg(PLANT, np.eye(2), [[1.0]], np.eye(2), [[1.0]]), "u = K y"
+    yield "lqi", lambda: rl.lqi(PLANT, np.eye(3), [[1.0]]).controller, "u = K [r of q; q; x1; x2]"
+    yield "fixed", lambda: rl.fixed_structure(noisy, "static", n_meas=1, n_con=1, starts=1), "u = K y"
+    yield "dk", lambda: rl.dk(noisy, [[1, 0], [1, 0]], 1, 1, effort=0.2), "u = K y"
+    yield "reduced", lambda: rl.reduce_controller(rl.mixsyn(PLANT, W1, W2), loss=0.5), "u = K (r - y)"
+    yield "sampled", lambda: rl.discretise_controller(rl.mixsyn(PLANT, W1, W2), 0.01), "u = K (r - y)"
+
+
+def rl_goal():
+    from robustlab.synthesis.fixed.design_goals import goal_in_words
+
+    return goal_in_words("tracking", {"response_time": 2.0})
+
+
+def lag(time):
+    return rl.StateSpaceModel([[-1 / time]], [[1.0]], [[1 / time]], [[0.0]])
+
+
+@pytest.mark.parametrize(("make", "expected"), [pytest.param(m, e, id=n) for n, m, e in designs()])
+def test_a_design_says_what_its_controller_takes_and_files_keep_it(make, expected, tmp_path):
+    found = make()
+    held = found if isinstance(found, rl.Controller) else found.controller
+    assert held.law == expected
+    for suffix in (".h5", ".json", ".mat"):
+        rl.export_controller(tmp_path / f"k{suffix}", held)
+        again = rl.load(tmp_path / f"k{suffix}")
+        model = getattr(again, "K", again)
+        assert law(model.inputs) == expected
+        assert [s.of for s in model.inputs] == [s.of for s in held.K.inputs]
+    assert pickle.loads(pickle.dumps(held)).law == expected
+    if held.K.is_discrete:
+        assert f"LOOP: {expected}" in c_source(held.K)
+
+
+def test_the_closed_loop_of_a_design_is_that_of_its_controller_around_the_plant():
+    """The truth: poles of the verified loop, without the weights' own."""
+    for found in (
+        rl.mixsyn(PLANT, 0.5, 0.1),
+        rl.ncf(PLANT, 4.0),
+        rl.lqg(PLANT, np.eye(2), [[1.0]], np.eye(2), [[1.0]]),
+    ):
+        for K in (found, found.K, found.controller):
+            loop = rl.UncertainModel(PLANT, []).feedback(K).nominal
+            expected = poles(found.closed_loop)
+            assert all(np.abs(expected - p).min() < 1e-6 * abs(p) for p in loop.poles())
+
+
+# --- loops that are closed --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("takes", "sign"), [("y", 1), ("-y", -1), ("r - y", -1), ("y - r", 1)])
+def test_what_is_taken_closes_the_loop(takes, sign):
+    expected = poles(rl.StateSpaceModel(TWO.A + sign * TWO.B @ [[3.0, 1.0]], TWO.B, TWO.C, TWO.D))
+    loop = rl.UncertainModel(TWO, []).feedback(pd(takes))
+    np.testing.assert_allclose(poles(loop.nominal), expected, atol=1e-12)
+
+
+def test_signals_meet_by_name_whatever_their_order():
+    expected = poles(rl.UncertainModel(TWO, []).feedback(pd("r - y")).nominal)
+    swapped = pd("r - y", names=("v", "q"), gains=(1.0, 3.0))
+    np.testing.assert_allclose(poles(rl.UncertainModel(TWO, []).feedback(swapped).nominal), expected, atol=1e-12)
+    plain = rl.StateSpaceModel([], [], [], [[1.0, 3.0]], inputs=["v", "q"], outputs=["u"])
+    np.testing.assert_allclose(poles(rl.UncertainModel(TWO, []).feedback(plain).nominal), expected, atol=1e-12)
+    same = rl.disk_margin(TWO, pd("r - y"), at="input").simultaneous.lower
+    assert rl.disk_margin(TWO, swapped, at="input").simultaneous.lower == pytest.approx(same, rel=1e-9)
+    assert rl.disk_margin(TWO, plain, at="input").simultaneous.lower == pytest.approx(same, rel=1e-9)
+
+
+def test_a_controller_of_one_signal_takes_it_from_a_plant_of_several():
+    one = pd("r - y", names=("v",), gains=(1.0,))
+    expected = poles(rl.StateSpaceModel(TWO.A - TWO.B @ [[0.0, 1.0]], TWO.B, TWO.C, TWO.D))
+    np.testing.assert_allclose(poles(rl.UncertainModel(TWO, []).feedback(one).nominal), expected, atol=1e-12)
+    assert list(rl.disk_margin(TWO, one).channels) == ["v"]
+
+
+def test_signs_may_differ_from_input_to_input():
+    mixed = pd(["r - y", "y"], gains=(3.0, -1.0))
+    expected = poles(rl.StateSpaceModel(TWO.A - TWO.B @ [[3.0, 1.0]], TWO.B, TWO.C, TWO.D))
+    np.testing.assert_allclose(poles(rl.UncertainModel(TWO, []).feedback(mixed).nominal), expected, atol=1e-12)
+    assert rl.disk_margin(TWO, mixed, at="input").loop == "u = K [r - q; v], as the controller says"
+    with pytest.raises(InputError, match="one sign for all inputs"):
+        rl.disk_margin(TWO, mixed, sign=-1)
+
+
+def test_references_are_no_part_of_the_loop():
+    two = rl.ncf(PLANT, 4.0, reference_model=lag(1.0))
+    back = rl.StateSpaceModel(two.K.A, two.K.B[:, 1:], two.K.C, two.K.D[:, 1:], inputs=["q"], outputs=["u"])
+    expected = rl.disk_margin(PLANT, back, sign=1).simultaneous.lower
+    assert rl.disk_margin(PLANT, two).simultaneous.lower == pytest.approx(expected, rel=1e-9)
+
+
+def test_products_carry_what_is_taken():
+    K = rl.ncf(PLANT, 4.0).K
+    expected = rl.disk_margin(PLANT, K).simultaneous.lower
+    for L in (PLANT @ K, K @ PLANT, 2 * (PLANT @ K) * 0.5, rl.UncertainModel(PLANT, []).nominal @ K):
+        assert rl.disk_margin(L).simultaneous.lower == pytest.approx(expected, rel=1e-6)
+    assert rl.disk_margin(-(PLANT @ K)).simultaneous.lower == pytest.approx(expected, rel=1e-6)  # -K takes -y
+    with pytest.raises(InputError, match=r"sign: -1 .* expected 1: u = K y"):
+        rl.disk_margin(PLANT @ K, sign=-1)
+    sets = OSCILLATORS @ rl.ncf(OSCILLATORS.nominal, 4.0).K
+    assert rl.worst_case_disk_margin(sets).loop == "u = K y, as the controller says"
+
+
+def test_digital_and_smaller_controllers_take_the_same():
+    K = rl.ncf(PLANT, 4.0).K
+    digital = rl.discretise(K, 0.01)
+    for other in (digital, rl.d2d(digital, 0.02).model, rl.d2c(digital).model, rl.balanced_truncation(K, 1).model):
+        assert law(other.inputs) == "u = K y"
+
+
+# --- every function closes it alike, and says so ----------------------------------------------------------------------
+
+NCF = rl.ncf(OSCILLATORS.nominal, 4.0)  # u = K y: with negative feedback, the default of old, the loop is another
+SIGNED = {
+    "disk_margin": lambda **s: rl.disk_margin(OSCILLATORS.nominal, NCF.K, **s).simultaneous.lower,
+    "classical_margins": lambda **s: rl.classical_margins(OSCILLATORS.nominal, NCF.K, **s).channels["y1"],
+    "worst_case_disk_margin": lambda **s: rl.worst_case_disk_margin(OSCILLATORS, NCF.K, **s).lower,
+    "small_gain": lambda **s: rl.small_gain(rl.unstructured(OSCILLATORS.nominal, 0.1, "additive"), NCF.K, **s).lower,
+    "coprime_margin": lambda **s: rl.coprime_margin(OSCILLATORS.nominal, NCF.K, **s).lower,
+    "disk_margin_at": lambda **s: rl.disk_margin_at(OSCILLATORS.nominal, NCF.K, [0.5, 2.0], **s).simultaneous.lower,
+    "delay_disk_margins": lambda **s: rl.delay_disk_margins(
+        OSCILLATORS.nominal @ rl.delay(0.01), NCF.K, **s).simultaneous.lower,
+    "delay_classical_margins": lambda **s: next(iter(rl.delay_classical_margins(
+        OSCILLATORS.nominal @ rl.delay(0.01), NCF.K, **s).channels.values())),
+    "loop_functions": lambda **s: rl.loop_functions(OSCILLATORS.nominal, NCF.K, **s).S.dc_gain(),
+    "feedback": lambda **s: rl.robust_stability(OSCILLATORS.feedback(NCF.K, **s)).lower,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SIGNED)
+def test_left_out_the_sign_is_the_controllers_and_a_contradiction_is_refused(name):
+    left_out, said = SIGNED[name](), SIGNED[name](sign=1)
+    if hasattr(left_out, "to_json"):
+        left_out, said = left_out.to_json()["gain_margin"], said.to_json()["gain_margin"]
+    np.testing.assert_allclose(left_out, said, rtol=1e-9)
+    with pytest.raises(InputError, match=r"sign: -1 \(u = -K y\), expected 1: u = K y"):
+        SIGNED[name](sign=-1)
+
+
+def test_a_result_says_which_loop_it_is_about():
+    assert ("loop", "u = K y, as the controller says") in rl.disk_margin(OSCILLATORS.nominal, NCF.K).facts()
+    gain = rl.StateSpaceModel([], [], [], [[0.5]])
+    assert rl.disk_margin(OSCILLATORS.nominal, gain).loop == "u = -K y, negative feedback; nothing else is said of it"
+    assert rl.disk_margin(OSCILLATORS.nominal, gain, sign=1).loop == "u = K y, as asked"
+
+
+def test_an_lft_takes_the_sign_too():
+    """Around y a controller of r - y is closed with the minus that it needs, around r - y as it is."""
+    W1 = rl.performance_weight(bandwidth=2.0, error=0.05)
+    design = rl.mixsyn(PLANT, W1, 0.2)
+    around_y = rl.generalized_plant(PLANT, ["q"], ["u"], disturbances=[])
+    expected = poles(rl.UncertainModel(PLANT, []).feedback(design.K, -1).nominal)
+    np.testing.assert_allclose(poles(around_y.close(design.K)), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(poles(rl.UncertainModel(PLANT, []).close(design.K).nominal), expected, rtol=1e-9)
+    assert design.plant.close(design.K).is_stable()
+    small = rl.reduce_controller(PLANT, design.K, loss=0.5)  # noise on y, a disturbance on u: the plant offers y
+    assert small.closed_loop.is_stable()
+    assert law(small.K.inputs) == "u = K (y - r)"
+
+
+def test_references_follow_whatever_is_taken():
+    """The steady state of the tracking loop is its own truth: y follows r with K of either convention."""
+    W1 = rl.performance_weight(bandwidth=2.0, error=1e-4)
+    follows = rl.mixsyn(PLANT, W1, 0.02).K
+    turned = rl.Controller(rl.StateSpaceModel(follows.A, follows.B, -follows.C, -follows.D, inputs=["q"]), takes="y").K
+    for K in (follows, turned, -follows):
+        T = tracking_loop(PLANT, K).nominal
+        assert T.is_stable()
+        assert T.dc_gain()[0, 0] == pytest.approx(1.0, abs=1e-3)
+    both = rl.ncf(PLANT, 4.0, reference_model=lag(1.0))
+    assert tracking_loop(PLANT, both).nominal.dc_gain()[0, 0] == pytest.approx(1.0, abs=1e-5)
+
+
+# --- what does not fit says why ---------------------------------------------------------------------------------------
+
+
+def test_other_signals_are_refused():
+    with pytest.raises(InputError, match="no 'w', which K has"):
+        rl.disk_margin(TWO, pd("y", names=("q", "w")), at="input")
+    with pytest.raises(UnitMismatch):
+        rl.disk_margin(PLANT, rl.StateSpaceModel([], [], [], [[1.0]], inputs=[("q", "mm")], outputs=["u"]))
+    offers_e = rl.generalized_plant(PLANT.renamed(outputs=["e"]), ["e"], ["u"], disturbances=[])
+    with pytest.raises(InputError, match="K has q, expected e"):
+        offers_e.close(NAMED)
+    with pytest.raises(InputError, match="one, or 2"):
+        pd(["y", "y", "y"])
+    with pytest.raises(InputError, match="takes 'e'"):
+        pd("e")
+
+
+NAMED = rl.Controller(rl.StateSpaceModel([], [], [], [[-3.0]], inputs=["q"], outputs=["u"]), takes="y").K
+
+
+def test_an_unknown_plant_is_closed_by_the_sign_that_is_stable_or_not_at_all():
+    other = PLANT.renamed(outputs=["position"])
+    assert "only this sign leaves the loop stable" in rl.disk_margin(other, NAMED).loop
+    weak = rl.Controller(rl.StateSpaceModel([], [], [], [[0.3]], inputs=["q"], outputs=["u"]), takes="y").K
+    with pytest.raises(InputError, match="it takes q, this plant has position, and both signs leave the loop stable"):
+        rl.disk_margin(other, weak)
+    assert rl.disk_margin(other, weak, sign=-1).loop == "u = -K y, as asked"
+
+
+def test_a_door_that_assumes_nothing_asks():
+    weak = rl.StateSpaceModel([], [], [], [[0.3]])
+    with pytest.raises(InputError, match="does not say its sign, and both signs leave the loop stable"):
+        closing(PLANT, weak, None, "mu", None)
+    strong = rl.StateSpaceModel([], [], [], [[3.0]])
+    assert closing(PLANT, strong, None, "mu", None).sign == -1
+    with pytest.raises(InputError, match="does not say its sign"):
+        closing(rl.frequency_data(PLANT, [1.0]), strong, None, "mu", None)
+
+
+def test_edges_static_and_empty():
+    assert closing(rl.StateSpaceModel([], [], [], [[2.0]]), None).sign == -1
+    with pytest.raises(InputError, match="expected 1 x 2"):
+        fed_back(TWO, rl.StateSpaceModel([], [], [], np.eye(2)))
+    K = rl.StateSpaceModel([], [], [], [[1.0]], inputs=["a"], outputs=["b"])
+    assert wired(K, [rl.Signal("y")], [rl.Signal("u")], "close") is K
+
+
+# --- older files ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("method", "names", "expected"),
+    [
+        ("mixsyn", ["e q"], "u = K (r - y)"),
+        ("tune", ["error q measured"], "u = K (r - y)"),
+        ("ncf", ["q"], "u = K y"),
+        ("hinf", ["e q"], "u = K y"),  # a signal of that plant's own
+        ("ncf with a reference model", ["q reference taken", "q measured"], "u = K [r of q; q]"),
+        ("lqi", ["q reference", "q measured", "x1"], "u = K [r of q; q; x1]"),
+        ("reduced hinf norm", ["e q"], "u = K (r - y)"),
+        ("", ["q"], ""),
+        ("by hand", ["e q"], ""),
+    ],
+)
+def test_files_of_before_say_it_by_method_and_names(method, names, expected, tmp_path):
+    K = rl.StateSpaceModel([], [], [], [[1.0] * len(names)], inputs=names)
+    rl.save(tmp_path / "k.h5", rl.Controller(K, method=method))
+    assert rl.load(tmp_path / "k.h5").law == expected
+    rl.export_controller(tmp_path / "k.json", rl.Controller(K, method=method))
+    assert rl.load(tmp_path / "k.json").law == expected
+
+
+def test_a_damaged_word_is_named(tmp_path):
+    rl.export_controller(tmp_path / "k.json", pd("y"))
+    data = json.loads((tmp_path / "k.json").read_text())
+    assert data["convention"].startswith("u = K y; ")
+    data["inputs"][0]["takes"] = "minus y"
+    (tmp_path / "k.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match=r"inputs\[0\]: takes: 'minus y'"):
+        rl.load(tmp_path / "k.json")
+
+
+def test_hdf5_with_a_damaged_word_is_named(tmp_path):
+    import h5py
+
+    rl.save(tmp_path / "k.h5", pd("y"))
+    with h5py.File(tmp_path / "k.h5", "a") as file:
+        del file["signals/input/takes"]
+        file["signals/input/takes"] = np.array(["sideways", "y"], dtype=h5py.string_dtype())
+        del file.attrs["content_sha256"]
+    with pytest.raises(InputError, match="sideways"):
+        rl.load(tmp_path / "k.h5")
