@@ -1,10 +1,10 @@
 """Random wrong combinations of saved plants and controllers through the commands: is a number about another loop?
 
-Every trial saves a plant and a controller and gets something about them wrong: the order or the names of signals, units,
-sample times, the sign that is asked for, where the controller comes from (a design, by hand, an older file, a plain
-model, a digital or smaller one, a product). What a command then prints is judged by a closing of the loop in this file,
-from the matrices in the files and the loop in words that the command prints; and the words by what the trial knows of
-its controller. Usage: python benchmarks/attack_conventions.py [trials] [seed]
+Every trial saves a plant and a controller and gets something about them wrong: the order or the names of signals,
+units, sample times, the sign that is asked for, where the controller comes from (a design, by hand, an older file, a
+plain model, a digital one, JSON). What a command then prints is judged by a closing of the loop in this file, from the
+matrices in the files and the loop in words that the command prints; and the words by what the trial knows of its
+controller. Usage: python benchmarks/attack_conventions.py [trials] [seed]
 """
 
 from __future__ import annotations
@@ -105,7 +105,9 @@ class Trial:
         self.G, self.held = G, held
         self.meets = set(plain) <= {s.name for s in G.outputs}
         M = rl.StateSpaceModel(
-            G.A, np.hstack([0.3 * rng.normal(size=(len(G.A), 1)), G.B]), np.vstack([rng.normal(size=(1, len(G.A))), G.C]),
+            G.A,
+            np.hstack([0.3 * rng.normal(size=(len(G.A), 1)), G.B]),
+            np.vstack([rng.normal(size=(1, len(G.A))), G.C]),
             np.zeros((self.p + 1, 2)), G.dt, ["w", "u"], ["z", *G.outputs],
         )  # fmt: skip
         self.M = M
@@ -281,7 +283,7 @@ def attack(trials: int, seed: int) -> int:
                 fault = fault or "a contradiction without a note"
             if "units differ" in trial.wrong:
                 fault = fault or "units that differ were not seen"
-            if "loop" not in shown.splitlines()[0] + shown.splitlines()[1]:
+            if "loop" not in " ".join(shown.splitlines()[:3]):
                 fault = fault or "the loop is not printed above the number"
             counts["judged: the loop printed, and meant" if not fault else "WRONG"] += 1
             if fault:
