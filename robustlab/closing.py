@@ -19,7 +19,7 @@ import numpy as np
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.operators import TransferMatrix
 from robustlab.shown import listed
-from robustlab.signals import Signal, Taken, is_constant, law, same_units
+from robustlab.signals import Signal, Taken, is_constant, law, real_array, same_units
 from robustlab.statespace import StateSpaceModel, as_model, feedback
 
 Sign = Literal[-1, 1]
@@ -27,6 +27,7 @@ SIGNS: dict[int, str] = {-1: "u = -K y", 1: "u = K y"}
 WORDS: dict[int, str] = {-1: "negative", 1: "positive"}
 SAY_WHICH = "say it: --feedback negative (u = -K y) or positive (u = K y); sign=-1 or 1 in Python and recipes"
 PADE = 4  # order of the delays where a sign is chosen by the stability of the loop; what is proved afterwards is exact
+LARGEST_GAIN = 1e100  # of a bare number or matrix: a loop of it overflows
 # Names that were given by counting say nothing about what a signal is.
 COUNTED = re.compile(r"[uy]\d+")
 
@@ -149,7 +150,10 @@ def silenced(K: Any, where: str) -> Any:
 def as_controller(K: Any, where: str) -> Any:
     """A controller of any kind as a model with signals: designs and files give theirs, numbers become gains."""
     if is_constant(K):
-        return StateSpaceModel([], [], [], np.atleast_2d(np.asarray(K, dtype=float)))
+        gain = real_array("K", K, 2, where)
+        if np.abs(gain).max(initial=0.0) > LARGEST_GAIN:
+            raise InputError(f"{where}: K", f"an entry of {np.abs(gain).max():g}", f"at most {LARGEST_GAIN:g}")
+        return StateSpaceModel([], [], [], gain)
     if isinstance(K, TransferMatrix):  # a model of any kind
         return K
     return as_model(K, f"{where}: K")
@@ -183,7 +187,7 @@ def _matched(given: Sequence[Signal], wanted: Sequence[Signal], where: str) -> l
     partly = set(have) & set(want) and not all(COUNTED.fullmatch(s.name) for s in given)
     if partly or (known and not counted):
         raise InputError(where, f"K has {listed(_label(s) for s in given)}", listed(_label(s) for s in wanted), RENAME)
-    return list(range(len(given)))
+    return _by_unit(wanted, given) or list(range(len(given)))
 
 
 RENAME = "signals meet by name: rename them, or leave the names out for their order to count (K.renamed)"
@@ -218,7 +222,18 @@ def _among(given: Sequence[Signal], known: Sequence[Signal], where: str) -> tupl
         return [names.index(label) for label in labels], True
     if len(lost) < len(labels) and not all(COUNTED.fullmatch(label) for label in labels):
         raise InputError(where, f"no {lost[0]!r}, which K has", f"one of {listed(names)}", RENAME)
+    by_unit = _by_unit(given, known)
+    if by_unit is not None:
+        return by_unit, False
     return (list(range(len(known))) if len(given) == len(known) else None), False
+
+
+def _by_unit(given: Sequence[Signal], known: Sequence[Signal]) -> list[int] | None:
+    """Where the signals stand whose names do not meet, if each has a unit that just one of the known ones has."""
+    units, there = [s.unit for s in given], [s.unit for s in known]
+    if not all(units) or len(set(units)) < len(units) or any(there.count(unit) != 1 for unit in units):
+        return None
+    return [there.index(unit) for unit in units]
 
 
 def _ordered_loop(loop: Any, where: str) -> Any:

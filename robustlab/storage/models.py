@@ -17,7 +17,6 @@ from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.storage.matrices import (
-    SIDES,
     Problems,
     decode_model,
     decode_point,
@@ -274,10 +273,7 @@ def encode_lpv(tree: Tree, thing: LPVModel | LPVController) -> str:
     group.put("rate", np.array([p.rate for p in model.parameters]))
     group.put("count", np.array([len(p.points) for p in model.parameters]))
     group.put("points", np.concatenate([p.points for p in model.parameters]))
-    for side, signals in zip(SIDES, (model.states, model.inputs, model.outputs), strict=True):
-        for kind in ("name", "unit"):
-            texts = np.array([getattr(s, kind) for s in signals], dtype=np.str_)
-            tree.group("signals").group(side).put(kind, texts)
+    encode_signals(tree, (model.states, model.inputs, model.outputs))
     if not isinstance(thing, LPVController):
         return "lpv"
     tree.attrs.update(status=thing.status.value, method=thing.method)
@@ -296,7 +292,7 @@ def decode_lpv(tree: Tree, problems: Problems, *, controller: bool) -> LPVModel 
     for name, kinds in (("name", "U"), ("unit", "U"), ("rate", "fi"), ("count", "i"), ("points", "fi")):
         find_children(group, (name,), problems, kind="dataset")
         columns[name] = entries(group, name, kinds, problems) if name in group.datasets else None
-    sides = [_signals(tree.groups["signals"], side, problems) for side in SIDES]
+    sides = [side or [] for side in decode_signals(tree, problems)]
     problems.raise_any()
     try:
         model = _model(arrays, columns, sides, tree)
@@ -320,20 +316,6 @@ def _array(tree: Tree, name: str, problems: Problems) -> Any:
         problems.add(f"{tree.child_path(name)}: expected finite real numbers, three dimensions or more")
         return None
     return values.astype(np.float64)
-
-
-def _signals(group: Tree, side: str, problems: Problems) -> list[Signal]:
-    find_children(group, (side,), problems, kind="group")
-    if side not in group.groups:
-        return []
-    node = group.groups[side]
-    find_children(node, ("name", "unit"), problems, kind="dataset")
-    both = [entries(node, kind, "U", problems) if kind in node.datasets else None for kind in ("name", "unit")]
-    names, units = (part or [] for part in both)
-    if len(names) != len(units):
-        problems.add(f"{node.path}: {len(names)} names and {len(units)} units")
-        return []
-    return [Signal(name, unit) for name, unit in zip(names, units, strict=True)]
 
 
 def _model(arrays: dict[str, Any], columns: dict[str, Any], sides: list[list[Signal]], tree: Tree) -> LPVModel:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import attack_conventions
 
-import robustlab.closing
+from robustlab.signals import TAKES, Taken
 
 
 def test_no_number_is_about_another_loop(capsys):
@@ -13,5 +13,5 @@ def test_no_number_is_about_another_loop(capsys):
 
 
 def test_a_loop_that_is_closed_with_the_wrong_sign_is_found(monkeypatch):
-    monkeypatch.setattr(robustlab.closing, "_sign", lambda value: -1 if value > 0 else 1)
+    monkeypatch.setattr(Taken, "sign", property(lambda self: -TAKES[self.takes]))
     assert attack_conventions.attack(12, 7) == 1

@@ -120,6 +120,17 @@ def test_signals_meet_by_name_whatever_their_order():
     assert rl.disk_margin(TWO, plain, at="input").simultaneous.lower == pytest.approx(same, rel=1e-9)
 
 
+def test_names_that_do_not_meet_leave_the_units_and_then_the_places():
+    renamed = TWO.renamed(outputs=[("position", "m"), ("speed", "m/s")])
+    turned = rl.StateSpaceModel([], [], [], [[1.0, 3.0]], inputs=[("b", "m/s"), ("a", "m")], outputs=["u"])
+    same = rl.disk_margin(TWO, pd("r - y"), at="input").simultaneous.lower
+    assert rl.disk_margin(renamed, turned, at="input").simultaneous.lower == pytest.approx(same, rel=1e-9)
+    places = rl.StateSpaceModel([], [], [], [[3.0, 1.0]], inputs=["a", "b"], outputs=["u"])
+    assert rl.disk_margin(renamed, places, at="input").simultaneous.lower == pytest.approx(same, rel=1e-9)
+    fast = rl.StateSpaceModel([], [], [], [[1.0]], inputs=[("w", "m/s")], outputs=["u"])
+    assert list(rl.disk_margin(renamed, fast).channels) == ["speed"]
+
+
 def test_a_controller_of_one_signal_takes_it_from_a_plant_of_several():
     one = pd("r - y", names=("v",), gains=(1.0,))
     expected = poles(rl.StateSpaceModel(TWO.A - TWO.B @ [[0.0, 1.0]], TWO.B, TWO.C, TWO.D))

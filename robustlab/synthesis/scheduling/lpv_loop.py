@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.closing import wired
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.synthesis.problem.partition import PlantMatrices
@@ -72,6 +73,9 @@ def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "cl
     InputError
         Other parameters or sizes.
     """
+    if isinstance(K, StateSpaceModel):
+        y, u = plant.outputs[len(plant.outputs) - K.n_inputs :], plant.inputs[len(plant.inputs) - K.n_outputs :]
+        K = wired(K, y, u, where)
     law = _as_lpv(K, plant, where)
     if [(p.name, p.points[0], p.points[-1]) for p in law.parameters] != [
         (p.name, p.points[0], p.points[-1]) for p in plant.parameters

@@ -27,6 +27,7 @@ from robustlab.norms import hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
+from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
@@ -69,7 +70,8 @@ class LPVController(Shown, Traced):
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), *self.K.facts()]
+        said = [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law(self.K.inputs))]
+        return [*said, *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
         """K and what was verified, as plain types."""
@@ -412,7 +414,8 @@ class _Task:
         n = len(made[0].A)
         return LPVModel.of(
             self.plant.parameters, whole.reshape(*self.plant.grid, *whole.shape[1:]), n,
-            self.plant.outputs[n_z:], self.plant.inputs[n_w:], [Signal(f"k{i + 1}") for i in range(n)],
+            [s if isinstance(s, Taken) else Taken(*s) for s in self.plant.outputs[n_z:]], self.plant.inputs[n_w:],
+            [Signal(f"k{i + 1}") for i in range(n)],
         )  # fmt: skip
 
     def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
