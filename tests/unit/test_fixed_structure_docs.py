@@ -55,8 +55,15 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
     grid = np.geomspace(1e-3, 1e3, 4001)
     S = 1 / (1 + (rl.frequency_response(servo, grid) * rl.frequency_response(K, grid))[:, 0, 0])
     assert 1.2 * np.abs(S - 0.5).max() == pytest.approx(tuned.goals[1].values[0], rel=1e-3)
-    said += (f"[{', '.join(f'{goal.value:.3f}' for goal in tuned.goals)}]", f"{tuned.overshoot:.2f}: percent")
-    assert [text for text in said if text not in PAGE.read_text(encoding="utf-8")] == []
+    page = PAGE.read_text(encoding="utf-8")
+    assert [text for text in said if text not in page] == []
+    # A local search ends on another processor at another point of the same flat optimum.
+    goals, overshoot = re.search(r"# \[([\d., ]+)\]: tracking", page), re.search(r"([\d.]+): percent", page)
+    assert goals is not None
+    assert overshoot is not None
+    shown = [float(text) for text in goals[1].split(",")]
+    np.testing.assert_allclose([goal.value for goal in tuned.goals], shown, rtol=1e-2)
+    assert tuned.overshoot == pytest.approx(float(overshoot[1]), rel=3e-2)
 
 
 def test_the_page_names_what_there_is():
