@@ -142,7 +142,8 @@ def silenced(K: Any, where: str) -> Any:
     """A controller that says nothing of its sign any more, its signals still named by those of the plant."""
     k = without_references(as_controller(K, where))
     ins = [s.name for s in k.inputs]
-    plain = [Signal(_label(s), s.unit) for s in k.inputs]
+    labels = [_label(s) for s in k.inputs]
+    plain = [Signal(at if labels.count(at) == 1 else s.name, s.unit) for at, s in zip(labels, k.inputs, strict=True)]
     through = StateSpaceModel([], [], [], np.eye(len(ins)), 0.0, plain, [Signal(name) for name in ins])
     return k.renamed(plain) if isinstance(k, StateSpaceModel) else k @ through
 
@@ -180,7 +181,9 @@ def _matched(given: Sequence[Signal], wanted: Sequence[Signal], where: str) -> l
         return _label(s), isinstance(s, Taken) and s.sign == 0
 
     have, want = [key(s) for s in given], [key(s) for s in wanted]
-    if have == want or (len(set(have)) == len(have) and set(have) == set(want)):
+    if have == want:
+        return list(range(len(given)))
+    if len(set(have)) == len(have) and set(have) == set(want):
         return [have.index(k) for k in want]
     known = all(isinstance(s, Taken) for s in given) and bool(given)
     counted = any(COUNTED.fullmatch(_label(s)) for s in [*given, *wanted])

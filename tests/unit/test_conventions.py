@@ -328,3 +328,14 @@ def test_hdf5_with_a_damaged_word_is_named(tmp_path):
         del file.attrs["content_sha256"]
     with pytest.raises(InputError, match="sideways"):
         rl.load(tmp_path / "k.h5")
+
+
+def test_a_signal_may_come_in_twice():
+    """LQI takes an output beside the state of the same name."""
+    plant = rl.StateSpaceModel(TWO.A, TWO.B, np.eye(2), TWO.D, inputs=["u"], outputs=["q", "v"], states=["q", "v"])
+    found = rl.lqi(plant, np.eye(3), [[1.0]], outputs=["q"])
+    expected = np.sort_complex(found.poles)
+    np.testing.assert_allclose(
+        poles(rl.UncertainModel(plant, []).feedback(found.controller).nominal), expected, rtol=1e-9
+    )
+    assert rl.disk_margin(plant, found.controller, at="input").loop == "u = K y, as the controller says"
