@@ -129,7 +129,8 @@ class Trial:
     def rename(self, G, held):
         self.wrong.append("plant's outputs renamed")
         some = self.rng.uniform(size=self.p) < 0.7
-        return G.renamed(outputs=[f"{n}2" if s else n for n, s in zip(G.output_names, some, strict=True)]), held
+        names = [(f"{n}2" if s else n, unit) for (n, unit), s in zip(G.outputs, some, strict=True)]
+        return G.renamed(outputs=names), held
 
     def units(self, G, held):
         if not self.knows:

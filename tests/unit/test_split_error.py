@@ -115,3 +115,10 @@ def test_a_band_away_from_the_boundary_modes_has_all_its_frequencies():
 
 def test_intervals_that_overlap_are_one():
     assert merged([(3.0, 4.0), (0.0, 1.0), (0.5, 2.0), (5.0, 5.0)]) == ((0.0, 2.0), (3.0, 4.0))
+
+
+def test_a_slow_mode_beside_fast_ones_is_stable():
+    """Its eigenvalue is known to its own size, not to that of the fastest."""
+    A = np.diag([-1e-3, -1e12])
+    split = split_stable(rl.StateSpaceModel(A, np.ones((2, 1)), np.ones((1, 2)), [[0.0]]))
+    assert (split.stable.n_states, split.apart.n_states) == (2, 0)

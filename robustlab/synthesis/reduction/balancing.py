@@ -36,6 +36,7 @@ Projection = Literal["truncation", "residualisation"]
 # Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
 NEGLIGIBLE = 1e-14
 # A pole counts as stable from this share of its modulus on (of 1 for a discrete one); others are kept apart.
+EPS = float(np.finfo(float).eps)
 STABLE_MARGIN = 1e-10
 
 
@@ -96,17 +97,18 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     from scipy.linalg import LinAlgError, schur, solve_sylvester
 
     n, dt = model.n_states, model.dt
-    stable = _is_stable(model.poles(), dt)
+    scale = balancing_factors(model.A)
+    a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
+    poles = model.poles()
+    stable = _surely_stable(a, poles, dt)
     if stable.all():
         bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
         bare = bare._with_matrices(bare.A, bare.B, bare.C, bare.D, model.poles())
         return SplitModel(bare, _static(model, 0 * model.D), model)
     if not stable.any():
         return SplitModel(_static(model, model.D), model._with_matrices(model.A, model.B, model.C, 0 * model.D), model)
-    scale = balancing_factors(model.A)
-    a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     try:
-        form = schur(a, output="real", sort=lambda x, y: bool(_is_stable(np.array([complex(x, y)]), dt)[0]))
+        form = schur(a, output="real", sort=lambda x, y: bool(stable[np.abs(poles - complex(x, y)).argmin()]))
         t, q, k = np.asarray(form[0]), np.asarray(form[1]), int(form[-1])
         x = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
     except LinAlgError:
@@ -217,7 +219,21 @@ def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyA
     return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
 
 
-def _is_stable(poles: AnyArray, dt: float) -> AnyArray:
+def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
+    r"""Which poles of a balanced matrix are further inside than the rounding of its entries may move them.
+
+    .. math:: |\delta \lambda_i| \le \epsilon \frac{|y_i|^T |A| |x_i|}{|y_i^H x_i|}
+    """
+    from scipy.linalg import eig
+
+    if not len(a):
+        return np.zeros(0, dtype=bool)
+    values, left, right = eig(a, left=True, right=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.einsum("ji,jk,ki->i", np.abs(left), np.abs(a), np.abs(right)) / np.abs((left.conj() * right).sum(0))
+    # Of defective poles, whose bound is infinite, that of the whole matrix.
+    moved = 10 * EPS * np.fmin(moved, np.linalg.norm(a, 1))
+    rounding = moved[np.abs(values[None, :] - poles[:, None]).argmin(axis=1)]
     if dt:
-        return np.abs(poles) < 1 - STABLE_MARGIN
-    return np.real(poles) < -STABLE_MARGIN * np.abs(poles)
+        return np.abs(poles) < 1 - np.maximum(STABLE_MARGIN, rounding)
+    return np.real(poles) < -np.maximum(STABLE_MARGIN * np.abs(poles), rounding)
