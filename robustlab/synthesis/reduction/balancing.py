@@ -35,8 +35,8 @@ Projection = Literal["truncation", "residualisation"]
 
 # Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
 NEGLIGIBLE = 1e-14
-# A pole counts as stable from this share of its modulus on (of 1 for a discrete one); others are kept apart.
 EPS = float(np.finfo(float).eps)
+# A pole counts as stable from this share of its modulus on (of 1 for a discrete one); others are kept apart.
 STABLE_MARGIN = 1e-10
 
 
