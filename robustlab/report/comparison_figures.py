@@ -210,20 +210,20 @@ def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """
     output = chosen(list(comparison.speed), output, "output")
     motion, unit = comparison.motions[output], comparison.outputs[output].unit
-    own = {name: d for name, d in comparison.disturbance.items() if d.speed_source == motion.speed_source}
+    own = [d for d in comparison.located if d.speed_source == motion.speed_source]
     figure, axes = new_figure(1, 1 + len(own), width=4.4 * (1 + len(own)), height=3.4)
     with house_style():
         _bars(axes[0], comparison.speed[output], motion.speed_unit)
         axes[0].set_ylabel(axis_label("windowed error", unit))
         axes[0].set_title(f"error of {plain_label(output)} in windows of {comparison.window:.3g} s")
-        for panel, (name, d) in zip(axes[1:], own.items(), strict=True):
+        for panel, d in zip(axes[1:], own, strict=True):
             speed = np.zeros(0) if d.speed is None else d.speed
             zero_line(panel)
             panel.axvline(0.0, color="#888888", lw=0.8)
             for colour, some in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
                 panel.plot(speed[some], d.value[some], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
-            panel.set_ylabel(axis_label(f"addition to {name}", comparison.measured.unit(name)))
-            panel.set_title(f"what {plain_label(name)} lacks, in pieces of {d.seconds:.3g} s")
+            panel.set_ylabel(axis_label(f"addition at {d.place}", d.unit))
+            panel.set_title(f"what {plain_label(d.place)} lacks, in pieces of {d.seconds:.3g} s")
         for panel in axes:
             panel.set_xlabel(axis_label("speed", motion.speed_unit))
     return figure

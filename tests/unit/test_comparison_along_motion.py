@@ -215,7 +215,8 @@ def test_figures_are_drawn(tmp_path):
     assert not [name for name in figures if name.startswith(("spectrum", "response"))]
     for name in ("where-x", "time-theta", "outputs"):
         figures[name].savefig(tmp_path / f"{name}.png", dpi=40)
-    own = comparison_figures(compared_arm())
+    assert len(comparison_figures(compared_arm())["speed-q_2"].axes) == 1  # noise alone: there is nothing to add
+    own = comparison_figures(rl.compare(arm(), arm_record(b_2=0.6)[0]))
     assert len(own["speed-q_2"].axes) == 2  # its own torque, not the other one
 
 

@@ -17,14 +17,13 @@ from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, input_signal
 from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.comparison.additions import Addition, sorted_addition
 from robustlab.identification.comparison.comparison_result import Comparison, FreeRun, Linearisation
 from robustlab.identification.comparison.localisation import (
-    InputDisturbance,
     Motion,
     motion_of,
     noise_gaps,
     repeated,
-    sorted_disturbance,
 )
 from robustlab.identification.comparison.parts import even_odd_test, kept, localised, noise_of, samples_of, title
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
@@ -391,31 +390,40 @@ def _told(pieces: WindowResponses, response: MotionResponse) -> tuple[Array, Arr
     return (own**2).sum(axis=1), (held**2).sum(axis=1), own, fit
 
 
-def _disturbances(response: MotionResponse, length: int, motions: dict[str, Motion]) -> dict[str, InputDisturbance]:
+def _disturbances(response: MotionResponse, length: int, motions: dict[str, Motion]) -> dict[str, Addition]:
     """What would have to be added to each input, and to no other, in pieces of ``length`` samples."""
     names = list(motions)
     edges = np.arange(0, len(response.whole.t) + 1, length)
     value, std = np.full((2, len(names), len(edges) - 1), np.nan)
-    before, after = np.zeros((2, len(names)))
+    n_y = response.whole.y.shape[1]
+    before, after = np.zeros((2, len(names), n_y))
+    samples = np.zeros(len(names))
     for pieces in response.responses(edges[:-1], length):
         at = np.searchsorted(edges, pieces.starts)
         square, whole, own, fit = _told(pieces, response)
         told = square > TOLD**2 * whole
         d = np.divide(np.einsum("wmi,wm->wi", own, fit.left), square, out=np.zeros_like(square), where=told)
-        total = (fit.left**2).sum(axis=1)[:, None]
-        left = np.maximum(total - d**2 * square, 0.0)
+        remains = fit.left[:, :, None] - own * d[:, None, :]
+        by_output = (len(fit.left), -1, n_y)
+        total = (fit.left.reshape(by_output) ** 2).sum(axis=1)
+        rest = (remains.reshape(*by_output, len(names)) ** 2).sum(axis=1)
+        left = rest.sum(axis=1)
         spare = np.maximum(1, fit.left.shape[1] - fit.rank - 1)[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):  # pieces that do not tell it are NaN
             spread = np.sqrt(left / spare / square)
         value[:, at], std[:, at] = np.where(told, d, np.nan).T, np.where(told, spread, np.nan).T
-        before += np.where(told, total, 0.0).sum(axis=0)
-        after += np.where(told, left, 0.0).sum(axis=0)
-    share = 1.0 - np.divide(after, before, out=np.ones_like(after), where=before > 0)
-    t = response.whole.t
-    return {
-        name: sorted_disturbance(t, edges, value[i], std[i], float(share[i]), motions[name])
-        for i, name in enumerate(names)
-    }
+        before += np.einsum("wi,wk->ik", told, total)
+        after += np.einsum("wi,wki->ik", told, rest)
+        samples += told.sum(axis=0) * (fit.left.shape[1] // n_y)
+    t, units, noise = response.whole.t, {s.name: s.unit for s in response.plant.inputs}, 1.0 / response.whole.weight
+    outputs = [response.plant.outputs[k].name for k in response.columns]
+    found: dict[str, Addition] = {}
+    for i, name in enumerate(names):
+        # Errors are in multiples of the sensors' noise here.
+        rms = [np.sqrt(squares[i] / max(samples[i], 1)) * noise for squares in (before, after)]
+        errors = [dict(zip(outputs, row.tolist(), strict=True)) for row in (*rms, noise, 0.0 * noise)]
+        found[name] = sorted_addition(t, edges, value[i], std[i], errors, motions[name], f"input {name}", units[name])
+    return found
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from robustlab.dynamics.fmu.fmu_plant import FmuCoSimulation
 from robustlab.dynamics.fmu.fmu_plant import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import NoTrustworthyNumber, UsageError
+from robustlab.identification.comparison.additions import additions
 from robustlab.identification.comparison.along_motion import compare_along
 from robustlab.identification.comparison.best_linear_approximation import (
     BestLinearApproximation,
@@ -27,7 +28,6 @@ from robustlab.identification.comparison.best_linear_approximation import (
 from robustlab.identification.comparison.comparison_result import Comparison, FreeRun
 from robustlab.identification.comparison.localisation import (
     Motion,
-    input_disturbance,
     motion_of,
     noise_gaps,
     repeated,
@@ -178,7 +178,7 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)"),
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance={name: input_disturbance(response, name, whole, piece, motion) for name in whole.u},
+        disturbance=additions(plant, response, whole, piece, motion),
         warnings=_warnings(response, record, initial, motion),
         noise=noise,
         noise_reason=noise_reason,

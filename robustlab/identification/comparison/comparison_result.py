@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.identification.comparison.additions import SURE, Addition, located
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.localisation import (
     Bin,
     DirectionError,
-    InputDisturbance,
     Motion,
     NoiseGap,
     Spectrum,
@@ -22,7 +22,7 @@ from robustlab.identification.comparison.residual_tests import EvenOdd, InputCor
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, number
+from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
 
 __all__ = ["Comparison", "FreeRun", "Linearisation", "OutputGap", "ResidualTests", "WindowErrors"]
@@ -161,7 +161,8 @@ class Comparison(Tabular, Evidence):
         The compared signals: measured, free run (as far as it goes; None where that is nowhere), windowed simulation,
         and the recursive residual (n,) by output, NaN where a sample only fixes the state of its window.
     disturbance
-        Input name -> the addition to it that would explain the record piece by piece, `InputDisturbance`.
+        Input name, or a joint as ``torque at omega`` -> the `Addition` there, and nowhere else, that would explain the
+        record piece by piece. Where none does it alone, ``input u, together`` and such: two places at once.
     warnings
         What a reader must know before trusting the numbers.
     direction
@@ -205,7 +206,7 @@ class Comparison(Tabular, Evidence):
     simulated: Record | None
     windowed: Record
     recursive: Mapping[str, Array]
-    disturbance: Mapping[str, InputDisturbance]
+    disturbance: Mapping[str, Addition]
     warnings: tuple[str, ...]
     direction: Mapping[str, Mapping[str, DirectionError]]
     amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
@@ -219,6 +220,11 @@ class Comparison(Tabular, Evidence):
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+
+    @property
+    def located(self) -> tuple[Addition, ...]:
+        """Additions that explain the error, the best first: each alone, or two together; empty where none does."""
+        return tuple(self.disturbance[key] for key in located(self.disturbance))
 
     def summary(self) -> str:
         """The result as a few lines of text."""
@@ -491,15 +497,40 @@ def _harmonic_lines(c: Comparison) -> list[str]:
 
 
 def _disturbance_lines(c: Comparison) -> list[str]:
-    lines: list[str] = []
-    for name, d in c.disturbance.items():
-        unit = c.measured.unit(name)
-        share = f"{100 * d.explained_share:.0f} % of the error"
-        text = f"as an addition to input {name}: {share} in pieces of {d.seconds:.3g} s"
-        if np.isfinite(d.forward) and np.isfinite(d.backward):
-            text += f"; mean {d.forward:+.3g} {unit} moving forward, {d.backward:+.3g} {unit} backward"
-        lines += [text] if len(c.disturbance) > MOST_INPUTS_TOLD and lines else ["", text]
-    return lines
+    """What an addition would explain, and how large it is where it explains something."""
+    told, every = c.located, list(c.disturbance.values())
+    if not every:
+        return []
+    if not told:
+        best = min(every, key=lambda d: d.worth)
+        where = listed(d.place for d in every if not d.together)
+        text = f"as an addition: nothing at {where} explains half of the error"
+        return ["", f"{text} (best {best.place}, in pieces of {best.seconds:.3g} s: {_shares(best)})"]
+    if told[0].together:
+        places = " and ".join(d.place for d in told)
+        head = f"as additions at {places} together: {_shares(told[0])}, in pieces of {told[0].seconds:.3g} s"
+        return ["", head, *(f"  {d.place}: {_mean_addition(d)}" for d in told)]
+    lines = []
+    for k, d in enumerate(told):
+        head = "or as one at" if k else "as an addition at"
+        lines.append(f"{head} {d.place}: {_shares(d)}, in pieces of {d.seconds:.3g} s; {_mean_addition(d)}")
+    return ["", *lines]
+
+
+def _shares(d: Addition) -> str:
+    told = [f"{100 * max(share, 0.0):.0f} % of the error of {name}" for name, share in d.shares.items()]
+    off = [f"{name} off by {value:+.3g} throughout" for name, value in d.offsets.items() if value]
+    return listed([*told, *off], 2 * MOST_INPUTS_TOLD)
+
+
+def _mean_addition(d: Addition) -> str:
+    """The mean additions with their standard errors, each where it is sure to differ from zero."""
+    parts = [
+        f"{mean:+.3g} +- {std:.2g} {d.unit}".rstrip() + f" {way}"
+        for mean, std, way in ((d.forward, d.forward_std, "moving forward"), (d.backward, d.backward_std, "backward"))
+        if np.isfinite(mean) and abs(mean) > SURE * std
+    ]
+    return f"mean {', '.join(parts)}" if parts else "no mean that differs from zero"
 
 
 def _residual_lines(c: Comparison, name: str) -> list[str]:

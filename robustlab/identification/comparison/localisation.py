@@ -1,51 +1,39 @@
-r"""Where an error lives: in time, in speed and position, in frequency; and the gap of a model on two other scales: as
-an addition to its input, and in multiples of the noise.
+"""Where an error lives: in time, in speed and position, in frequency; and the gap of a model in multiples of the noise.
 
-An output error grows and is carried on by the model's own dynamics; where it comes from is plainer at the input. The
-record is cut into short pieces, and in each a constant :math:`d` is fitted together with the initial state,
-
-.. math:: y(t) \approx y_u(t) + S(t) x_0 + \Big( \int_0^t C e^{A s} B_j ds + D_j \Big) d,
-
-so that the model with the input :math:`u_j + d` reproduces the piece best. Sorted by speed, d shows a friction that
-the model lacks as a friction curve (with its sign turned round, in units of the input).
-
-Where a record repeats, the same gap is set against its noise floor: 1 is a model as good as the noise allows.
+Where a record repeats, the gap is set against its noise floor: 1 is a model as good as the noise allows. What would
+have to be added, and where, is in `robustlab.identification.comparison.additions`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
 from robustlab.identification.response.response import Response, Stretch
-from robustlab.identification.response.windowed_simulation import fit_state, weighted_least_squares, window_edges
+from robustlab.identification.response.windowed_simulation import fit_state, window_edges
 from robustlab.record import Record
 from robustlab.result import Evidence
 
 __all__ = [
     "Bin",
     "DirectionError",
-    "InputDisturbance",
     "Motion",
     "NoiseGap",
     "Spectrum",
     "amplitude_edges",
     "bins",
     "directions",
-    "input_disturbance",
     "log_bands",
     "motion_of",
     "noise_gaps",
     "position_edges",
     "repeated",
-    "sorted_disturbance",
     "spectrum",
     "speed_edges",
     "time_shares",
@@ -276,79 +264,6 @@ def _band_power(f: Array, density: Array, edges: Array) -> Array:
 def _shares(power: Array) -> Array:
     total = power.sum()
     return power / total if total else power
-
-
-@dataclass(frozen=True)
-class InputDisturbance(Evidence):
-    """Constant addition to one input that reproduces each piece of the record best; arrays have shape (n_pieces,)."""
-
-    seconds: float  # length of a piece in s
-    time: Array  # middle of each piece in s
-    speed: Array | None  # mean measured speed over each piece, or None where there is no speed
-    # value, std: the addition d in the unit of the input, and its standard deviation if the error left were white; NaN
-    # in pieces where the outputs cannot tell d from the initial state
-    value: Array
-    std: Array
-    # forward, backward: means of d over the pieces that move throughout in one direction; NaN where there are none
-    forward: float
-    backward: float
-    # share of the squared error of all pieces (each with its own initial state) that d removes, 0..1
-    explained_share: float
-    speed_source: str = ""  # the speed it is sorted by, as in `robustlab.identification.comparison.localisation.Motion`
-
-
-def input_disturbance(response: Response, name: str, whole: Stretch, length: int, motion: Motion) -> InputDisturbance:
-    """Fit an addition to the input ``name`` in every piece of ``length`` samples; a shorter rest is left out.
-
-    Returns
-    -------
-    InputDisturbance
-        With as many pieces as fit.
-    """
-    t, weight = whole.t, whole.weight
-    edges = np.arange(0, len(t) + 1, length)
-    value, std = np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
-    before = after = 0.0
-    # The responses are the same in all pieces where the clock is uniform.
-    shared = _responses(response, name, t[:length]) if len(t) >= length and whole.is_uniform else None
-    for k, (first, last) in enumerate(pairwise(edges.tolist())):
-        piece = whole.cut(first, last)
-        free, held = shared or _responses(response, name, piece.t)
-        error = piece.y - response.simulate(piece.t, piece.u, np.zeros(response.n_states))
-        x0, _, rank = weighted_least_squares(free, error, weight)
-        both, spread, joint_rank = weighted_least_squares(np.concatenate([free, held], axis=2), error, weight)
-        if joint_rank == rank:
-            continue
-        value[k], std[k] = both[-1], spread[-1]
-        before += float((((error - free @ x0) * weight) ** 2).sum())
-        after += float((((error - free @ both[:-1] - held @ both[-1:]) * weight) ** 2).sum())
-    return sorted_disturbance(t, edges, value, std, 1.0 - after / before if before else 0.0, motion)
-
-
-def sorted_disturbance(
-    t: Array, edges: NDArray[np.int_], value: Array, std: Array, share: float, motion: Motion
-) -> InputDisturbance:
-    """Additions to an input in pieces between ``edges``, all equally long, sorted by the speed of a motion."""
-    length = int(edges[1] - edges[0]) if len(edges) > 1 else 0
-    middle = 0.5 * (t[edges[:-1]] + t[edges[1:] - 1])
-    seconds = length * float(t[-1] - t[0]) / (len(t) - 1)
-    if motion.speed is None or not length:
-        return InputDisturbance(seconds, middle, None, value, std, np.nan, np.nan, share)
-    pieces = motion.speed[: edges[-1]].reshape(-1, length)
-    rest = REST * float(np.abs(motion.speed).max())
-    forward, backward = _mean(value, pieces.min(axis=1) > rest), _mean(value, pieces.max(axis=1) < -rest)
-    speed = pieces.mean(axis=1)
-    return InputDisturbance(seconds, middle, speed, value, std, forward, backward, share, motion.speed_source)
-
-
-def _responses(response: Response, name: str, t: Array) -> tuple[Array, Array]:
-    """Free response, and the response to a unit step of the input."""
-    return response.free_response(t), response.step_response(name, t)
-
-
-def _mean(values: Array, chosen: NDArray[np.bool_]) -> float:
-    known = values[chosen & np.isfinite(values)]
-    return float(known.mean()) if len(known) else np.nan
 
 
 @dataclass(frozen=True)
