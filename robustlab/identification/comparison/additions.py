@@ -84,6 +84,11 @@ class Addition(Evidence):
         return {k: 1.0 - (self.left[k] / e) ** 2 if e else 0.0 for k, e in self.error.items()}
 
     @property
+    def explains(self) -> frozenset[str]:
+        """The outputs half of whose squared error it takes away, where that is more than their sensor's noise."""
+        return frozenset(k for k, share in self.shares.items() if share >= EXPLAINS and self.error[k] > self.noise[k])
+
+    @property
     def explained_share(self) -> float:
         """Share of the squared error of all outputs that it takes away, 0..1, each in multiples of its noise."""
         before, after = (sum((x[k] / n) ** 2 for k, n in self.noise.items()) for x in (self.error, self.left))
@@ -101,21 +106,30 @@ class Addition(Evidence):
 
 
 def located(found: Mapping[str, Addition]) -> tuple[str, ...]:
-    """Keys of the additions to be told: those at one place that are worth it, the best first, or two together.
+    """Keys of the additions to be told: two places together where they halve what any one leaves; else those at one
+    place, the best first, others that are nearly as good, and those that explain further outputs.
 
     Empty where none takes away half of the error.
     """
-    least = np.log(1.0 - EXPLAINS)
+    least = float(np.log(1.0 - EXPLAINS))
     worth = {key: d.worth for key, d in found.items()}
     alone = {key: worth[key] for key, d in found.items() if not d.together}
     best = min(alone.values(), default=0.0)
     pair = [key for key, d in found.items() if d.together]
     if pair and worth[pair[0]] <= min(best, 0.0) + least:
         return tuple(pair)
-    near = [key for key in alone if alone[key] <= best - least] if best <= least else []
+    if best > least:
+        return ()
     # Of two that the record does not tell apart the input comes first.
-    order = {key: (alone[key] > best + TIE, not found[key].place.startswith("input "), alone[key]) for key in near}
-    return tuple(sorted(near, key=lambda key: order[key])[:MOST_TOLD])
+    order = {key: (alone[key] > best + TIE, not found[key].place.startswith("input "), alone[key]) for key in alone}
+    told: list[str] = []
+    covered: frozenset[str] = frozenset()
+    for key in sorted(alone, key=lambda key: order[key]):
+        more = found[key].explains - covered
+        if more or (found[key].explains and alone[key] <= best - least and len(told) < MOST_TOLD):
+            told.append(key)
+            covered |= more
+    return tuple(told)
 
 
 class Place(NamedTuple):

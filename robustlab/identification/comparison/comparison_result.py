@@ -510,15 +510,19 @@ def _disturbance_lines(c: Comparison) -> list[str]:
         places = " and ".join(d.place for d in told)
         head = f"as additions at {places} together: {_shares(told[0])}, in pieces of {told[0].seconds:.3g} s"
         return ["", head, *(f"  {d.place}: {_mean_addition(d)}" for d in told)]
-    lines = []
-    for k, d in enumerate(told):
-        head = "or as one at" if k else "as an addition at"
-        lines.append(f"{head} {d.place}: {_shares(d)}, in pieces of {d.seconds:.3g} s; {_mean_addition(d)}")
-    return ["", *lines]
+    lines: list[str] = []
+    covered: frozenset[str] = frozenset()
+    for d in told:
+        head = "and at" if d.explains - covered else "or as one at"
+        lines.append(f"{head if lines else 'as an addition at'} {d.place}: {_shares(d)}; {_mean_addition(d)}")
+        covered |= d.explains
+    return ["", *lines, f"  in pieces of {told[0].seconds:.3g} s"]
 
 
 def _shares(d: Addition) -> str:
-    told = [f"{100 * max(share, 0.0):.0f} % of the error of {name}" for name, share in d.shares.items()]
+    few = len(d.shares) <= MOST_INPUTS_TOLD
+    shown = {name: share for name, share in d.shares.items() if few or name in d.explains}
+    told = [f"{100 * max(share, 0.0):.0f} % of the error of {name}" for name, share in shown.items()]
     off = [f"{name} off by {value:+.3g} throughout" for name, value in d.offsets.items() if value]
     return listed([*told, *off], 2 * MOST_INPUTS_TOLD)
 
