@@ -205,8 +205,8 @@ def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
 
 
 def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Windowed error over speed and direction, and what would have to be added to each input over the same speed: to
-    those that drive the same joint.
+    """Windowed error over speed and direction, and over the same speed what would have to be added where that explains
+    the error: an input, a joint, or two together.
     """
     output = chosen(list(comparison.speed), output, "output")
     motion, unit = comparison.motions[output], comparison.outputs[output].unit
@@ -222,8 +222,8 @@ def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
             panel.axvline(0.0, color="#888888", lw=0.8)
             for colour, some in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
                 panel.plot(speed[some], d.value[some], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
-            panel.set_ylabel(axis_label(f"addition at {d.place}", d.unit))
-            panel.set_title(f"what {plain_label(d.place)} lacks, in pieces of {d.seconds:.3g} s")
+            panel.set_ylabel(axis_label("what is lacking", d.unit))
+            panel.set_title(f"{plain_label(d.place)}, in pieces of {d.seconds:.3g} s")
         for panel in axes:
             panel.set_xlabel(axis_label("speed", motion.speed_unit))
     return figure
