@@ -159,7 +159,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
         raise InputError("discretise", found, "one of each", "take 'tustin' for several channels")
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
-    poles, zeros = m.poles(), transmission_zeros(m)
+    poles, zeros = m.poles(), transmission_zeros(m, complete=True)
     # On the positive real axis, right of all poles: finite and real.
     s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
     gain = _value(m, s) * np.prod(s - poles) / np.prod(s - zeros)
