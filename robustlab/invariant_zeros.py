@@ -73,7 +73,8 @@ class Zeros(Shown):
         For each zero whether the model has it with its entries taken as the numbers that they are; False where they
         miss it by rounding, as happens to a model with more outputs or inputs than its normal rank.
     near_infinity
-        Further zeros of the model as given that relative changes of its entries by 1e-14 bring in from infinity.
+        Further zeros of the model as given, beyond its fastest pole, that relative changes of its entries by 1e-14
+        bring in from infinity; inf for those beyond the range of floating-point numbers.
     sensitivities
         Relative change of each zero over relative changes of all entries, to first order, shape (n_zeros,); inf for
         multiple zeros and for those that are not exact.
@@ -81,7 +82,8 @@ class Zeros(Shown):
         Singular value of P(z) that should vanish over the largest one, rows and columns of the given model's P(z)
         brought to size one, shape (n_zeros,).
     status
-        CONVERGED: the values are right to the last digits and none is missing; else INACCURATE.
+        CONVERGED: the exact values are right to the last digits, and with those near infinity none is missing; else
+        INACCURATE.
     reason
         Why it is inaccurate; else empty.
     """
@@ -204,16 +206,19 @@ def _system(m: StateSpaceModel) -> Array:
 
 def _found(m: StateSpaceModel) -> _Found:
     S, n, none = _system(m), m.n_states, np.zeros(0, dtype=complex)
-    exactly = normal_rank(S, n) - n
-    rank = min(_rank_within_rounding(m), exactly)
+    rank = exactly = _rank_within_rounding(m)
     try:
+        if n <= MOST_STATES:
+            exactly = normal_rank(S, n) - n
+        rank = min(rank, exactly)
         exact, nearly = _roots(S, n, rank, exactly)
     except NoTrustworthyNumber as error:
         values = _in_floating_point(S, n, rank)
         return _Found(values, np.zeros(len(values), dtype=bool), none, rank, error.found)
     far = 0
     if rank == m.n_inputs == m.n_outputs:
-        while far < len(exact) and _decided_by_rounding(S, n, complex(exact[-1 - far]), 0.0):
+        fastest = float(np.abs(m.poles()).max(initial=0.0))
+        while far < len(exact) and abs(z := complex(exact[-1 - far])) > fastest and _decided_by_rounding(S, n, z, 0.0):
             far += 1
     near, exact = exact[len(exact) - far :], exact[: len(exact) - far]
     values = np.concatenate([exact, nearly])
@@ -334,8 +339,8 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
     S, n, best = _system(m), m.n_states, 0
     size = np.append(np.abs(m.poles()), np.abs(m.A).max(initial=0.0))
     size = size[size > 0]
-    points = np.geomspace(size.min(), size.max(), 5) * 1.37 * np.exp(1.1j) if len(size) else [0j]
-    for s in points:
+    low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
+    for s in np.geomspace(low, high, 5) * 1.37 * np.exp(1.1j):
         sigma = _singular(_pencil(S, s, n)).sigma
         best = max(best, int((sigma > NEARLY * sigma.max(initial=0.0)).sum()) - n)
         if best == min(m.n_inputs, m.n_outputs):
@@ -401,9 +406,9 @@ def _doubt(m: StateSpaceModel, found: _Found, sensitivities: Array, residuals: A
     if found.rank < max(m.n_inputs, m.n_outputs):
         return ""
     S, n = _system(m), m.n_states
-    least = STILL * float(np.abs(m.poles()).max(initial=0.0))
+    least = STILL * float(np.abs(np.concatenate([m.poles(), found.values])).max(initial=0.0))
     loose = found.values[sensitivities * ROUNDING > 0.1 * DECIDED]
-    moved = [z for z in loose.tolist() if z.imag >= 0 and _decided_by_rounding(S, n, z, least)]
+    moved = [z for z in loose.tolist() if z.imag >= 0 and (least or z) and _decided_by_rounding(S, n, z, least)]
     if not moved:
         return ""
     return f"rounding of the model's entries decides where the zero {moved[0]:.6g} is"

@@ -22,10 +22,11 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, Indices
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
-# Beyond this size the answer takes more than about ten seconds.
-MOST_STATES = 200
+# Beyond this size, or with so many primes times cubed rows, the answer takes more than about ten seconds.
+MOST_STATES, MOST_WORK = 200, 1e10
 TOP = 2**27  # primes lie below it
 # Primes by which a rank or a degree is told: that all are unlucky has a chance of about (n / 2^26)^3.
 FEW = 3
@@ -75,6 +76,11 @@ def determinant(M: Array, n: int) -> Determinant:
     Determinant
         Of degree n at most; without coefficients where it is zero at every s.
 
+    Raises
+    ------
+    NoTrustworthyNumber
+        Entries of so different sizes, and so many of them, that it takes too long.
+
     Examples
     --------
     >>> found = determinant(np.array([[-2.0, 1.0], [-3.0, 1.0]]), 1)  # (s - 1) / (s + 2) times -(s + 2)
@@ -87,6 +93,9 @@ def determinant(M: Array, n: int) -> Determinant:
         return Determinant([1], 0)
     whole = min((_whole(M, n), _transposed(_whole(M.T, n))), key=lambda w: w.bits)
     count = math.ceil((whole.bits + 2) / math.log2(TOP / 2)) + 1
+    if count * len(M) ** 3 > MOST_WORK:
+        found = f"a pencil of {len(M)} rows with {whole.bits:.0f} digits"
+        raise NoTrustworthyNumber("determinant", found, "at most 200 states, of entries less far apart")
     primes = primes_below(count)
     residues = determinants(whole.mantissas, whole.exponents, whole.weights, primes)
     lucky = ~np.isnan(residues[:, 0])

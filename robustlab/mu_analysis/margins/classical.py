@@ -232,7 +232,7 @@ def _margin(L: LoopFraction, stable: bool, name: str) -> ClassicalMargin:
 def _gain_crossing(L: LoopFraction, x: Fraction) -> GainCrossing:
     at, omega = L.at(x), L.frequency(x)
     assert at is not None, "a gain of 1 at a pole"
-    lag = (at.angle() + math.pi) % (2 * math.pi)
+    lag = at.lag() % (2 * math.pi)
     return GainCrossing(omega, lag, lag / omega)
 
 

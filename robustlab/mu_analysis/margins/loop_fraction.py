@@ -54,9 +54,9 @@ class Point:
         """``|L|^2``."""
         return self.real**2 + self.x * self.imag**2
 
-    def angle(self) -> float:
-        """In rad, of a response that neither overflows nor vanishes."""
-        return math.atan2(math.copysign(_square_root(self.x * self.imag**2), self.imag), self.real)
+    def lag(self) -> float:
+        """From a response of size 1 to -1, in rad."""
+        return math.atan2(math.copysign(_square_root(self.x * self.imag**2), -self.imag), -self.real)
 
 
 @dataclass(frozen=True, eq=False)

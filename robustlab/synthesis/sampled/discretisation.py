@@ -37,6 +37,7 @@ METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impuls
 MERGED = 1e-6
 # The poles and zeros of a matched model must give back its response to this accuracy.
 MATCHED = 1e-6
+LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
 
 
 @told_as("discretise")
@@ -169,6 +170,10 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     off = float(np.abs(product / truth - 1).max()) if truth.all() else np.inf
     if not off <= MATCHED:
         raise NoTrustworthyNumber("discretise (matched)", f"poles and zeros give the response back to {off:.1e} only")
+    growth = float(np.concatenate([poles, zeros]).real.max()) * dt
+    if growth > LARGEST:
+        found = f"a pole or zero that e^(s dt) takes to e^{growth:.3g}"
+        raise NoTrustworthyNumber("discretise (matched)", found, None, "a shorter sample time, or another method")
     z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
     # Equal gain at s = 0, z = 1; next to it on the real axis where there is a pole or a zero.
     lowest = np.abs(np.concatenate([poles, zeros])).min()
