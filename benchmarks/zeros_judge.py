@@ -25,6 +25,10 @@ def _matrix(M: np.ndarray) -> fmpq_mat:
     return fmpq_mat(*M.shape, [rational(x) for x in M.ravel()]) if M.size else fmpq_mat(*M.shape)
 
 
+def _system(A: Any, B: Any, C: Any, D: Any) -> np.ndarray:
+    return np.block([[np.asarray(A), np.asarray(B)], [np.asarray(C), np.asarray(D)]])
+
+
 def _at(M: fmpq_mat, n: int, s: int) -> fmpq_mat:
     found = fmpq_mat(M)
     for i in range(n):
@@ -56,7 +60,7 @@ def roots(p: fmpq_poly) -> list[complex]:
 
 def invariant_zeros(A: Any, B: Any, C: Any, D: Any, seed: int = 0) -> tuple[list[complex], int]:
     """All finite invariant zeros and the normal rank of the transfer matrix."""
-    M, n = np.block([[A, B], [C, D]]), len(A)
+    M, n = _system(A, B, C, D), len(A)
     S, rng = _matrix(M), np.random.default_rng(seed)
     p, m = M.shape[0] - n, M.shape[1] - n
     rank = max((_at(S, n, int(s)).rank() for s in rng.integers(10**6, 10**9, 3)), default=0) if M.size else 0
@@ -78,7 +82,7 @@ def invariant_zeros(A: Any, B: Any, C: Any, D: Any, seed: int = 0) -> tuple[list
 def fraction(A: Any, B: Any, C: Any, D: Any) -> tuple[fmpq_poly, fmpq_poly]:
     """Numerator and denominator of one channel, without common factors."""
     n = len(A)
-    over, under = determinant(np.block([[A, B], [C, D]]), n), determinant(np.asarray(A, dtype=float).reshape(n, n), n)
+    over, under = determinant(_system(A, B, C, D), n), determinant(np.asarray(A, dtype=float).reshape(n, n), n)
     shared = over.gcd(under)
     return over / shared, under / shared
 

@@ -45,8 +45,8 @@ def test_the_judge_catches_what_is_missing():
         replace(nothing, near_infinity=found.values),
     ):
         assert attack_zeros.zeros_fault(parts, lie, rng)
-    margin = next(iter(rl.classical_margins(rl.StateSpaceModel([[1.0]], [[1.0]], [[4.0]], [[0.0]])).channels.values()))
-    loop = zeros_judge.Loop([[1.0]], [[1.0]], [[4.0]], [[0.0]])
+    unstable = ([[1.0]], [[1.0]], [[4.0]], [[0.0]])
+    loop, margin = zeros_judge.Loop(*unstable), rl.classical_margins(rl.StateSpaceModel(*unstable)).channels["y1"]
     assert attack_zeros.crossings_fault(loop, margin) == ""
     assert attack_zeros.crossings_fault(loop, replace(margin, gain_crossings=()))
     assert attack_zeros.crossings_fault(loop, replace(margin, phase_margin=margin.phase_margin * 1.001))

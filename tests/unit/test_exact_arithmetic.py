@@ -1,4 +1,4 @@
-"""Polynomials in whole numbers against closed forms and sympy-free arithmetic: fractions by Leibniz' formula, known roots."""
+"""Polynomials in whole numbers against Leibniz' formula in fractions, and against roots that were put there."""
 
 from __future__ import annotations
 
@@ -61,16 +61,14 @@ def from_roots(zeros):
 
 def test_wilkinson_and_roots_of_all_sizes():
     """1 to 40, whose coefficients' last digits move the roots by more than they are; and 10^-20 to 10^20."""
-    assert sorted(r.value for r in roots(from_roots(range(1, 41)))) == [complex(k) for k in range(1, 41)]
+    assert {r.value for r in roots(from_roots(range(1, 41)))} == {complex(k) for k in range(1, 41)}
     sizes = [Fraction(10) ** k for k in range(-20, 21, 4)]
     found = sorted(r.re for r in roots(from_roots(sizes)))
     assert all(abs(a / b - 1) < Fraction(1, 2**95) for a, b in zip(found, sizes, strict=True))
 
 
 def test_multiple_roots_and_neighbours():
-    f = product(
-        product([0, 0, 1], from_roots([-1, -1, -1, 2])), product([1, 0, 1], [1, 0, 1])
-    )  # s^2 (s+1)^3 (s-2) (s^2+1)^2
+    f = product(from_roots([0, 0, -1, -1, -1, 2]), product([1, 0, 1], [1, 0, 1]))
     assert {(r.value, r.multiplicity) for r in roots(f)} == {(0j, 2), (-1 + 0j, 3), (2 + 0j, 1), (1j, 2), (-1j, 2)}
     near = Fraction(1) + Fraction(1, 10**20)
     one, two = sorted(r.re for r in roots(from_roots([1, near])))
