@@ -45,8 +45,8 @@ STILL = 1e-9
 RESIDUAL = 1e-8
 # ... and at a zero that the entries miss by rounding, which two borders must give alike to ALIKE.
 NEARLY, ALIKE = 1e-13, 1e-6
-# Where [A - s I, B] or [A - s I; C] is that near to losing rank, relative to its size, the zero is a hidden mode.
-HIDDEN = 1e-9
+# Where [A - s I, B] or [A - s I; C], rows and columns of size one, is that near to losing rank, the mode is hidden.
+HIDDEN = 1e-13
 BORDER = 2**15  # entries of borders, which are whole numbers, are smaller
 
 
@@ -319,7 +319,7 @@ def _times_power(values: ComplexArray, exponents: AnyArray) -> ComplexArray:
 
 
 class _Vectors(NamedTuple):
-    """Singular values of P with rows and columns of size one, left and right vectors in columns, scaling exponents."""
+    """Singular values of P with scaled rows and columns, its left and right vectors in columns, and the exponents."""
 
     sigma: Array
     left: ComplexArray
@@ -328,8 +328,9 @@ class _Vectors(NamedTuple):
     c: AnyArray
 
 
-def _singular(P: ComplexArray) -> _Vectors:
-    r, c = equilibrating_exponents(P)
+def _singular(P: ComplexArray, size: Array) -> _Vectors:
+    """``size``: of P's entries before they cancel, by which its rows and columns are scaled."""
+    r, c = equilibrating_exponents(size)
     left, sigma, right = np.linalg.svd(_times_power(P, r[:, None] + c))
     return _Vectors(sigma, left, right.conj().T, r, c)
 
@@ -341,7 +342,7 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
     size = size[size > 0]
     low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
     for s in np.geomspace(low, high, 5) * 1.37 * np.exp(1.1j):
-        sigma = _singular(_pencil(S, s, n)).sigma
+        sigma = _singular(_pencil(S, s, n), _pencil(np.abs(S), -abs(s), n).real).sigma
         best = max(best, int((sigma > NEARLY * sigma.max(initial=0.0)).sum()) - n)
         if best == min(m.n_inputs, m.n_outputs):
             break
@@ -349,18 +350,18 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
 
 
 def _looked_at(S: Array, z: complex, n: int, rank: int) -> _Look:
-    P, k = _pencil(S, z, n), n + rank - 1
-    sigma, left, right, r, c = _singular(P)
+    P, size, k = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real, n + rank - 1
+    sigma, left, right, r, c = _singular(P, size)
     x, y = _times_power(right[:, k], c - c.max()), _times_power(left[:, k], r - r.max())
     weight = abs(z) * abs(y[:n].conj() @ x[:n])
     with np.errstate(all="ignore"):
         sensitivity = float(np.divide(np.abs(y) @ np.abs(S) @ np.abs(x), weight))
-    unreached, unseen = _loses_rank(P[:n]), _loses_rank(P[:, :n])
+    unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
     kind = {(True, True): "input-output-decoupling", (True, False): "input-decoupling",
             (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
     u = _direction(right[n:, k], c[n:], S.shape[1] - n == rank)
     v = _direction(left[n:, k], r[n:], S.shape[0] - n == rank)
-    return _Look(kind, u, v, sensitivity, float(sigma[k] / sigma[0]) if sigma[0] else 0.0)
+    return _Look(kind, u, v, sensitivity, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0)
 
 
 def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> ComplexArray:
@@ -371,8 +372,8 @@ def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> Compl
     return given / np.linalg.norm(given)
 
 
-def _loses_rank(block: ComplexArray) -> bool:
-    sigma = _singular(block).sigma
+def _loses_rank(block: ComplexArray, size: Array) -> bool:
+    sigma = _singular(block, size).sigma
     return bool(sigma[-1] <= HIDDEN * sigma[0])
 
 

@@ -13,13 +13,18 @@ import zeros_judge
 
 import robustlab as rl
 
-# The first cases of every family.
-COUNTS = {"zeros": 12 * len(attack_zeros.FAMILIES), "crossings": 7 * len(attack_zeros.LOOPS), "consumers": 60}
+# The first cases of every family, and what the attack has found: a slow zero on the right that was taken for a hidden
+# mode, products of matched zeros that overflow, poles that rounding moves over the axis.
+SUBSET = {
+    "zeros": range(12 * len(attack_zeros.FAMILIES)),
+    "crossings": range(7 * len(attack_zeros.LOOPS)),
+    "consumers": [*range(60), 440, 1345, 1944],
+}
 
 
-@pytest.mark.parametrize("what", COUNTS)
+@pytest.mark.parametrize("what", SUBSET)
 def test_nothing_that_is_vouched_for_is_wrong(what):
-    found = [attack_zeros.CASES[what](i) for i in range(COUNTS[what])]
+    found = [attack_zeros.CASES[what](i) for i in SUBSET[what]]
     assert [r for r in found if r["wrong"]] == []
     vouched = sum(r["status"] in ("converged", "certified") for r in found)
     assert vouched >= (0.65 if what == "consumers" else 0.97) * len(found)

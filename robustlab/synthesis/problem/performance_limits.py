@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray, Mask
-from robustlab.errors import InputError, RobustlabError, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError, told_as
 from robustlab.invariant_zeros import ROUNDING, zeros
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
@@ -243,6 +243,8 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
     ------
     InputError
         No inputs or outputs, a negative delay, or a delay with several channels or a discrete plant.
+    NoTrustworthyNumber
+        Poles that rounding moves over the stability boundary.
 
     References
     ----------
@@ -414,7 +416,11 @@ def _unstable_part(m: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
     edge = BOUNDARY * float(np.abs(m.poles()).max(initial=0.0))
     if not n:
         return m.A, m.C, m.B
-    parts: Any = schur(m.A, output="real", sort=lambda re, im=0.0: re > edge)
+    try:
+        parts: Any = schur(m.A, output="real", sort=lambda re, im=0.0: re > edge)
+    except np.linalg.LinAlgError:
+        found = "rounding moves poles over the stability boundary when they are sorted"
+        raise NoTrustworthyNumber("performance_limits", found) from None
     T, U, k = parts
     B, C = U.T @ m.B, m.C @ U
     across = solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if 0 < k < n else np.zeros((k, n - k))

@@ -170,9 +170,9 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     off = float(np.abs(product / truth - 1).max()) if truth.all() else np.inf
     if not off <= MATCHED:
         raise NoTrustworthyNumber("discretise (matched)", f"poles and zeros give the response back to {off:.1e} only")
-    growth = float(np.concatenate([poles, zeros]).real.max()) * dt
+    growth = float(np.maximum(np.concatenate([poles, zeros]).real, 0.0).sum()) * dt
     if growth > LARGEST:
-        found = f"a pole or zero that e^(s dt) takes to e^{growth:.3g}"
+        found = f"poles and zeros that grow by e^{growth:.3g} in dt = {dt:g} s"
         raise NoTrustworthyNumber("discretise (matched)", found, None, "a shorter sample time, or another method")
     z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
     # Equal gain at s = 0, z = 1; next to it on the real axis where there is a pole or a zero.
