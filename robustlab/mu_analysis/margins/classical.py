@@ -185,6 +185,7 @@ def classical_margins(
 
     Examples
     --------
+    >>> from robustlab.statespace import StateSpaceModel
     >>> L = StateSpaceModel([[0, 1, 0], [0, 0, 1], [0, -2, -3]], [[0], [0], [1]], [[3, 0, 0]], [[0]])
     >>> margin = classical_margins(L).channels["y1"]  # 3 / (s (s + 1) (s + 2))
     >>> round(margin.gain_margin[1], 9), round(margin.phase_crossings[0].frequency ** 2, 9)
