@@ -78,6 +78,21 @@ def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
     return t.astype(int)
 
 
+def equilibrating_exponents(matrix: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Exponents r, c of rows and columns: the largest entries of rows and columns of ``2^r matrix 2^c`` are near 1.
+
+    References
+    ----------
+    Ruiz, "A scaling algorithm to equilibrate both rows and columns norms in matrices" (2001).
+    """
+    e, r, c = _exponents(np.abs(matrix)), np.zeros((len(matrix), 1)), np.zeros(matrix.shape[1])
+    for _ in range(SWEEPS):
+        now = e + r + c
+        row, column = now.max(axis=1, initial=-np.inf, keepdims=True), now.max(axis=0, initial=-np.inf)
+        r, c = r - 0.5 * np.where(np.isfinite(row), row, 0), c - 0.5 * np.where(np.isfinite(column), column, 0)
+    return np.round(r[:, 0]).astype(int), np.round(c).astype(int)
+
+
 @dataclass(frozen=True, eq=False)
 class Moderated:
     """A model of ordinary entries and what leads back from it."""

@@ -295,7 +295,7 @@ def norm(
 def zeros(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
     """Finite invariant zeros of a model with their kinds: transmission zeros, and modes that are hidden.
 
-    Exit code 4: a zero was not found to working precision.
+    Exit code 4: rounding of the entries decides where a zero is, or there are more than 200 states.
 
     Example: robustlab model zeros motor.h5
     """

@@ -103,6 +103,20 @@ def test_zeros_with_their_kinds(lag, capsys):
     assert "none" in capsys.readouterr().out
 
 
+def test_zeros_of_a_chain_with_large_gains_and_one_that_rounding_decides(lag, capsys):
+    A = -1e-3 * np.eye(4) + 1e3 * np.eye(4, k=1)
+    rl.save("chain.h5", rl.StateSpaceModel(A, [[0], [1], [0], [1]], [[1, 1, 1, 1]], [[0]]))
+    assert run(model.app, "zeros", "chain.h5") == 0
+    text = capsys.readouterr().out
+    assert "zero -1000  transmission" in text
+    assert "707.107" in text
+    rng = np.random.default_rng(4)
+    C = rng.normal(size=(3, 2)) @ rng.normal(size=(2, 4))
+    rl.save("three.h5", rl.StateSpaceModel(rng.normal(size=(4, 4)), rng.normal(size=(4, 3)), C, np.zeros((3, 3))))
+    assert run(model.app, "zeros", "three.h5") == 4
+    assert "the normal rank is 3, and 2 to within rounding of the entries" in capsys.readouterr().out
+
+
 RECIPE = """\
 schema = "robustlab.recipe/1"
 name = "states"

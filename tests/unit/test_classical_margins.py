@@ -133,3 +133,76 @@ def test_loops_of_several_channels_are_opened_one_at_a_time():
         assert margin.gain_margin[1] == math.inf
         assert margin.phase_margin == pytest.approx(math.pi / 2, rel=1e-6)
     assert rl.disk_margin(body).simultaneous.upper < 0.25
+
+
+# --- right however the model is scaled -------------------------------------------------------------------------------
+
+
+def test_crossings_of_a_nonnormal_loop():
+    """Four poles that are one, in large couplings; figures of 60 digits. No crossing was found, and all margins inf."""
+    A = [
+        [-0.017050268598, -2.359835967076, 12.766265862204, 4.041559199822],
+        [0, -0.017050268598, -10.299617301744, 1.046568025252],
+        [0, 0, -0.017050268598, -0.45023573155],
+        [0, 0, 0, -0.017050268598],
+    ]
+    b = np.array([[0.5937480717858228, 0.8911669542823284, 0.3208483045665637, -0.818230227390307]]).T
+    c = [[174.53434346100428, 211.23656781974444, 4381.370520512116, 2024.5147755052005]]
+    margin = only(rl.classical_margins(StateSpaceModel(A, b, c, [[0]])))
+    assert margin.status == "converged"
+    assert [x.frequency for x in margin.gain_crossings] == [pytest.approx(41.90081, rel=1e-6)]
+    assert margin.phase_margin == pytest.approx(1.279467, rel=1e-6)
+    assert margin.delay_margin == pytest.approx(0.0305356, rel=1e-5)
+    exact = only(rl.delay_classical_margins(StateSpaceModel(A, b, c, [[0]])))
+    assert margin.phase_margin == pytest.approx(exact.phase_margin, rel=1e-9)
+
+
+@pytest.mark.parametrize("S", [1.0, 1e4, 1e8])
+def test_a_chain_of_any_gains_crosses_where_its_closed_form_does(S):
+    """k (1 + 3 t + 3 t^2)/t^3 with t = s/S: with k = 1 the closed loop's poles are those of (1 + t)^3."""
+    A, B = S * np.eye(3, k=1), np.array([[0.0], [0.0], [1.0]])
+    margin = only(rl.classical_margins(StateSpaceModel(A, B, [[S, 3 * S, 3 * S]], [[0.0]])))
+    x = np.roots([1, -9, -3, -1])  # w^6 = (1 - 3 w^2)^2 + 9 w^2
+    w = math.sqrt(x[np.abs(x.imag) < 1e-12].real.max())
+    assert [c.frequency for c in margin.gain_crossings] == [pytest.approx(w * S, rel=1e-13)]
+    lag = math.atan2(3 * w, 1 - 3 * w * w) - 1.5 * math.pi + math.pi
+    assert margin.phase_margin == pytest.approx(lag, rel=1e-12)
+    # t^3 + 3 k t^2 + 3 k t + k: stable for 9 k^2 > k
+    assert margin.gain_margin == (pytest.approx(1 / 9, rel=1e-14), math.inf)
+    assert margin.status == "converged"
+
+
+@pytest.mark.parametrize("damping", [1e-3, 1e-9])
+def test_a_light_resonance_crosses_twice(damping):
+    """|L| = 1 beside the peak of 0.3/(s^2 + 2 d s + 1): (1 - x)^2 + 4 d^2 x = 0.09."""
+    L = StateSpaceModel([[0, 1], [-1, -2 * damping]], [[0], [1]], [[0.3, 0]], [[0]])
+    margin = only(rl.classical_margins(L))
+    x = np.sort(np.roots([1, 4 * damping**2 - 2, 1 - 0.09]).real)
+    assert [c.frequency for c in margin.gain_crossings] == pytest.approx(np.sqrt(x).tolist(), rel=1e-12)
+    assert margin.phase_margin == pytest.approx(2 * damping * math.sqrt(x[1]) / 0.3, rel=1e-5)
+
+
+def test_modes_that_the_loop_does_not_show_are_no_crossings():
+    """A hidden stable mode, and one of the other loop: the common factors cancel without a rest."""
+    A = np.diag([-1.0, -2.0, -3.0])
+    hidden = StateSpaceModel(A, [[1.0], [0.0], [1.0]], [[4.0, 1.0, 0.0]], [[0.0]])
+    one = only(rl.classical_margins(StateSpaceModel([[-1.0]], [[1.0]], [[4.0]], [[0.0]])))
+    assert only(rl.classical_margins(hidden)).to_json() == one.to_json()
+
+
+def test_a_gain_that_only_touches_one_counts():
+    """|L| is 1 - 1e-12 at its peak: no crossing, and one as soon as anything changes."""
+    d = 0.1
+    peak = 1 / (2 * d * math.sqrt(1 - d * d))
+    L = StateSpaceModel([[0, 1], [-1, -2 * d]], [[0], [1]], [[(1 - 1e-12) / peak, 0]], [[0]])
+    margin = only(rl.classical_margins(L))
+    assert len(margin.gain_crossings) == 1
+    assert margin.phase_margin == pytest.approx(math.pi - math.atan2(math.sqrt(1 - 2 * d * d), d), rel=1e-5)
+    quiet = StateSpaceModel(L.A, L.B, (1 - 1e-6) * L.C, L.D)
+    assert only(rl.classical_margins(quiet)).phase_margin == math.inf
+
+
+def test_too_many_states_are_refused_with_a_way_out(monkeypatch):
+    monkeypatch.setattr("robustlab.mu_analysis.margins.loop_fraction.MOST_STATES", 2)
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"(?s)a loop of 3 states.*rl.delay_classical_margins"):
+        rl.classical_margins(THIRD)

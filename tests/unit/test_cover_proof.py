@@ -112,3 +112,49 @@ def test_a_loop_that_makes_no_model_is_named():
     for loop in (3, lambda g: None):
         with pytest.raises(rl.InputError, match="cover: loop"):
             rl.cover(models, loop=loop)
+
+
+# --- through the zeros: chains of large gains ------------------------------------------------------------------------
+
+
+def chain(c, d=0.0, S=1e5):
+    """A chain of integrators of rate S, almost: its zeros are those of the polynomial c in (s + 1e-3)/S."""
+    A = -1e-3 * np.eye(4) + S * np.eye(4, k=1)
+    return rl.StateSpaceModel(A, np.eye(4)[:, 3:], [c], [[d]])
+
+
+@pytest.mark.parametrize("form", ["input-multiplicative", "output-multiplicative"])
+def test_an_error_with_poles_at_zeros_on_the_right_is_refused(form):
+    """Zeros at 1e5 (1, 2, 3), of which one was found, at 6/11 e5, where the error has no pole: it was certified."""
+    models = [chain([-6.0, 11.0, -6.0, 1.0]), chain([-5.0, 11.0, -6.0, 1.0])]
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"unstable error \(pole 100000"):
+        rl.cover(models, form, nominal=models[0], gain=False)
+
+
+def test_no_peak_of_a_nonnormal_error_lies_between_the_points():
+    """Where the weight is below the error's peak, one of the points tells; in a tenth of these cases none did."""
+    rng = np.random.default_rng(0)
+    centre = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
+    omega = np.geomspace(1e-3, 1e6, 1500)
+    for _ in range(40):
+        couplings = np.triu(rng.normal(size=(4, 4)) * 10 ** rng.uniform(2, 4), 1)
+        A = -(10 ** rng.uniform(-2, 0)) * np.eye(4) + couplings
+        model = rl.StateSpaceModel(A, rng.normal(size=(4, 1)), rng.normal(size=(1, 4)), [[1.0]])
+        for form in ("additive", "inverse-additive"):
+            peak = error_sizes((model,), centre, form, omega).max()
+            weight = rl.StateSpaceModel([], [], [], [[0.7 * peak]])
+            points = crossing_points(model, centre, form, weight)
+            assert error_sizes((model,), centre, form, points).max() > 0.7 * peak
+
+
+def test_models_that_rounding_gives_another_relative_degree_are_covered_as_before():
+    """Two poles more than zeros in turned states: far beyond the grid rounding decides the errors' responses."""
+    rng = np.random.default_rng(2)
+    models = []
+    for _ in range(3):
+        A = np.array([[0, 1, 0], [0, 0, 1], [-6.0, -11, -6]]) * (1 + 0.02 * rng.normal(size=(3, 3)))
+        Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        models.append(rl.StateSpaceModel(Q @ A @ Q.T, Q @ [[0], [0], [1]], np.array([[2.0, 1, 0]]) @ Q.T, [[0.0]]))
+    found = rl.cover(models, "inverse-input-multiplicative", gain=False)
+    assert found.status is rl.Status.CERTIFIED
+    assert found.fit.magnitude.max() < 0.3

@@ -107,3 +107,91 @@ def test_edges():
         rl.zeros("a model")
     huge = StateSpaceModel([[-1e200]], [[1.0]], [[-2e200]], [[1.0]])
     assert rl.zeros(huge).values[0].real == pytest.approx(1e200, rel=1e-12)
+
+
+# --- right however the model is scaled -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("S", [1e3, 1e5])
+def test_zeros_of_a_chain_with_large_gains(S):
+    """In t = (s + 1e-3)/S the zeros are the roots of t^3 + t^2 + t/2 + 1/2 = (t + 1)(t^2 + 1/2)."""
+    A = -1e-3 * np.eye(4) + S * np.eye(4, k=1)
+    found = rl.zeros(StateSpaceModel(A, [[0], [1], [0], [1]], [[1, 1, 1, 1]], [[0]]))
+    wanted = np.array([-S - 1e-3, -1e-3 + 1j * S / np.sqrt(2), -1e-3 - 1j * S / np.sqrt(2)])
+    assert matched(found.values, wanted) < 1e-13 * S
+    assert found.status == "converged"
+    assert found.residuals.max() < 1e-15
+    assert found.sensitivities.max() < 10
+
+
+def test_a_zero_far_beyond_the_dynamics_is_one():
+    found = rl.zeros(StateSpaceModel([[-1e-6]], [[1]], [[1]], [[1e-8]]))  # 1e-8 + 1 / (s + 1e-6)
+    np.testing.assert_allclose(found.values, [-1e8 - 1e-6], rtol=1e-15)
+    assert found.exact == (True,)
+
+
+def test_zeros_that_a_rotation_brings_in_from_infinity_are_told_apart():
+    """(s + 13/3) / ((s + 1) ... (s + 5)) in turned states: C B, C A B, C A^2 B are rounding instead of zero."""
+    A, B, C = -np.diag(np.arange(1.0, 6)) + np.eye(5, k=1), np.eye(5)[:, 4:], np.array([[1.0, 0.3, 0, 0, 0]])
+    plain = rl.zeros(StateSpaceModel(A, B, C, [[0.0]]))
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
+    turned = rl.zeros(StateSpaceModel(Q @ A @ Q.T, Q @ B, C @ Q.T, [[0.0]]))
+    assert len(plain.near_infinity) == 0
+    for found in (plain, turned):
+        np.testing.assert_allclose(found.values, [-13 / 3], rtol=1e-10)
+        assert found.status == "converged"
+    assert len(turned.near_infinity) == 3
+    assert np.abs(turned.near_infinity).min() > 1e4
+    assert "at infinity but for rounding" in repr(turned)
+
+
+def test_zeros_that_the_entries_miss_by_rounding_are_marked():
+    """A tall model behind (s - 1.77)/(s + 2.3): 1.1 * 3.7 is rounded in some products, so that no zero is left."""
+    rng = np.random.default_rng(3)
+    actuator = StateSpaceModel([[-2.3]], [[1.1]], [[-3.7]], [[1.0]])
+    tall = StateSpaceModel(rng.normal(size=(3, 3)), rng.normal(size=(3, 1)), rng.normal(size=(3, 3)), np.zeros((3, 1)))
+    found = rl.zeros(series(actuator, tall))
+    np.testing.assert_allclose(found.values, [1.77], rtol=1e-12)
+    assert found.exact == (False,)
+    assert "missed by rounding" in repr(found)
+    assert rl.zeros(tall).exact == ()
+
+
+def test_a_rank_that_rounding_decides_is_inaccurate_with_a_reason():
+    """Three sensors that show the same two quantities: the third row of C is a combination, but for rounding."""
+    rng = np.random.default_rng(4)
+    A, B, C = rng.normal(size=(4, 4)), rng.normal(size=(4, 2)), rng.normal(size=(2, 4))
+    model = StateSpaceModel(A, B @ rng.normal(size=(2, 3)), rng.normal(size=(3, 2)) @ C, np.zeros((3, 3)))
+    found = rl.zeros(model)
+    assert (found.status, found.normal_rank) == ("inaccurate", 2)
+    assert found.reason == "the normal rank is 3, and 2 to within rounding of the entries"
+    assert matched(found.values, rl.zeros(StateSpaceModel(A, B, C, np.zeros((2, 2)))).values) < 1e-9
+
+
+def test_a_zero_that_rounding_decides_is_inaccurate_with_a_reason():
+    """(s^2 + 2e-16) and a fast pole: whether the zero lies at +-1.4e-8 j or at 0 is the last digit of an entry."""
+    A = np.array([[0, 1, 0], [0, 0, 1], [-6.0, -11, -6]])
+    Q = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    found = rl.zeros(StateSpaceModel(Q @ A @ Q.T, Q @ [[0], [0], [1]], np.array([[0, 0, 1.0]]) @ Q.T, [[0.0]]))
+    assert found.status == "inaccurate"
+    assert found.reason.startswith("rounding of the model's entries decides where the zero")
+
+
+def test_multiple_zeros_of_whole_numbers_are_exact():
+    """s^2 (s + 1)^3 over s^7."""
+    C = np.zeros((1, 7))
+    C[0, 2:6] = [1, 3, 3, 1]
+    found = rl.zeros(StateSpaceModel(np.eye(7, k=1), np.eye(7)[:, 6:], C, [[0.0]]))
+    assert sorted(found.values.tolist(), key=abs) == [0, 0, -1, -1, -1]
+    assert found.status == "converged"
+
+
+def test_large_models_are_solved_in_floating_point_and_say_so(monkeypatch):
+    wide = rl.zeros(random_model(7, 8, 3, 3))
+    monkeypatch.setattr("robustlab.invariant_zeros.MOST_STATES", 7)
+    found = rl.zeros(random_model(7, 8, 3, 3))
+    assert found.status == "inaccurate"
+    assert found.reason == "8 states: more than 7 are not solved exactly"
+    assert matched(found.values, wide.values) < 1e-8
+    with pytest.raises(rl.NoTrustworthyNumber, match="not solved exactly"):
+        rl.discretise(random_model(7, 8, 1, 1, direct=True), 0.1, "matched")

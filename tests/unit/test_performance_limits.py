@@ -179,3 +179,26 @@ def test_json_and_refusals():
         performance_limits(StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0))))
     with pytest.raises(InputError, match="discrete"):
         performance_limits(random_plant(0, 0.1)).poisson_integral(1.0)
+
+
+@pytest.mark.parametrize("S", [1.0, 1e5])
+def test_all_zeros_of_a_chain_with_large_gains(S):
+    """(t - 1)(t - 2)(t - 3)/t^4 with t = (s + a)/S; with large S one zero was found, at 6/11."""
+    A = -1e-3 * np.eye(4) + S * np.eye(4, k=1)
+    limits = performance_limits(StateSpaceModel(A, np.eye(4)[:, 3:], [[-6.0, 11.0, -6.0, 1.0]], [[0.0]]))
+    np.testing.assert_allclose([z.value for z in limits.zeros], np.array([1, 2, 3]) * S - 1e-3, rtol=1e-13)
+    assert limits.status == "converged"
+
+
+def test_a_far_zero_hides_no_near_one():
+    """-1e-12 + (s - 1)/((s + 1)(s + 2)): one zero next to 1, one at 1e12."""
+    limits = performance_limits(StateSpaceModel([[0, 1], [-2, -3]], [[0], [1]], [[-1.0, 1.0]], [[-1e-12]]))
+    np.testing.assert_allclose([z.value for z in limits.zeros], [1.0, 1e12], rtol=1e-10)
+    assert limits.bandwidth_below == pytest.approx(0.5)
+
+
+def test_limits_of_zeros_that_are_not_solved_exactly_are_inaccurate(monkeypatch):
+    monkeypatch.setattr("robustlab.invariant_zeros.MOST_STATES", 1)
+    limits = performance_limits(ZERO_AND_POLE)
+    assert limits.status == "inaccurate"
+    assert "Not to be trusted: 2 states: more than 1" in limits.summary()

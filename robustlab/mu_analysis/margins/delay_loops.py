@@ -248,13 +248,16 @@ def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
         places += more.places
         crossings = _phase_crossings(axis, [0.0, *places])
     met = tuple(_gain_crossing(axis, w) for w in gains.places)
-    status = Status.CERTIFIED if decided else Status.INACCURATE
+    status, reason = Status.CERTIFIED, ""
+    if not decided:
+        status, reason = Status.INACCURATE, "at a frequency it is not decided whether a crossing is only touched"
     kept = tuple(c for c in crossings if c.factor <= max(high, 1.0) * (1 + 1e-9))
     if not stable:
-        return ClassicalMargin(False, None, None, None, met, kept, status)
+        return ClassicalMargin(False, None, None, None, met, kept, status, reason)
     low = max((c.factor for c in crossings if c.factor <= 1), default=0.0)
     lag = min((min(c.lag, 2 * math.pi - c.lag) for c in met), default=math.inf)
-    return ClassicalMargin(True, (low, high), lag, min((c.delay for c in met), default=math.inf), met, kept, status)
+    delay = min((c.delay for c in met), default=math.inf)
+    return ClassicalMargin(True, (low, high), lag, delay, met, kept, status, reason)
 
 
 def _never(value: ComplexArray, spread: Array) -> Mask:

@@ -6,24 +6,26 @@ The same in words for a finished design, whose plant is what leads from its cont
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Mask
-from robustlab.errors import InputError, RobustlabError, told_as
-from robustlab.invariant_zeros import transmission_zeros
+from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError, told_as
+from robustlab.invariant_zeros import ROUNDING, zeros
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
+from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
 
-# Zeros and poles this close to the boundary, relative to the largest, count as on it and bind nothing.
+# Zeros this close to the boundary, relative to themselves, and poles, relative to the largest, bind nothing; nor do
+# zeros that small beside the fastest pole which rounding moves by their own size.
 BOUNDARY = 1e-9
-# Beyond this multiple of the largest pole a zero is one at infinity.
-FAR = 1e8
+# Zeros further apart than this share of themselves are taken one by one, others by their invariant subspace.
+SEPARATE = 1e-3
 # The factor by which |S| may exceed one in the rules of thumb for bandwidth.
 PEAK = 2.0
 
@@ -78,6 +80,11 @@ class PerformanceLimits(Shown):
         What was given, in s.
     dt
         Sample time of the plant.
+    status
+        CONVERGED; INACCURATE where the zeros are, or where those close together were not found in the peaks' formula
+        again.
+    reason
+        Why it is inaccurate; else empty.
     """
 
     zeros: tuple[Mode, ...]
@@ -90,6 +97,8 @@ class PerformanceLimits(Shown):
     bandwidth_below: float
     delay: float
     dt: float
+    status: Status
+    reason: str = ""
 
     def poisson_weight(self, zero: complex, omega: Any) -> AnyArray:
         r"""The weight with which a zero x + jy sees the frequencies, shape of ``omega`` (continuous time).
@@ -177,7 +186,7 @@ class PerformanceLimits(Shown):
             + (" (what is gained at one frequency is paid at another, and more)." if area > 0
                else ": what is gained at one frequency is paid at another.")
         )  # fmt: skip
-        return lines
+        return [*lines, f"Not to be trusted: {self.reason}."] if self.reason else lines
 
     def facts(self) -> Facts:
         """Zeros, poles and least peaks."""
@@ -190,6 +199,7 @@ class PerformanceLimits(Shown):
             ("least peaks", peaks),
             ("bandwidth", f"above {number(self.bandwidth_above)}, below {number(self.bandwidth_below, 'rad/s')}"),
             ("Bode integral of ln|det S|", number(self.sensitivity_integral, "rad/s")),
+            ("reason", self.reason),
         ]
 
     def summary(self) -> str:
@@ -233,6 +243,8 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
     ------
     InputError
         No inputs or outputs, a negative delay, or a delay with several channels or a discrete plant.
+    NoTrustworthyNumber
+        Poles that rounding moves over the stability boundary.
 
     References
     ----------
@@ -256,16 +268,18 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
         found = "a discrete plant" if g.is_discrete else f"{g.n_outputs} x {g.n_inputs} channels"
         raise InputError("performance_limits: delay", found, "a continuous plant with one input and output",
                          "put the delay's samples or a Pade approximation into the plant")  # fmt: skip
-    zeros, poles = _unstable_zeros(g), _unstable_poles(g)
-    s_peak, t_peak = _peaks(zeros, poles, g, delay)
-    above, below = _bandwidths(zeros, poles, delay, g.dt)
+    blocked, poles = _unstable_zeros(g), _unstable_poles(g)
+    s_peak, t_peak, reason = _peaks(blocked, poles, g, delay)
+    reason = blocked.reason or reason
+    above, below = _bandwidths(blocked.modes, poles, delay, g.dt)
     rates = np.array([p.value for p in poles], dtype=complex)
     if g.is_discrete:
         area = np.pi / g.dt * float(np.log(np.abs(rates)).sum())
     else:
         area = np.pi * float(np.real(rates).sum())
     return PerformanceLimits(
-        tuple(zeros), tuple(poles), s_peak, t_peak, _control_peak(g), area, above, below, float(delay), g.dt,
+        tuple(blocked.modes), tuple(poles), s_peak, t_peak, _control_peak(g), area, above, below, float(delay), g.dt,
+        Status.INACCURATE if reason else Status.CONVERGED, reason,
     )  # fmt: skip
 
 
@@ -282,27 +296,30 @@ def _pencil(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> tuple[float, 
     return size, np.block([[A / size, B / b], [C / c, D * size / (b * c)]]), mass
 
 
-def _rosenbrock(g: StateSpaceModel, s: complex) -> AnyArray:
-    return np.block([[g.A - s * np.eye(g.n_states), g.B], [g.C, g.D]])
+class _Blocked(NamedTuple):
+    """Zeros beyond the boundary with directions, how many there are with hidden ones, and why there may be others."""
+
+    modes: list[Mode]
+    number: int
+    reason: str
 
 
-def _outside(values: AnyArray, discrete: bool) -> Mask:
-    if discrete:
-        return np.abs(values) > 1 + BOUNDARY
-    return np.real(values) > BOUNDARY * np.abs(values).max(initial=0.0)
-
-
-def _unstable_zeros(g: StateSpaceModel) -> list[Mode]:
-    zeros = transmission_zeros(g)
-    found: list[Mode] = []
-    for z in zeros[_outside(zeros, g.is_discrete)]:
-        z = complex(z.real, 0.0) if abs(z.imag) <= 1e-9 * abs(z) else complex(z)
-        left, _, right = np.linalg.svd(_rosenbrock(g, z))
-        y, u = left[g.n_states :, -1], right[-1].conj()[g.n_states :]
-        size = np.linalg.norm(y)
-        if size > 1e-8:  # else a mode that the inputs do not move: no limit of the transfer function
-            found.append(Mode(z, y / size, _unit(u)))
-    return sorted(found, key=lambda m: (abs(m.value), m.value.imag))
+def _unstable_zeros(g: StateSpaceModel) -> _Blocked:
+    found, modes = zeros(g), list[Mode]()
+    size, fastest = np.abs(found.values), float(np.abs(g.poles()).max(initial=0.0))
+    still = (size <= BOUNDARY * fastest) & (found.sensitivities * ROUNDING >= 1)
+    beyond = size > 1 + BOUNDARY if g.is_discrete else (found.values.real > BOUNDARY * size) & ~still
+    for k in np.flatnonzero(beyond):
+        if found.kinds[k].startswith("input"):  # a mode that the inputs do not move: no limit of the transfer function
+            continue
+        z, y, u = complex(found.values[k]), found.output_directions[:, k], found.input_directions[:, k]
+        if np.isnan(y).any() or np.isnan(u).any():  # one of several: of more outputs than inputs, or the other way
+            left, _, right = np.linalg.svd(np.block([[g.A - z * np.eye(g.n_states), g.B], [g.C, g.D]]))
+            y = _unit(left[g.n_states :, -1]) if np.isnan(y).any() else y
+            u = _unit(right[-1].conj()[g.n_states :]) if np.isnan(u).any() else u
+        modes.append(Mode(z, y, u))
+    modes.sort(key=lambda m: (abs(m.value), m.value.imag))
+    return _Blocked(modes, int(beyond.sum()), found.reason)
 
 
 def _unstable_poles(g: StateSpaceModel) -> list[Mode]:
@@ -313,7 +330,9 @@ def _unstable_poles(g: StateSpaceModel) -> list[Mode]:
     parts: Any = eig(g.A, left=True, right=True)
     values, left, right = parts
     found: list[Mode] = []
-    for k in np.flatnonzero(_outside(values, g.is_discrete)):
+    size = np.abs(values)
+    outside = size > 1 + BOUNDARY if g.is_discrete else values.real > BOUNDARY * size.max()
+    for k in np.flatnonzero(outside):
         p = complex(values[k].real, 0.0) if abs(values[k].imag) <= 1e-12 * abs(values[k]) else complex(values[k])
         found.append(Mode(p, _unit(g.C @ right[:, k]), _unit(g.B.T @ left[:, k])))
     return sorted(found, key=lambda m: (abs(m.value), m.value.imag))
@@ -327,15 +346,18 @@ def _unit(vector: AnyArray) -> AnyArray:
 # --- the limits -------------------------------------------------------------------------------------------------------
 
 
-def _peaks(zeros: list[Mode], poles: list[Mode], g: StateSpaceModel, delay: float) -> tuple[float, float]:
-    """Smallest peaks of S and T."""
+def _peaks(blocked: _Blocked, poles: list[Mode], g: StateSpaceModel, delay: float) -> tuple[float, float, str]:
+    """Smallest peaks of S and T, and why they may be others."""
     late = float(max((np.exp(p.value.real * delay) for p in poles), default=1.0))
     # The zeros at infinity of a discrete plant, its delay of a sample, come to lie in the right half plane.
     m = bilinear_to_continuous(g) if g.is_discrete else g
     A_p, C_p, _ = _unstable_part(m)
-    A_z, Y = _zero_part(m, zeros)
-    if not len(A_z) or not len(A_p):
-        return 1.0, late
+    if not len(A_p):
+        return 1.0, late, ""
+    mapped = _unstable_zeros(m) if g.is_discrete else blocked
+    A_z, Y = _zero_part(m, mapped)
+    if not len(A_z):
+        return 1.0, late, ""
     from scipy.linalg import solve_sylvester
 
     # The formula of the docstring in the basis of invariant subspaces: repeated modes are no exception.
@@ -344,34 +366,32 @@ def _peaks(zeros: list[Mode], poles: list[Mode], g: StateSpaceModel, delay: floa
     Qzp = solve_sylvester(A_z, -A_p.astype(complex), Y @ C_p)
     gain = np.linalg.norm(_inverse_root(Qz).conj().T @ Qzp @ _inverse_root(Qp), 2)
     peak = float(np.sqrt(1 + gain**2))
+    alike = len(A_z) in (len(mapped.modes), mapped.number)
+    reason = "" if alike else f"{mapped.number} zeros close together, of which {len(A_z)} were found again"
     if not delay:
-        return peak, peak
+        return peak, peak, reason
     z = np.linalg.eigvals(A_z)  # each pole by itself: a bound, where the formula without delay is exact
     each = [np.exp(p.value.real * delay) * np.prod(np.abs((z + p.value) / (z - p.value))) for p in poles]
-    return peak, float(max(peak, *each))
+    return peak, float(max(peak, *each)), reason
 
 
-def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[AnyArray, AnyArray]:
-    """``(A_z, Y)`` with ``X A + Y C = A_z X``, ``X B + Y D = 0``: the unstable zeros and their output directions.
-
-    ``zeros`` are those of a non-square continuous plant, which are taken as they are.
-    """
+def _zero_part(m: StateSpaceModel, blocked: _Blocked) -> tuple[AnyArray, AnyArray]:
+    """``(A_z, Y)`` with ``X A + Y C = A_z X``, ``X B + Y D = 0``: the unstable zeros and their output directions."""
     from scipy.linalg import ordqz
 
-    n = m.n_states
-    if m.n_inputs != m.n_outputs or not n:
-        if m.n_inputs != m.n_outputs:
-            zeros = _unstable_zeros(m)
-        Y = np.array([mode.output.conj() for mode in zeros]).reshape(len(zeros), m.n_outputs)
-        return np.diag([mode.value for mode in zeros]).astype(complex).reshape(len(zeros), len(zeros)), Y
+    n, values = m.n_states, np.array([mode.value for mode in blocked.modes], dtype=complex)
+    apart = np.abs(values[:, None] - values) / np.maximum(np.abs(values[:, None]), np.abs(values))
+    np.fill_diagonal(apart, 1.0)
+    if m.n_inputs != m.n_outputs or apart.min(initial=1.0) > SEPARATE:
+        Y = np.array([mode.output.conj() for mode in blocked.modes], dtype=complex).reshape(len(values), m.n_outputs)
+        return np.diag(values), Y
     size, pencil, mass = _pencil(m.A, m.B, m.C, m.D)
-    every = transmission_zeros(m)
-    edge = BOUNDARY * float(np.abs(every).max(initial=0.0)) / size
+    last = (1 + SEPARATE) * float(np.abs(values).max()) / size
 
     def chosen(alpha: AnyArray, beta: AnyArray) -> Mask:
-        finite = np.abs(beta) > np.abs(alpha) / FAR
-        value = np.divide(alpha, beta, out=np.zeros_like(alpha), where=finite)
-        return finite & (np.real(value) > edge)
+        near = np.abs(alpha) <= last * np.abs(beta)
+        value = np.divide(alpha, beta, out=np.zeros_like(alpha), where=near)
+        return near & (np.real(value) > BOUNDARY * np.abs(value))
 
     sort: Any = chosen
     aa, bb, alpha, beta, _, Z = ordqz(pencil.T, mass, sort=sort, output="complex")
@@ -396,7 +416,11 @@ def _unstable_part(m: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
     edge = BOUNDARY * float(np.abs(m.poles()).max(initial=0.0))
     if not n:
         return m.A, m.C, m.B
-    parts: Any = schur(m.A, output="real", sort=lambda re, im=0.0: re > edge)
+    try:
+        parts: Any = schur(m.A, output="real", sort=lambda re, im=0.0: re > edge)
+    except np.linalg.LinAlgError:
+        found = "rounding moves poles over the stability boundary when they are sorted"
+        raise NoTrustworthyNumber("performance_limits", found) from None
     T, U, k = parts
     B, C = U.T @ m.B, m.C @ U
     across = solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if 0 < k < n else np.zeros((k, n - k))

@@ -37,6 +37,7 @@ METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impuls
 MERGED = 1e-6
 # The poles and zeros of a matched model must give back its response to this accuracy.
 MATCHED = 1e-6
+LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
 
 
 @told_as("discretise")
@@ -159,7 +160,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
         raise InputError("discretise", found, "one of each", "take 'tustin' for several channels")
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
-    poles, zeros = m.poles(), transmission_zeros(m)
+    poles, zeros = m.poles(), transmission_zeros(m, complete=True)
     # On the positive real axis, right of all poles: finite and real.
     s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
     gain = _value(m, s) * np.prod(s - poles) / np.prod(s - zeros)
@@ -169,6 +170,10 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     off = float(np.abs(product / truth - 1).max()) if truth.all() else np.inf
     if not off <= MATCHED:
         raise NoTrustworthyNumber("discretise (matched)", f"poles and zeros give the response back to {off:.1e} only")
+    growth = float(np.maximum(np.concatenate([poles, zeros]).real, 0.0).sum()) * dt
+    if growth > LARGEST:
+        found = f"poles and zeros that grow by e^{growth:.3g} in dt = {dt:g} s"
+        raise NoTrustworthyNumber("discretise (matched)", found, None, "a shorter sample time, or another method")
     z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
     # Equal gain at s = 0, z = 1; next to it on the real axis where there is a pole or a zero.
     lowest = np.abs(np.concatenate([poles, zeros])).min()

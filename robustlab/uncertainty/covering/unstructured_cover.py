@@ -378,11 +378,12 @@ def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) ->
 def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], points: int) -> Array:
     """Frequencies of all models' dynamics, dense about their resonances and anti-resonances."""
     dt = models[0].dt
-    found = np.concatenate([x for m in (*models, *others) for x in (m.poles(), transmission_zeros(m))])
+    poles = np.concatenate([m.poles() for m in (*models, *others)])
+    zeros = np.concatenate([transmission_zeros(m) for m in (*models, *others)])
     if dt:
-        found = np.log(found[np.abs(found) > 1e-12]) / dt
-    size = np.abs(found)
-    known = found[size > STILL * size.max(initial=0.0)]
+        poles, zeros = (np.log(x[np.abs(x) > 1e-12]) / dt for x in (poles, zeros))
+    known = np.concatenate([poles, zeros])
+    known = known[np.abs(known) > STILL * np.abs(poles).max(initial=0.0)]
     size = np.abs(known) if len(known) else np.ones(1)
     low, top = float(size.min()) * 1e-2, np.pi / dt if dt else np.inf
     high = 0.999 * top if dt else float(size.max()) * 1e2
@@ -405,15 +406,17 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
     """Every error is analytic in the closed unstable region.
 
-    Raises NoTrustworthyNumber: the first that is not, with its pole.
+    Raises NoTrustworthyNumber: the first that is not, with its pole; more states than zeros are solved for exactly.
     """
     inverse = form.startswith("inverse")
     for i, model in enumerate(models, 1):
         if model is centre:
             continue
         above, below = (centre, model) if inverse else (model, centre)  # numerator and denominator of the error
-        parts: list[AnyArray] = [above.poles() if form != "inverse-additive" else transmission_zeros(centre)]
-        parts.append(centre.poles() if form == "additive" else transmission_zeros(below))
+        parts: list[AnyArray] = [
+            above.poles() if form != "inverse-additive" else transmission_zeros(centre, complete=True)
+        ]
+        parts.append(centre.poles() if form == "additive" else transmission_zeros(below, complete=True))
         singular = np.concatenate(parts)
         bad = _pole_that_stays(model, centre, form, singular)
         if bad is not None:

@@ -1,0 +1,566 @@
+"""An attack on zeros and crossings: badly scaled and ill-conditioned models, judged in exact arithmetic.
+
+    nice -n 10 python benchmarks/attack_zeros.py --what zeros --first 0 --count 10000 --out zeros.jsonl
+    nice -n 10 python benchmarks/attack_zeros.py --what crossings --first 0 --count 2000 --out crossings.jsonl
+    nice -n 10 python benchmarks/attack_zeros.py --what consumers --first 0 --count 600 --out consumers.jsonl
+    python benchmarks/attack_zeros.py --summary zeros.jsonl crossings.jsonl consumers.jsonl
+
+Case i needs no other. The judge (`zeros_judge`) works with the entries as rational numbers, in other ways than the
+library does, and uses nothing of it. Wrong and vouched for (status converged or certified, or a result without one):
+
+- a zero that is missing, one too many, or off by 1e-9 of itself; a zero said to be near infinity that random relative
+  changes of the entries by 3e-14 do not move by 1 %; a zero said to be missed by rounding at which P(s), rows and
+  columns brought to size one, keeps its rank by more than 1e-12;
+- a crossing that is missing, one too many, or off by 1e-9, by roots in balls, and by signs of |L| - 1 evaluated between
+  them; an infinite or too large margin;
+- of those who ask for zeros: a limit that lacks a zero on the right; a discrete model by matched poles and zeros whose
+  zeros are others; an error that passes a cover's weight where the crossing points say that it is below; an inverse
+  form of a cover that was not refused though its error is unstable.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import math
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zeros_judge as judge
+from flint import acb
+
+import robustlab as rl
+
+Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+CLOSE = 1e-9
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+
+def dense(rng: np.random.Generator, n: int, m: int, p: int, direct: bool = False) -> Parts:
+    D = rng.normal(size=(p, m)) if direct else np.zeros((p, m))
+    return rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n)), D
+
+
+def rotated(rng: np.random.Generator, parts: Parts) -> Parts:
+    A, B, C, D = parts
+    Q = np.linalg.qr(rng.normal(size=A.shape))[0] if len(A) else A
+    return Q @ A @ Q.T, Q @ B, C @ Q.T, D
+
+
+def sizes(rng: np.random.Generator, most: int = 8) -> tuple[int, int]:
+    n = int(rng.integers(2, most + 1))
+    return n, int(rng.integers(1, min(n, 3) + 1))
+
+
+def nonnormal(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng)
+    S = 10 ** rng.uniform(0, 5)
+    _, B, C, D = dense(rng, n, m, m, rng.random() < 0.3)
+    A = -(10 ** rng.uniform(-4, 0)) * np.eye(n)
+    if rng.random() < 0.4:
+        A += S * np.eye(n, k=1)
+        B, C = (np.round(2 * x) for x in (B, C))
+    else:
+        A += np.triu(rng.normal(size=(n, n)) * (S if rng.random() < 0.5 else S ** rng.random((n, n))), 1)
+    return A, B, C, D
+
+
+def nonnormal_rotated(rng: np.random.Generator) -> Parts:
+    return rotated(rng, nonnormal(rng))
+
+
+def stiff(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng)
+    rates = 10 ** rng.uniform(-7, 7, n)
+    _, B, C, D = dense(rng, n, m, m, rng.random() < 0.4)
+    A = -np.diag(rates) + (rng.random() < 0.5) * np.diag(rng.normal(size=n - 1) * np.sqrt(rates[1:] * rates[:-1]), 1)
+    parts = (A, B * rates[:, None] ** rng.random(), C * rates ** rng.random(), D)
+    return rotated(rng, parts) if rng.random() < 0.3 else parts
+
+
+def mixed(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng)
+    p = m if rng.random() < 0.7 else int(rng.integers(1, 4))
+    t, w, z = (10.0 ** rng.integers(-9, 10, k) for k in (n, m, p))
+    A, B, C, D = dense(rng, n, m, p, rng.random() < 0.5)
+    return A / t[:, None] * t, B / t[:, None] * w, C * t * z[:, None], D * w * z[:, None]
+
+
+def nearly_triangular(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng)
+    A, B, C, D = dense(rng, n, m, m, rng.random() < 0.3)
+    return np.triu(A) * 10 ** rng.uniform(0, 3) + np.tril(A, -1) * 10 ** rng.uniform(-16, -5, (n, n)), B, C, D
+
+
+def lightly_damped(rng: np.random.Generator) -> Parts:
+    k = int(rng.integers(1, 5))
+    w = 10 ** rng.uniform(-1, 3, k)
+    A = np.zeros((2 * k, 2 * k))
+    for i in range(k):
+        A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[0, 1], [-(w[i] ** 2), -2e-9 * w[i]]]
+    B, C = np.zeros((2 * k, 1)), np.zeros((1, 2 * k))
+    B[1::2, 0], C[0, ::2] = rng.normal(size=k), rng.normal(size=k)
+    return A, B, C, np.array([[rng.choice([0.0, 1e-3, 1.0])]])
+
+
+def not_square(rng: np.random.Generator) -> Parts:
+    """A plant of other numbers of inputs and outputs, in a third of the cases behind an actuator with a zero."""
+    n, m = sizes(rng, 6)
+    p = m + int(rng.integers(1, 3))
+    A, B, C, D = dense(rng, n, m, p, rng.random() < 0.3)
+    if rng.random() < 0.35 and m == 1:
+        a, b, c = -rng.uniform(0.5, 3), 1.0, rng.uniform(-5, 5)
+        A = np.block([[np.array([[a]]), np.zeros((1, n))], [B * c, A]])
+        B, C = np.vstack([[[b]], B]), np.hstack([D * c, C])
+    return (A, B, C, D) if rng.random() < 0.5 else (A.T, C.T, B.T, D.T)
+
+
+def hidden_modes(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng, 7)
+    p = int(rng.integers(1, 4))
+    A, B, C, D = (np.round(2 * x) for x in dense(rng, n, m, p, rng.random() < 0.3))
+    k = int(rng.integers(1, n))
+    if rng.random() < 0.5:
+        B[k:], A[k:, :k] = 0, 0
+    else:
+        C[:, k:], A[:k, k:] = 0, 0
+    return rotated(rng, (A, B, C, D)) if rng.random() < 0.3 else (A, B, C, D)
+
+
+def tiny_direct_term(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng, 6)
+    A, B, C, _ = dense(rng, n, m, m)
+    return A * 10 ** rng.uniform(-6, 0), B, C, np.diag(rng.normal(size=m) * 10 ** rng.uniform(-20, -4, m))
+
+
+def integrators(rng: np.random.Generator) -> Parts:
+    """Chains with whole coefficients: multiple zeros, also at zero."""
+    n = int(rng.integers(2, 8))
+    A, B, C = np.eye(n, k=1), np.zeros((n, 1)), np.zeros((1, n))
+    B[-1] = 1.0
+    k = int(rng.integers(0, n))
+    C[0, : k + 1] = np.atleast_1d(np.poly(rng.integers(-2, 3, k)))[::-1]
+    return A, B, C, np.zeros((1, 1))
+
+
+def relative_degree(rng: np.random.Generator) -> Parts:
+    """Zeros at infinity that a rotation makes finite."""
+    A, B, C, D = integrators(rng)
+    A[-1] = -np.poly(-rng.uniform(0.1, 4, len(A)))[:0:-1]
+    return rotated(rng, (A, B, C, D))
+
+
+def low_rank(rng: np.random.Generator) -> Parts:
+    n, r = sizes(rng, 5)
+    A, B, C, _ = (np.round(2 * x) for x in dense(rng, n, r, r))
+    p, m = r + int(rng.integers(0, 3)), r + int(rng.integers(0, 3))
+    return A, B @ rng.integers(-2, 3, (r, m)), rng.integers(-2, 3, (p, r)) @ C, np.zeros((p, m))
+
+
+def edges(rng: np.random.Generator) -> Parts:
+    n, m, p = (int(rng.integers(0, 3)) for _ in range(3))
+    parts = dense(rng, n, m, p, True)
+    return tuple(x * (rng.random() < 0.6) for x in parts)  # type: ignore[return-value]
+
+
+def ordinary(rng: np.random.Generator) -> Parts:
+    n, m = sizes(rng, 12)
+    return dense(rng, n, m, m, rng.random() < 0.4)
+
+
+FAMILIES: dict[str, Callable[[np.random.Generator], Parts]] = {
+    "nonnormal": nonnormal,
+    "nonnormal, rotated": nonnormal_rotated,
+    "stiff": stiff,
+    "mixed scales": mixed,
+    "nearly triangular": nearly_triangular,
+    "damping 1e-9": lightly_damped,
+    "not square": not_square,
+    "hidden modes": hidden_modes,
+    "tiny direct term": tiny_direct_term,
+    "integrator chains": integrators,
+    "relative degree, rotated": relative_degree,
+    "low normal rank": low_rank,
+    "nothing, or zero": edges,
+    "ordinary": ordinary,
+}
+
+
+# --- zeros -----------------------------------------------------------------------------------------------------------
+
+
+def zeros_case(i: int) -> dict[str, Any]:
+    family = list(FAMILIES)[i % len(FAMILIES)]
+    rng = np.random.default_rng([11, i])
+    parts = tuple(np.asarray(x, dtype=float) for x in FAMILIES[family](rng))
+    begun = time.perf_counter()
+    found = rl.zeros(rl.StateSpaceModel(*parts))
+    seconds = time.perf_counter() - begun
+    record = {"family": family, "status": str(found.status), "reason": found.reason, "seconds": seconds, "wrong": ""}
+    if found.status.trustworthy:
+        record["wrong"] = zeros_fault(parts, found, rng)
+        record["near_infinity"], record["missed"] = len(found.near_infinity), found.exact.count(False)
+    return record
+
+
+def zeros_fault(parts: Parts, found: Any, rng: np.random.Generator) -> str:
+    wanted, rank = judge.invariant_zeros(*parts)
+    exact = [z for z, sure in zip(found.values.tolist(), found.exact, strict=True) if sure]
+    said = [*exact, *found.near_infinity.tolist()]
+    if len(said) != len(wanted) or rank != found.normal_rank:
+        return f"{len(said)} zeros of {len(wanted)}, rank {found.normal_rank} of {rank}"
+    off = judge.matched(said, wanted)
+    if off > CLOSE:
+        return f"a zero is off by {off:.1e}"
+    if len(found.near_infinity) and not _moved(parts, found.near_infinity, rng):
+        return "a zero said to be near infinity stays where it is"
+    for z, sure in zip(found.values.tolist(), found.exact, strict=True):
+        if not sure and _kept_rank(parts, z, rank) > 1e-12:
+            return f"P(s) keeps its rank at {z:.4g}"
+    return ""
+
+
+def _moved(parts: Parts, near: np.ndarray, rng: np.random.Generator) -> bool:
+    moved = np.zeros(len(near), dtype=bool)
+    for _ in range(12):
+        changed = tuple(x * (1 + 3e-14 * rng.choice([-1, 1], x.shape)) for x in parts)
+        others = np.array(judge.invariant_zeros(*changed)[0])
+        moved |= [not len(others) or np.abs(others - z).min() > 0.01 * abs(z) for z in near]
+    return bool(moved.all())
+
+
+def _kept_rank(parts: Parts, z: complex, rank: int) -> float:
+    A, B, C, D = parts
+    P = np.block([[A - z * np.eye(len(A)), B], [C, D]])
+    for _ in range(20):
+        for axis in (0, 1):
+            size = np.abs(P).max(axis=axis, keepdims=True)
+            P = P / np.sqrt(np.where(size > 0, size, 1.0))
+    sigma = np.linalg.svd(P, compute_uv=False)
+    return float(sigma[len(A) + rank - 1] / sigma[0])
+
+
+# --- crossings -------------------------------------------------------------------------------------------------------
+
+
+def loop_case(rng: np.random.Generator, family: str) -> tuple[Parts, float]:
+    """One open loop that is stable when it is closed, wherever that was to be had."""
+    dt = 0.0
+    for _ in range(60):
+        dt = 0.0
+        if family == "nonnormal":
+            n = int(rng.integers(2, 6))
+            A = np.triu(rng.normal(size=(n, n)) * 10 ** rng.uniform(0, 1.5), 1) - 10 ** rng.uniform(-3, 0) * np.eye(n)
+            B = rng.normal(size=(n, 1))
+            C = _placing(A, B, rng)
+            D = np.zeros((1, 1))
+        elif family == "integrators":
+            A, B, C, D = integrators(rng)
+            C = _placing(A, B, rng)
+        else:
+            maker = {"stiff": stiff, "damping 1e-9": lightly_damped, "discrete": ordinary}.get(family, ordinary)
+            A, B, C, D = maker(rng)
+            B, C, D = B[:, :1], C[:1], D[:1, :1]
+            poles = np.linalg.eigvals(A)
+            if family == "discrete":
+                dt, A = float(rng.choice([0.01, 1.0])), A * (rng.uniform(0.5, 1.05) / np.abs(poles).max())
+            elif rng.random() < 0.7:
+                A = A - max(0.0, poles.real.max() * rng.uniform(0.5, 1.5)) * np.eye(len(A))
+            C, D = C * 10 ** rng.uniform(-1, 1), D * rng.choice([0.0, 0.3])
+        parts = (A, B, C, D)
+        if judge.Loop(*parts, dt).stable_closed() or rng.random() < 0.05:
+            break
+    return parts, dt
+
+
+def _placing(A: np.ndarray, B: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    from scipy.signal import place_poles
+
+    poles = -(10 ** rng.uniform(-1, 1.5, len(A)))
+    try:
+        return place_poles(A, B, poles * (1 + 1e-3 * np.arange(len(A)))).gain_matrix
+    except (ValueError, np.linalg.LinAlgError):
+        return rng.normal(size=(1, len(A)))
+
+
+LOOPS = ("nonnormal", "stiff", "damping 1e-9", "discrete", "integrators", "ordinary", "two channels")
+
+
+def crossings_case(i: int) -> dict[str, Any]:
+    family = LOOPS[i % len(LOOPS)]
+    rng = np.random.default_rng([12, i])
+    if family == "two channels":
+        return two_channels(rng)
+    parts, dt = loop_case(rng, family)
+    begun = time.perf_counter()
+    try:
+        margin = next(iter(rl.classical_margins(rl.StateSpaceModel(*parts, dt)).channels.values()))
+    except rl.NoTrustworthyNumber as error:
+        return {"family": family, "status": "refused", "reason": error.found, "seconds": 0.0, "wrong": ""}
+    record = {"family": family, "status": str(margin.status), "reason": margin.reason, "wrong": ""}
+    record["seconds"] = time.perf_counter() - begun
+    if margin.status.trustworthy:
+        record["wrong"] = crossings_fault(judge.Loop(*parts, dt), margin)
+    return record
+
+
+def crossings_fault(loop: judge.Loop, margin: Any) -> str:
+    gain, phase = loop.crossings()
+    for said, wanted, what in (
+        ([(c.frequency, c.lag) for c in margin.gain_crossings], gain, "|L| = 1"),
+        ([(c.frequency, c.factor) for c in margin.phase_crossings if 0 < c.frequency < _last(loop)], phase, "L < 0"),
+    ):
+        kept = [x for x in wanted if what == "|L| = 1" or x[1] > 1e-9]
+        if len(said) != len(kept):
+            return f"{what}: {len(said)} crossings of {len(kept)}"
+        for (w, value), (w0, value0) in zip(said, kept, strict=True):
+            turn = abs((value - value0 + math.pi) % (2 * math.pi) - math.pi) if what == "|L| = 1" else 0.0
+            far = abs(value / value0 - 1) if what == "L < 0" else 0.0
+            if abs(w / w0 - 1) > CLOSE or turn > CLOSE or far > CLOSE:
+                return f"{what}: at {w:.12g} for {w0:.12g}, {value:.12g} for {value0:.12g}"
+    edges = [0.0, *(c.frequency for c in margin.gain_crossings)]
+    inner = [math.sqrt(a * b) if a else b / 2 for a, b in pairwise(edges)]
+    inner += [min(2 * edges[-1], 0.5 * (edges[-1] + _last(loop)))] if len(edges) > 1 else []
+    signs = [loop.above_one(w) for w in inner]
+    if any(a == b for a, b in pairwise(signs)):
+        return "|L| - 1 has one sign on both sides of a crossing"
+    stable = loop.stable_closed()
+    if stable != margin.stable:
+        return f"stable: {margin.stable} for {stable}"
+    if stable and gain:
+        lag = min(min(x % (2 * math.pi), 2 * math.pi - x % (2 * math.pi)) for _, x in gain)
+        delay, first = min(((x % (2 * math.pi)) / w, w) for w, x in gain)
+        most = lag * (1 + CLOSE) + 1e-14, delay * (1 + CLOSE) + 1e-14 / first
+        if margin.phase_margin > most[0] or margin.delay_margin > most[1]:
+            return f"phase margin {margin.phase_margin:.6g} for {lag:.6g}"
+    return ""
+
+
+def _last(loop: judge.Loop) -> float:
+    return math.pi / loop.dt if loop.dt else math.inf
+
+
+def two_channels(rng: np.random.Generator) -> dict[str, Any]:
+    """A plant of two channels and a controller, opened at the first output: signs on the axis in balls."""
+    n = int(rng.integers(2, 6))
+    A, B, C, D = dense(rng, n, 2, 2)
+    A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-4, 0)) * np.eye(n)
+    t = 10.0 ** rng.integers(-6, 7, n)
+    P = (A / t[:, None] * t, B / t[:, None], C * t, D)
+    k = -rng.uniform(0.1, 5, 2)
+    K = (np.diag(k), np.eye(2), rng.normal(size=(2, 2)), rng.normal(size=(2, 2)) * (rng.random() < 0.3))
+    begun = time.perf_counter()
+    margin = rl.classical_margins(rl.StateSpaceModel(*P), rl.StateSpaceModel(*K)).channels["y1"]
+    record = {"family": "two channels", "status": str(margin.status), "reason": margin.reason, "wrong": ""}
+    record["seconds"] = time.perf_counter() - begun
+
+    def opened(w: float) -> acb:
+        s = acb(0, w)
+        G = judge.response(*P, s) * judge.response(*K, s)
+        return G[0, 0] - G[0, 1] * G[1, 0] / (1 + G[1, 1])
+
+    omega = np.geomspace(1e-3, 1e3, 240)
+    values = [opened(float(w)) for w in omega]
+    above = [bool(abs(v) > 1) for v in values]
+    at = [c.frequency for c in margin.gain_crossings]
+    for j in range(len(omega) - 1):
+        inside = sum(omega[j] < w <= omega[j + 1] for w in at)
+        if (above[j] != above[j + 1]) != bool(inside % 2):
+            record["wrong"] = f"|L| = 1: {inside} crossings from {omega[j]:.4g} to {omega[j + 1]:.4g} rad/s"
+    for c in margin.gain_crossings:
+        if abs(float(abs(opened(c.frequency))) - 1) > 1e-6:
+            record["wrong"] = f"|L| is {float(abs(opened(c.frequency))):.6g} at {c.frequency:.6g}"
+    for c in margin.phase_crossings:
+        if 0 < c.frequency < np.inf and abs(float((opened(c.frequency) * c.factor + 1).real)) > 1e-6:
+            record["wrong"] = f"L is not -1/{c.factor:.6g} at {c.frequency:.6g}"
+    return record
+
+
+# --- those who ask for zeros -----------------------------------------------------------------------------------------
+
+
+def consumers_case(i: int) -> dict[str, Any]:
+    rng = np.random.default_rng([13, i])
+    what = (limits_case, matched_case, cover_case, points_case)[i % 4]
+    begun = time.perf_counter()
+    record = {"family": what.__name__.removesuffix("_case"), "status": "converged", "reason": "", "wrong": ""}
+    try:
+        record |= what(rng)
+    except rl.RobustlabError as error:
+        record |= {"status": "refused", "reason": error.found}
+    return record | {"seconds": time.perf_counter() - begun}
+
+
+def limits_case(rng: np.random.Generator) -> dict[str, Any]:
+    maker = [nonnormal, stiff, mixed, nearly_triangular, tiny_direct_term][int(rng.integers(5))]
+    parts = maker(rng)
+    limits = rl.performance_limits(rl.StateSpaceModel(*parts))
+    zeros, rank = judge.invariant_zeros(*parts)
+    if rank < max(parts[3].shape):
+        return {"status": "refused", "reason": "not square"}
+    right = [z for z in zeros if z.real > 1e-8 * abs(z)]
+    said = [z.value for z in limits.zeros]
+    missing = [z for z in right if not said or min(abs(z - w) for w in said) > CLOSE * abs(z)]
+    # Zeros that rounding decides are near infinity, or on the boundary.
+    missing = [z for z in missing if not _moved(parts, np.array([z]), rng)]
+    trusted = limits.status.trustworthy
+    return {"status": str(limits.status), "reason": limits.reason,
+            "wrong": f"no zero at {missing[0]:.6g}" if missing and trusted else ""}  # fmt: skip
+
+
+def matched_case(rng: np.random.Generator) -> dict[str, Any]:
+    A, B, C, D = [nonnormal, stiff, nearly_triangular, ordinary][int(rng.integers(4))](rng)
+    G = rl.StateSpaceModel(A, B[:, :1], C[:1], D[:1, :1])
+    slow = np.abs(np.linalg.eigvals(A)).max()
+    made = rl.discretise(G, 0.1 / slow if slow else 1.0, "matched")
+    wanted = judge.invariant_zeros(G.A, G.B, G.C, G.D)[0]
+    image = [complex(np.exp(z * made.dt)) for z in wanted if abs(z * made.dt) < 3]
+    have = judge.invariant_zeros(made.A, made.B, made.C, made.D)[0]
+    off = [z for z in image if not have or min(abs(z - w) for w in have) > 1e-3]
+    return {"wrong": f"no zero at z = {off[0]:.6g}" if off else ""}
+
+
+def _family(rng: np.random.Generator) -> list[rl.StateSpaceModel]:
+    """Two models of one machine with a direct term: a chain of large gains, or in bad units of its states."""
+    n, m = int(rng.integers(2, 5)), int(rng.integers(1, 3))
+    A, B, C, D = dense(rng, n, m, m)
+    D, t, share = D + np.eye(m) * rng.choice([1.0, 1e-3]), np.ones(n), 0.05
+    if rng.random() < 0.5:
+        A = -(10 ** rng.uniform(-2, 0)) * np.eye(n) + np.triu(A, 1) * 10 ** rng.uniform(0, 4)
+    else:
+        A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-5, 0)) * np.eye(n)
+        t, share = 10.0 ** rng.integers(-5, 6, n), 1e-3
+    made = []
+    for _ in range(2):
+        a, b, c = (x * (1 + share * rng.normal(size=x.shape)) for x in (A, B, C))
+        made.append(rl.StateSpaceModel(a / t[:, None] * t, b / t[:, None], c * t, D))
+    return made
+
+
+FORMS = ("additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
+         "inverse-input-multiplicative", "inverse-output-multiplicative")  # fmt: skip
+
+
+def cover_case(rng: np.random.Generator) -> dict[str, Any]:
+    """An error with a pole on the right, by the exact zeros of what is inverted, must be refused."""
+    models = _family(rng)
+    form = str(rng.choice([f for f in FORMS if "multiplicative" in f]))
+    below = 1 if form.startswith("inverse") else 0
+    found = rl.cover(models, form, nominal=models[0], gain=False)
+    inverted, above = models[below], models[1 - below]
+    m = models[0]
+    zeros = judge.invariant_zeros(inverted.A, inverted.B, inverted.C, inverted.D)[0]
+    others = judge.invariant_zeros(above.A, above.B, above.C, above.D)[0]
+    last = 1e4 * float(np.abs(m.poles()).max())
+    bad = [z for z in zeros if 1e-6 * abs(z) < z.real and abs(z) < last and
+           min([abs(z - w) for w in others], default=np.inf) > 1e-6 * abs(z)]  # fmt: skip
+    trusted = found.status.trustworthy
+    return {"status": str(found.status), "wrong": f"{form}: unstable error, {bad[0]:.6g}" if bad and trusted else ""}
+
+
+def points_case(rng: np.random.Generator) -> dict[str, Any]:
+    """Where the error is below the weight at all crossing points it is below it everywhere, in balls."""
+    from robustlab.uncertainty.covering.axis_proof import crossing_points
+
+    models, form = _family(rng), str(rng.choice(FORMS))
+    size = np.abs(np.concatenate([m.poles() for m in models]))
+    size = np.append(size, [np.abs(m.A).max() for m in models])
+    grid = np.geomspace(0.01 * size.min(), 100 * size.max(), 150)
+    grid = np.concatenate([grid, np.abs(np.concatenate([m.poles().imag for m in models]))])
+    errors = [_error(models[1], models[0], form, float(w)) for w in grid if w > 0]
+    level = max(errors) * rng.uniform(0.3, 1.2)
+    points = crossing_points(models[1], models[0], form, rl.StateSpaceModel([], [], [], [[level]]))
+    if points is None:
+        return {"status": "inaccurate", "reason": "no points"}
+    below = all(_error(models[1], models[0], form, float(w)) <= level for w in points)
+    wrong = f"{form}: {max(errors):.6g} above {level:.6g}" if below and max(errors) > level * (1 + 1e-9) else ""
+    return {"reason": "below" if below else "above", "wrong": wrong}
+
+
+def _error(other: rl.StateSpaceModel, centre: rl.StateSpaceModel, form: str, w: float) -> float:
+    s = acb(0, w)
+    G, H = (judge.response(m.A, m.B, m.C, m.D, s) for m in (centre, other))
+    E = {
+        "additive": lambda: H - G,
+        "input-multiplicative": lambda: G.solve(H - G),
+        "output-multiplicative": lambda: (H - G) * G.inv(),
+        "inverse-additive": lambda: H.inv() - G.inv(),
+        "inverse-input-multiplicative": lambda: H.inv() * G - G.inv() * G,
+        "inverse-output-multiplicative": lambda: G * H.inv() - G * G.inv(),
+    }[form]()
+    k = G.nrows()
+    return float(np.linalg.norm(np.array([[complex(E[i, j]) for j in range(k)] for i in range(k)]), 2))
+
+
+# --- campaigns -------------------------------------------------------------------------------------------------------
+
+CASES = {"zeros": zeros_case, "crossings": crossings_case, "consumers": consumers_case}
+
+
+def run(what: str, first: int, count: int, out: Path) -> None:
+    done = {json.loads(line)["case"] for line in out.read_text().splitlines()} if out.exists() else set()
+    with out.open("a") as file:
+        for i in range(first, first + count):
+            if i not in done:
+                record = {"what": what, "case": i, **CASES[what](i)}
+                file.write(json.dumps(record, default=str) + "\n")
+                file.flush()
+
+
+def summary(files: list[Path]) -> str:
+    records = [json.loads(line) for file in files for line in file.read_text().splitlines()]
+    lines = []
+    for what in CASES:
+        rows: dict[str, list[Any]] = defaultdict(list)
+        for record in records:
+            if record["what"] == what:
+                rows[record["family"]].append(record)
+        if not rows:
+            continue
+        lines.append(f"{what:<28}{'cases':>8}{'vouched for':>13}{'inaccurate':>12}{'refused':>9}{'WRONG':>7}{'ms':>8}")
+        for family, found in [*rows.items(), ("all", [r for part in rows.values() for r in part])]:
+            status = Counter(r["status"] for r in found)
+            wrong = sum(bool(r["wrong"]) for r in found)
+            good = status["converged"] + status["certified"]
+            middle = 1e3 * float(np.median([r["seconds"] for r in found]))
+            lines.append(
+                f"{family:<28}{len(found):>8}{good:>13}{status['inaccurate']:>12}{status['refused']:>9}{wrong:>7}{middle:>8.1f}"
+            )
+        lines.append("")
+    lines += [f"WRONG {r['what']} {r['case']} {r['family']}: {r['wrong']}" for r in records if r["wrong"]]
+    near = sum(r.get("near_infinity", 0) > 0 for r in records)
+    missed = sum(r.get("missed", 0) > 0 for r in records)
+    lines.append(f"{near} models with zeros near infinity, {missed} with zeros that their entries miss by rounding")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--what", choices=CASES, default="zeros")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--case", type=int)
+    parser.add_argument("--summary", type=Path, nargs="+")
+    given = parser.parse_args()
+    if given.summary:
+        print(summary(given.summary))
+    elif given.case is not None:
+        print(CASES[given.what](given.case))
+    else:
+        run(given.what, given.first, given.count, given.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""Zeros and crossings of models, exactly: rational arithmetic and balls (python-flint), nothing of robustlab.
+
+The entries are the rational numbers that they are. A determinant is evaluated at as many whole s as it takes and
+interpolated; roots are isolated in balls; a model that is not square, or of lower normal rank, is compressed by random
+whole matrices from both sides, and what several compressions have in common are its zeros.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from flint import acb, acb_mat, arb, ctx, fmpq, fmpq_mat, fmpq_poly
+
+ctx.prec = 400
+Matrices = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def rational(x: float) -> fmpq:
+    return fmpq(*Fraction(float(x)).as_integer_ratio())
+
+
+def _matrix(M: np.ndarray) -> fmpq_mat:
+    return fmpq_mat(*M.shape, [rational(x) for x in M.ravel()]) if M.size else fmpq_mat(*M.shape)
+
+
+def _system(A: Any, B: Any, C: Any, D: Any) -> np.ndarray:
+    return np.block([[np.asarray(A), np.asarray(B)], [np.asarray(C), np.asarray(D)]])
+
+
+def _at(M: fmpq_mat, n: int, s: int) -> fmpq_mat:
+    found = fmpq_mat(M)
+    for i in range(n):
+        found[i, i] -= s
+    return found
+
+
+def interpolated(values: list[fmpq]) -> fmpq_poly:
+    """The polynomial with these values at 0, 1, 2, ..."""
+    p, w = fmpq_poly([0]), fmpq_poly([1])
+    for s, value in enumerate(values):
+        p += (value - p(s)) / w(s) * w
+        w *= fmpq_poly([-s, 1])
+    return p
+
+
+def determinant(M: np.ndarray, n: int) -> fmpq_poly:
+    """``det(M - s E)``, E the identity in the first n rows and columns."""
+    S = _matrix(M)
+    return interpolated([_at(S, n, s).det() if len(M) else fmpq(1) for s in range(n + 1)])
+
+
+def roots(p: fmpq_poly) -> list[complex]:
+    """All roots, each as often as it is one."""
+    if p.degree() < 1:
+        return []
+    return [complex(ball) for ball, multiplicity in p.numer().complex_roots() for _ in range(multiplicity)]
+
+
+def invariant_zeros(A: Any, B: Any, C: Any, D: Any, seed: int = 0) -> tuple[list[complex], int]:
+    """All finite invariant zeros and the normal rank of the transfer matrix."""
+    M, n = _system(A, B, C, D), len(A)
+    S, rng = _matrix(M), np.random.default_rng(seed)
+    p, m = M.shape[0] - n, M.shape[1] - n
+    rank = max((_at(S, n, int(s)).rank() for s in rng.integers(10**6, 10**9, 3)), default=0) if M.size else 0
+    if rank == n + p == n + m:
+        return roots(determinant(M, n)), rank - n
+    if rank == 0:
+        return [], 0
+    shared = fmpq_poly([0])
+    for _ in range(3):
+        left, right = (
+            fmpq_mat(*shape, [int(x) for x in rng.integers(-(10**4), 10**4, shape).ravel()])
+            for shape in ((rank, n + p), (n + m, rank))
+        )
+        found = interpolated([(left * _at(S, n, s) * right).det() for s in range(n + 1)])
+        shared = shared.gcd(found)
+    return roots(shared), rank - n
+
+
+def fraction(A: Any, B: Any, C: Any, D: Any) -> tuple[fmpq_poly, fmpq_poly]:
+    """Numerator and denominator of one channel, without common factors."""
+    n = len(A)
+    over, under = determinant(_system(A, B, C, D), n), determinant(np.asarray(A, dtype=float).reshape(n, n), n)
+    shared = over.gcd(under)
+    return over / shared, under / shared
+
+
+def mapped(p: fmpq_poly, n: int) -> fmpq_poly:
+    """``(1 - v)^n p((1 + v)/(1 - v))``."""
+    up, down = fmpq_poly([1, 1]), fmpq_poly([1, -1])
+    return sum((c * up**k * down ** (n - k) for k, c in enumerate(p.coeffs())), fmpq_poly([0]))
+
+
+class Loop:
+    """L = N / D of one channel on the axis: powers of s, or of ``v = (z - 1)/(z + 1)``."""
+
+    def __init__(self, A: Any, B: Any, C: Any, D: Any, dt: float = 0.0) -> None:
+        self.N, self.D = fraction(A, B, C, D)
+        self.dt, n = dt, len(A)
+        if dt:
+            n = max(self.N.degree(), self.D.degree())
+            self.N, self.D = mapped(self.N, n), mapped(self.D, n)
+
+    def _parts(self) -> list[fmpq_poly]:
+        parts = []
+        for p in (self.N, self.D):
+            c = [*p.coeffs(), fmpq(0), fmpq(0)]
+            parts += [fmpq_poly([x * (-1) ** k for k, x in enumerate(c[i::2])]) for i in (0, 1)]
+        return parts
+
+    def crossings(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """``(omega, lag)`` where |L| = 1, ``(omega, factor)`` where L is negative, inside the axis."""
+        ne, no, de, do = self._parts()
+        x = fmpq_poly([0, 1])
+        gain = self._positive(ne * ne + x * no * no - de * de - x * do * do)
+        phase = self._positive(no * de - ne * do)
+        lags = [(self._omega(r), float(self._angle(r) + arb.pi())) for r in gain]
+        factors = [(self._omega(r), self._real(r)) for r in phase]
+        return sorted(lags), sorted((w, -1 / real) for w, real in factors if real < 0)
+
+    def _positive(self, q: fmpq_poly) -> list[arb]:
+        if q.degree() < 1:
+            return []
+        found = [ball for ball, _ in q.numer().complex_roots()]
+        return [ball.real for ball in found if ball.imag.contains(0) and ball.real > 0]
+
+    def _omega(self, x: arb) -> float:
+        w = x.sqrt()
+        return float(2 * w.atan() / self.dt) if self.dt else float(w)
+
+    def _response(self, x: arb) -> acb:
+        s = acb(0, x.sqrt())
+        return _value(self.N, s) / _value(self.D, s)
+
+    def _angle(self, x: arb) -> arb:
+        return self._response(x).arg()
+
+    def _real(self, x: arb) -> float:
+        return float(self._response(x).real)
+
+    def above_one(self, omega: float) -> bool:
+        """Whether |L| > 1 at a frequency, by another way than the roots: exact values."""
+        x = Fraction(float(np.tan(omega * self.dt / 2) if self.dt else omega)) ** 2
+        at = fmpq(x.numerator, x.denominator)
+        ne, no, de, do = (p(at) for p in self._parts())
+        return bool(ne * ne + at * no * no > de * de + at * do * do)
+
+    def stable_closed(self) -> bool:
+        """Whether the loop closed by negative feedback has all its poles on the left."""
+        closed = self.N + self.D
+        return closed.degree() == max(self.N.degree(), self.D.degree()) and all(z.real < 0 for z in roots(closed))
+
+
+def _value(p: fmpq_poly, s: acb) -> acb:
+    total = acb(0)
+    for c in reversed(p.coeffs()):
+        total = total * s + acb(c)
+    return total
+
+
+def response(A: Any, B: Any, C: Any, D: Any, s: acb) -> acb_mat:
+    """``C (s - A)^-1 B + D`` in balls."""
+    a, b, c, d = (acb_mat(*np.shape(x), [acb(float(y)) for y in np.ravel(x)]) for x in (A, B, C, D))
+    n = len(A)
+    if not n:
+        return d
+    eye = acb_mat(n, n, [acb(int(i == j)) for i in range(n) for j in range(n)])
+    return c * (eye * s - a).solve(b) + d
+
+
+def matched(found: list[complex], wanted: list[complex]) -> float:
+    """Largest relative distance of two sets of numbers, each to a partner of its own; inf for different counts."""
+    if len(found) != len(wanted):
+        return np.inf
+    if not found:
+        return 0.0
+    from scipy.optimize import linear_sum_assignment
+
+    a, b = np.array(found)[:, None], np.array(wanted)[None, :]
+    size = np.maximum(np.abs(a), np.abs(b))
+    cost = np.divide(np.abs(a - b), size, out=np.zeros(size.shape), where=size > 0)
+    rows, columns = linear_sum_assignment(cost)
+    return float(cost[rows, columns].max())

@@ -1,0 +1,195 @@
+r"""Loops as fractions of polynomials with whole coefficients, and where on the axis they have gain 1 or are real.
+
+.. math:: L = \frac{N}{D}, \qquad D = \det(\text{loop opened}), \quad N + D = \det(\text{loop closed}),
+
+of one matrix that holds A, B, C, D of plant and controller as they were given. With :math:`N(j\omega) = N_e(x) + j
+\omega N_o(x)`, :math:`x = \omega^2`,
+
+.. math:: |L| = 1: \; N_e^2 + x N_o^2 - D_e^2 - x D_o^2 = 0, \qquad L \text{ real}: \; N_o D_e - N_e D_o = 0
+
+Their positive roots are the crossings, all of them. Nothing is rounded before the roots are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.exact_arithmetic import (
+    MOST_STATES,
+    added,
+    common_factor,
+    determinant,
+    divided,
+    from_the_circle,
+    product,
+    roots,
+    value,
+    wired,
+)
+from robustlab.statespace import StateSpaceModel
+
+# |L| (or the angle of L to the real axis) this near to 1 (to 0) without reaching it, compared with its neighbourhood:
+# it is touched. Complex roots x whose imaginary part is a larger share of them than BESIDE are not looked at for that.
+TOUCHED = Fraction(1, 10**9)
+BESIDE = Fraction(1, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """The loop at one frequency: ``real + j omega imag``, exactly."""
+
+    real: Fraction
+    imag: Fraction
+    x: Fraction  # omega^2
+
+    @property
+    def size_squared(self) -> Fraction:
+        """``|L|^2``."""
+        return self.real**2 + self.x * self.imag**2
+
+    def lag(self) -> float:
+        """From a response of size 1 to -1, in rad."""
+        return math.atan2(math.copysign(_square_root(self.x * self.imag**2), -self.imag), -self.real)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFraction:
+    """A loop N / D without common factors; powers of s, or of ``v = (z - 1) / (z + 1)`` of a discrete loop."""
+
+    N: list[int]
+    D: list[int]
+    dt: float
+
+    @property
+    def last_frequency(self) -> float:
+        """The end of the axis in rad/s."""
+        return math.pi / self.dt if self.dt else math.inf
+
+    def frequency(self, x: Fraction) -> float:
+        """In rad/s."""
+        omega = _square_root(x)
+        return 2 / self.dt * math.atan(omega) if self.dt else omega
+
+    @cached_property
+    def _parts(self) -> tuple[list[int], list[int], list[int], list[int]]:
+        return *_even_and_odd(self.N), *_even_and_odd(self.D)
+
+    def at(self, x: Fraction) -> Point | None:
+        """The response at ``omega = sqrt(x)``; None at a pole."""
+        ne, no, de, do = (value(part, x) for part in self._parts)
+        size = de**2 + x * do**2
+        return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
+
+    def at_infinity(self) -> Fraction:
+        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large.
+
+        Raises NoTrustworthyNumber: there is none.
+        """
+        if len(self.N) > len(self.D):
+            raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
+        return Fraction(self.N[-1], self.D[-1]) if len(self.N) == len(self.D) else Fraction(0)
+
+    def with_gain_one(self) -> list[Fraction] | None:
+        """``omega^2`` of all frequencies where ``|L| = 1``; None where it is 1 everywhere, to within TOUCHED."""
+        ne, no, de, do = self._parts
+        numerator = added(product(ne, ne), [0, *product(no, no)])
+        found = added(numerator, added(product(de, de), [0, *product(do, do)]), -1)
+        de, do = ([abs(c) for c in part] for part in (de, do))
+        size = added(product(de, de), [0, *product(do, do)])
+        if len(found) <= len(size) and all(abs(c) <= TOUCHED * s for c, s in zip(found, size, strict=False)):
+            return None
+        return self._crossed(found, lambda at: abs(at.size_squared - 1))
+
+    def with_real_response(self) -> list[Fraction]:
+        """``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
+        ne, no, de, do = self._parts
+        found = added(product(no, de), product(ne, do), -1)
+        return self._crossed(found, lambda at: at.x * at.imag**2 / at.size_squared if at.size_squared else Fraction(1))
+
+    def _crossed(self, f: list[int], height: Callable[[Point], Fraction]) -> list[Fraction]:
+        """Positive roots of f by rising size, and where a height comes so near to zero that it counts as touched."""
+        found = list[Fraction]()
+        for root in roots(f) if len(f) > 1 else []:
+            if root.re <= 0 or not 0 <= root.im < BESIDE * root.re:
+                continue
+            if not root.im or self._touched(root.re, height):
+                found.append(root.re)
+        return sorted(found)
+
+    def _touched(self, x: Fraction, height: Callable[[Point], Fraction]) -> bool:
+        here, *beside = (self.at(x * share) for share in (1, 1 - 2 * BESIDE, 1 + 2 * BESIDE))
+        if here is None:
+            return False
+        return height(here) <= TOUCHED * min([Fraction(1), *(height(point) for point in beside if point is not None)])
+
+    def stable_with(self, factor: float) -> bool:
+        """Whether the loop is stable when it is closed with so much gain; modes of no loop are left out."""
+        gain = Fraction(factor)
+        closed = added([c * gain.denominator for c in self.D], self.N, gain.numerator)
+        return len(closed) == len(self.D) and all_left(closed)
+
+
+def all_left(f: list[int]) -> bool:
+    """Whether all roots lie in the open left half plane."""
+    return all(root.re < 0 for root in roots(f)) if len(f) > 1 else True
+
+
+def loop_fractions(
+    P: StateSpaceModel, K: StateSpaceModel, sign: int, places: Iterable[int]
+) -> tuple[bool, list[LoopFraction]]:
+    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed.
+
+    ``places``: which of the inputs and then the outputs of P loops are opened at. L is that of negative feedback.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        More states than are solved exactly; a loop that cannot be opened because the others are not well posed then.
+    """
+    n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
+    if n + k > MOST_STATES:
+        found, hint = f"a loop of {n + k} states", "rl.reduce_model, or rl.delay_classical_margins, which cuts the axis"
+        raise NoTrustworthyNumber("classical_margins", found, f"at most {MOST_STATES}", hint)
+    u, y = np.split(np.arange(m + p), [m])
+    M, _ = wired([(P, u, y, 1), (K, y, u, sign)], -np.eye(m + p))
+    closed, found = determinant(M, n + k), list[LoopFraction]()
+    for place in places:
+        cut = M.copy()
+        signal = n + k + place
+        cut[:signal, signal] = cut[signal + 1 :, signal] = 0.0
+        opened = determinant(cut, n + k)
+        if opened.degree < n + k and not P.dt:
+            raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at infinite frequency")
+        exponent = min(opened.exponent, closed.exponent)
+        D, whole = opened.times_power_of(exponent), closed.times_power_of(exponent)
+        found.append(_without_common_factor(added(whole, D, -1), D, n + k, P.dt))
+    poles = from_the_circle(closed.coefficients, n + k) if P.dt else closed.coefficients
+    return len(poles) == n + k + 1 and all_left(poles), found
+
+
+def _without_common_factor(N: list[int], D: list[int], n: int, dt: float) -> LoopFraction:
+    if dt:
+        N, D = from_the_circle(N, n), from_the_circle(D, n)
+    shared = common_factor(N, D) if N else D
+    if len(shared) > 1:
+        N, D = divided(N, shared) or [], divided(D, shared) or []
+    return LoopFraction(N, D, dt)
+
+
+def _even_and_odd(f: list[int]) -> tuple[list[int], list[int]]:
+    """e, o with ``f(j omega) = e(x) + j omega o(x)``, ``x = omega^2``."""
+    even, odd = ([c * (-1) ** k for k, c in enumerate(part)] for part in (f[::2], f[1::2]))
+    return even, odd
+
+
+def _square_root(x: Fraction) -> float:
+    """Also of what overflows."""
+    half = (x.numerator.bit_length() - x.denominator.bit_length()) // 2
+    return math.ldexp(math.sqrt(x / Fraction(4) ** half), half) if x else 0.0
