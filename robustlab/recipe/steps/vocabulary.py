@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, WrapValidator
 from pydantic_core import PydanticCustomError, ValidationError
@@ -29,6 +29,14 @@ class RefersTo:
         *first, last = [kind for kind in self.gives if kind != "any"]
         kinds = f"{', '.join(first)} or {last}" if first else last
         return {"description": f"Name of an earlier step that gives: {kinds}.", **handler(core_schema)}
+
+
+@dataclass(frozen=True)
+class Names:
+    """Marks a field whose texts (or keys) name what another step has; see `robustlab.recipe.check`."""
+
+    side: Literal["inputs", "outputs", "signals", "parameters"]
+    of: str = "of"  # key of this step in which that other step stands
 
 
 # "any": a loaded file shows only at run time what it holds.
