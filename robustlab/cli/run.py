@@ -45,14 +45,15 @@ def run(
     from pathlib import Path
 
     from robustlab.errors import InputError
-    from robustlab.recipe.load import load_recipe, recipe_path
+    from robustlab.recipe.load import load_recipe, recipe_path, split_overrides
     from robustlab.recipe.run import default_folder, outdate, read_result, replaced, run_recipe
+    from robustlab.report.html import ending_of
 
     path = recipe_path(recipe)
     try:
         loaded = load_recipe(path, changes or [])
     except InputError as error:
-        outdate(path, out, error)
+        outdate(path, split_overrides(changes or []), out, error)
         raise
     folder = Path(out) if out else default_folder(loaded)
     replacing = replaced(folder, loaded)
@@ -69,7 +70,7 @@ def run(
             result = run_recipe(loaded, folder, begin, latest=not out)
         except BaseException:
             with suppress(InputError):  # none was written
-                if read_result(folder, isolate=False)["ending"]["how"] != "finished":
+                if ending_of(read_result(folder, isolate=False))["how"] != "finished":
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
     if replacing:

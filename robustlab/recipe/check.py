@@ -46,12 +46,12 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
             continue
         if path is not None:
             sources[name] = path
-        wrong = [*_wrong_kinds(step, ahead), *_wrong_names(step, ahead)]
-        if not any(fault.where.startswith((".inputs", ".outputs")) for fault in wrong):  # else it would give wrong names
+        wrong: list[RobustlabError] = [*_wrong_kinds(step, ahead), *_wrong_names(step, ahead)]
+        if not any(fault.where.startswith((".inputs", ".outputs")) for fault in wrong):  # else it gave wrong names
             try:
                 ahead.steps[name] = step.foretell(ahead)
             except RobustlabError as error:
-                wrong = [*wrong, error] if not wrong else wrong
+                wrong = wrong or [error]
         faults += [at_step(fault, loaded, name) for fault in wrong]
     for i, requirement in enumerate(recipe.require):
         name = requirement.that.split(".")[0]
@@ -120,7 +120,7 @@ def _known(told: Foretold, side: str) -> list[str] | None:
     if side == "parameters":
         parameters = getattr(told.value, "parameters", None)
         return None if parameters is None else list(parameters)
-    sides = (told.inputs, told.outputs) if side == "signals" else (getattr(told, side),)
+    sides = (told.outputs, told.inputs) if side == "signals" else (getattr(told, side),)
     return None if None in sides else [name for known in sides for name in known or ()]
 
 

@@ -73,7 +73,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool =
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
-    given = dict(_split_override(item) for item in overrides)
+    given = split_overrides(overrides)
     data = read_document("toml", raw, str(path)) if isolate else parse_document("toml", raw, str(path))
     return LoadedRecipe(_checked(data, str(path), given), file.resolve(), text, given)
 
@@ -213,6 +213,11 @@ def marked(step: Step, kind: type[Mark]) -> list[tuple[str, Mark]]:
 
 
 # --- overrides -------------------------------------------------------------------------------------------------------
+
+
+def split_overrides(items: Sequence[str]) -> dict[str, str]:
+    """Dotted key -> text of the value. Raises UsageError: an item without ``=``."""
+    return dict(_split_override(item) for item in items)
 
 
 def _split_override(item: str) -> tuple[str, str]:

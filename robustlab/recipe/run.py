@@ -53,7 +53,7 @@ from robustlab.recipe.check import at_step, look_through
 from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
-from robustlab.report.html import junit_xml, render
+from robustlab.report.html import ending_of, junit_xml, render
 from robustlab.result import Status, plain
 from robustlab.shown import Facts, Shown, listed
 
@@ -245,15 +245,18 @@ def _announce(loaded: LoadedRecipe, workspace: Workspace, target: Path) -> None:
         raise
 
 
-def outdate(path: Path, out: str | Path | None, error: InputError) -> None:
-    """Say in the report of an earlier run of a recipe file that the file can no longer be read.
+def outdate(path: Path, overrides: Mapping[str, str], out: str | Path | None, error: InputError) -> None:
+    """Say in the report of an earlier run of a recipe that its file can no longer be read.
 
-    ``out``: the folder of that run; where nobody says it, the one named as the file, and the one of the last run.
+    ``out``: the folder to write; where nobody says it, the one named as the file, and the one of the last run, if they
+    hold the report of that file with the same settings.
     """
-    folders = [Path(out)] if out else [Path("out") / path.stem, Path("out") / LATEST]
-    for folder in folders:
+    for folder in [Path(out)] if out else [Path("out") / path.stem, Path("out") / LATEST]:
         earlier = _earlier(folder)
-        if not earlier or earlier["recipe"].get("origin") != _origin(path):
+        if not earlier:
+            continue
+        recipe = earlier["recipe"]
+        if not out and (recipe.get("origin"), recipe["overrides"]) != (_origin(path), overrides):
             continue
         ending = Ending("bad input", str(error), error.exit_code)
         provenance = {**earlier["provenance"], **Provenance.now("robustlab run").to_json()}
@@ -355,7 +358,7 @@ def _result(
     steps = [*steps, *(_entry(name, step, NOT_RUN, over) for name, step in rest)]
     numbers = {s["name"]: s["numbers"] for s in steps if not s["error"]}
     missing = {s["name"]: f"step {s['name']!r} gave no number ({s['status']})" for s in steps if s["error"]}
-    judgements = [_with_free_run(judge(requirement, numbers, missing), recipe, numbers) for requirement in recipe.require]
+    judgements = [_with_free_run(judge(asked, numbers, missing), recipe, numbers) for asked in recipe.require]
     if ending.exit_code is not None or ending.how == RUNNING:
         code = ending.exit_code
     elif any(j.misstated for j in judgements):
@@ -452,8 +455,7 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
     data = read_document("json", raw, where) if isolate else parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
-    data.setdefault("ending", {"how": FINISHED, "message": ""})  # of an earlier version
-    _check_parts(data, RESULT_PARTS, "", where)
+    _check_parts({"ending": ending_of(data), **data}, RESULT_PARTS, "", where)
     return data
 
 

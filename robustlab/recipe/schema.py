@@ -167,8 +167,8 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
     except InputError as error:
         why = f"{error.found}, expected {error.expected}" + (f" ({error.hint})" if error.hint else "")
         return Judgement(requirement, value, False, why, misstated=True)
-    is_number = requirement.limits is not None
-    return Judgement(requirement, value, met, "there is no number to judge (NaN)" if is_number and value == "nan" else "")
+    is_nan = value == "nan" and requirement.limits is not None
+    return Judgement(requirement, value, met, "there is no number to judge (NaN)" if is_nan else "")
 
 
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:

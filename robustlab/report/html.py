@@ -68,7 +68,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     """The verdict that the result states; or that of a run: trustworthy or not, and how many requirements are met."""
     if "verdict" in result:
         return Verdict(**result["verdict"])
-    if result["ending"]["how"] != "finished":
+    if ending_of(result)["how"] != "finished":
         return _unfinished(result)
     requirements = result["requirements"]
     unmet = [q for q in requirements if not q["met"]]
@@ -103,9 +103,15 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
 
 
+def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
+    """How a run ended; one of an earlier version is there only if it finished."""
+    return result.get("ending", {"how": "finished", "message": ""})
+
+
 def _unfinished(result: Mapping[str, Any]) -> Verdict:
     """Of a run that has not come to its end."""
-    how, message = result["ending"]["how"], result["ending"]["message"]
+    ending = ending_of(result)
+    how, message = ending["how"], ending["message"]
     if how == "running":
         detail = f"Run {message}. If it is not running any more, it was ended from outside and gave no result."
         return Verdict("bad", "✗", "This run has not finished", detail)
@@ -120,7 +126,7 @@ def in_windows_only(requirements: Sequence[Mapping[str, Any]]) -> list[str]:
         f"In windows alone: {q['text'] or q['that']}. In free run it is "
         f"{_with_unit(q, q['free_run']['value'])}, which no requirement asks for."
         for q in requirements
-        if q["met"] and q["free_run"] and not q["free_run"]["met"]
+        if q["met"] and q.get("free_run") and not q["free_run"]["met"]
     ]
 
 
@@ -191,11 +197,9 @@ def _readable(value: Any) -> Any:
 
 def _with_optional_parts(result: Any) -> Any:
     """Parts that results of earlier versions lack, empty."""
-    result.setdefault("ending", {"how": "finished", "message": ""})
     for requirement in result["requirements"]:
         requirement.setdefault("limits", None)
         requirement.setdefault("unit", "")
-        requirement.setdefault("free_run", None)
     for step in result["steps"]:
         step.setdefault("story", [])
     return result
@@ -335,7 +339,7 @@ def junit_xml(result: Mapping[str, Any]) -> str:
     doubtful = [s for s in result["steps"] if not s["trustworthy"]]
     failures, faults = (sum(not q["met"] and bool(q["why_not"]) is w for q in requirements) for w in (False, True))
     name = plain_text(str(result["recipe"]["name"]))
-    ending = result.get("ending", {"how": "finished"})
+    ending = ending_of(result)
     cut = ending["how"] != "finished"
     tests = len(requirements) + len(doubtful) + cut
     counts = {"tests": tests, "failures": failures, "errors": len(doubtful) + faults + cut}

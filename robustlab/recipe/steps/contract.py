@@ -101,18 +101,21 @@ class Foretold:
     def of(cls, value: Any, leaves: Any = ...) -> Foretold:
         """What is known of a step whose value is there."""
         if isinstance(value, rl.Record):
-            return cls(value, *({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs)), leaves)
+            inputs, outputs = ({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs))
+            return cls(value, inputs, outputs, leaves)
         model = getattr(value, "K", value)  # a controller is kept with what it was designed for
-        sides = [getattr(model, side, None) for side in ("inputs", "outputs")]
-        known = [isinstance(side, tuple) and all(isinstance(s, rl.Signal) for s in side) for side in sides]
-        named = [{s.name: s.unit for s in side} if sure else None for side, sure in zip(sides, known, strict=True)]
-        return cls(value, *named, leaves)
+        return cls(value, _units(getattr(model, "inputs", None)), _units(getattr(model, "outputs", None)), leaves)
 
     def select(self, outputs: Sequence[str] | None, leaves: Any = ...) -> Foretold:
         """The same signals for a value that has yet to be made, with the outputs that are kept."""
         if outputs is None or self.outputs is None:
             return Foretold(None, self.inputs, self.outputs, leaves)
         return Foretold(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs}, leaves)
+
+
+def _units(signals: Any) -> dict[str, str] | None:
+    known = isinstance(signals, tuple) and all(isinstance(s, rl.Signal) for s in signals)
+    return {s.name: s.unit for s in signals} if known else None
 
 
 @dataclass

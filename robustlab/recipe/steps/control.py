@@ -13,7 +13,17 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, unknown_name
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, least_trusted, quantity, step
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    least_trusted,
+    quantity,
+    step,
+)
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     ComplementaryWeight,

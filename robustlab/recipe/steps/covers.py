@@ -143,11 +143,12 @@ class StoryStep(Step):
 
     def foretell(self, ahead: Ahead) -> Foretold:
         """The names of both controllers must be among those that the steps before were given."""
-        for kind, names in (("performance", self.performance), ("runs", [self.runs] * 2)):
-            for name, controller in zip(names, self.controllers, strict=True):
-                rows = ahead[name].leaves
-                if rows is not ... and controller not in rows["controllers"]:
-                    raise unknown_name(f"{kind}: {name}", f"does not have {controller!r}", controller, rows["controllers"])
+        asked = zip((*self.performance, self.runs, self.runs), (*self.controllers, *self.controllers), strict=True)
+        for name, controller in asked:
+            rows = ahead[name].leaves
+            if rows is not ... and controller not in rows["controllers"]:
+                known = rows["controllers"]
+                raise unknown_name(f"step {name!r}", f"does not have {controller!r}", controller, known)
         pair = {"before": float, "after": float, "ratio": "1"}
         leaves: dict[str, Any] = {"mu": {"before": "1", "after": "1", "fall_percent": "%"}, "error": pair}
         leaves |= {"gap": pair} if self.record is not None else {}

@@ -231,7 +231,7 @@ class NcfStep(Step):
     """Loop shaping with normalised coprime factors (u = K y, positive feedback); gamma_min is exact."""
 
     gives: ClassVar[str] = "controller"
-    leaves: ClassVar[Any] = numbers_of("gamma_min", "factor", "rho", "steady_error")
+    leaves: ClassVar[Any] = numbers_of("gamma_min", "factor", "rho", "steady_error", "references")
     do: Literal["ncf"]
     of: ToModel
     W1: Positive | None = Field(None, description="Gain before the plant.")

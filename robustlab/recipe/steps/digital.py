@@ -27,7 +27,7 @@ class DiscretiseStep(Step):
     gives: ClassVar[str] = "controller"
     leaves: ClassVar[Any] = {
         **numbers_of("loss", "allowed_loss"), **dict.fromkeys(("dt", "delay"), "s"), "antialiasing": "rad/s",
-        **dict.fromkeys(("mu_before", "mu_after"), {"lower": "1", "upper": "1"}),
+        **{key: {"lower": "1", "upper": "1"} for key in ("mu_before", "mu_after")},
         **dict.fromkeys(("margin_before", "margin_after", "stability_margin_after", "mu_growth"), "1"),
     }  # fmt: skip
     do: Literal["discretise"]

@@ -69,8 +69,9 @@ def look_ahead(path: str, leaves: Any) -> Any:
 
     Raises InputError: nothing of that name can be there.
     """
-    here, done = leaves, [path.split(".")[0]]
-    for part in path.split(".")[1:]:
+    step, *parts = path.split(".")
+    here, done = leaves, [step]
+    for part in parts:
         known: list[str] = []
         if here is ...:
             return ...

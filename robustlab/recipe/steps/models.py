@@ -46,7 +46,14 @@ from robustlab.recipe.steps.vocabulary import (
 )
 
 # What is left of a model, and of an uncertain one.
-MODEL: dict[str, Any] = {"states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": [COMPLEX]}
+MODEL: dict[str, Any] = {
+    "states": "1",
+    "inputs": [str],
+    "outputs": [str],
+    "spectral_abscissa": float,
+    "poles": [COMPLEX],
+}
+RANK = {"rank": "1", "states": "1", "full": bool}
 UNCERTAIN: dict[str, Any] = {"blocks": [str], "channels": "1", "states": "1", "sampled": [str]}
 
 
@@ -226,9 +233,7 @@ class SaveStep(Step):
 class StructuralStep(Step):
     """Controllability and observability."""
 
-    leaves: ClassVar[Any] = dict.fromkeys(
-        ("controllability", "observability"), {"rank": "1", "states": "1", "full": bool}
-    )
+    leaves: ClassVar[Any] = {"controllability": RANK, "observability": RANK}
     do: Literal["structural"]
     of: ToModel
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from robustlab.identification.comparison.comparison_result import Comparison
     from robustlab.identification.naming.discovery_result import Discovery
 
+# Fields of a comparison that its JSON has under other names, or not without the time series.
+NOT_LEFT = ("measured", "simulated", "recursive", "motions", "noise_reason", "against_noise", "linear_reason")
+
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
 
 _CAPTIONS = {
@@ -136,8 +139,11 @@ class JoinStep(Step):
 
     def foretell(self, ahead: Ahead) -> Foretold:
         first, second = ahead[self.first], ahead[self.second]
-        sides = ((first.inputs, second.inputs), (first.outputs, second.outputs))
-        return Foretold(None, *(None if a is None or b is None else {**a, **b} for a, b in sides))
+        if None in (first.inputs, second.inputs):
+            return Foretold()
+        return Foretold(
+            None, {**(first.inputs or {}), **(second.inputs or {})}, {**(first.outputs or {}), **(second.outputs or {})}
+        )
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.identification.record_check.resampling import join_clocks
@@ -170,30 +176,26 @@ class CompareStep(Step):
     )
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        from robustlab.identification.comparison.comparison_result import Comparison, OutputGap, ResidualTests
+        from robustlab.identification.comparison.comparison_result import Comparison, OutputGap
         from robustlab.identification.comparison.localisation import InputDisturbance
 
         inputs, outputs = _compared(ahead, self.of, self.record)
-        sizes, shares = ("range", "peak", "rms", "windowed_peak", "windowed_rms"), ("peak_percent", "rms_percent", "fit")
-        percent = dict.fromkeys((*shares, *(f"windowed_{name}" for name in shares)), "%")
-        named = ("outputs", "windows", "residual", "direction", "amplitude")
-        by_output = {name: dict.fromkeys(outputs, leaf["*"]) for name, leaf in leaves_of(Comparison).items() if name in named}
-        by_output["outputs"] = {
+        left = leaves_of(Comparison, *NOT_LEFT)
+        for name in ("windows", "residual", "direction", "amplitude"):
+            left[name] = dict.fromkeys(outputs, left[name]["*"])
+        percent = {f"{run}{name}": "%" for run in ("", "windowed_") for name in ("peak_percent", "rms_percent", "fit")}
+        sizes = ("range", "peak", "rms", "windowed_peak", "windowed_rms")
+        left["outputs"] = {
             name: leaves_of(OutputGap, **dict.fromkeys(sizes, unit), **percent, peak_time="s")
             for name, unit in outputs.items()
         }
-        worst = {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)}
-        shift = {
-            name: leaves_of(InputDisturbance, **dict.fromkeys(("forward", "backward"), unit), seconds="s")
-            for name, unit in inputs.items()
+        left["disturbance"] = {
+            name: leaves_of(InputDisturbance, forward=unit, backward=unit, seconds="s") for name, unit in inputs.items()
         }
-        return Foretold(
-            leaves=leaves_of(
-                Comparison, *("measured", "simulated", "recursive", "motions", "noise_reason", "against_noise", "linear_reason"),
-                **by_output, disturbance=shift, worst=worst, percent_of=str, residual_reference=str, window="s",
-                worst_window={"*": ["s"]}, speed=..., position=..., frequency=..., noise=..., linear=...,
-            )
-        )  # fmt: skip
+        left["worst"] = {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)}
+        left |= {"worst_window": {name: ["s"] for name in outputs}, "window": "s"}
+        left |= dict.fromkeys(("percent_of", "residual_reference"), str)
+        return Foretold(leaves=left | dict.fromkeys(("speed", "position", "frequency", "noise", "linear"), ...))
 
     def in_free_run(self, path: str) -> str | None:
         return path.replace(".windowed_", ".") if ".outputs." in path and ".windowed_" in path else None
@@ -261,8 +263,8 @@ def _compared(ahead: Ahead, model: str, record: str) -> tuple[Mapping[str, Any],
     if ours.inputs is None or ours.outputs is None or recorded.outputs is None:
         return {"*": float}, {"*": float}
     if isinstance(recorded.value, rl.Record):
-        sides = ([rl.Signal(*s) for s in side.items()] for side in (ours.inputs, ours.outputs))
-        return ours.inputs, {s.name: s.unit for s in matched(*sides, recorded.value)[0]}
+        inputs, outputs = ([rl.Signal(*s) for s in side.items()] for side in (ours.inputs, ours.outputs))
+        return ours.inputs, {s.name: s.unit for s in matched(inputs, outputs, recorded.value)[0]}
     return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
 
 
@@ -365,9 +367,9 @@ class DiscoverStep(Step):
         percent = ("gap_before", "gap_refitted", "gap_after")
         free_run = {**dict.fromkeys(("before", "refitted", "after"), "%"), "outputs": gaps}
         leaves = {
-            "verdict": str, "complete": bool, **dict.fromkeys(("names", "places", "answer"), [str]), "count": "1",
+            "verdict": str, "complete": bool, **{key: [str] for key in ("names", "places", "answer")}, "count": "1",
             **dict.fromkeys(percent, "%"), **dict.fromkeys(("gap_ratio", "refitted_ratio"), "1"), "gaps": gaps,
-            "free_run": free_run, **dict.fromkeys(("effects", "lower", "upper"), effects),
+            "free_run": free_run, "effects": effects, "lower": effects, "upper": effects,
             "confidence": dict.fromkeys(effects, "1"), "nominal": nominal,
             "next_experiment": {"name": str, "separation": float}, "structure": {"*": ...}, "remaining_lines": [...],
             "line": line, "seconds": "s",

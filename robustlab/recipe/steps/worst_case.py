@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, unknown_name
+from robustlab.errors import NoTrustworthyNumber, UnitMismatch, unknown_name
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
@@ -30,9 +30,7 @@ from robustlab.recipe.steps.vocabulary import (
 class DrivenStep(Step):
     """What the steps share that drive a model: a step of `input` at t = 0, plus a `sine` of `frequency`."""
 
-    input: Annotated[dict[str, float], Names("inputs")] = Field(
-        {}, description="Amplitude of the step on each input."
-    )
+    input: Annotated[dict[str, float], Names("inputs")] = Field({}, description="Amplitude of the step on each input.")
     sine: Annotated[dict[str, float], Names("inputs")] = Field({}, description="Amplitude of the sine on each input.")
     frequency: Positive | None = Field(None, description="Frequency of the sine in Hz.")
 
@@ -76,7 +74,7 @@ class SampleStep(ResponseStep):
     def foretell(self, ahead: Ahead) -> Foretold:
         outputs = ahead[self.of].select(self.outputs).outputs
         if outputs is None:
-            outputs = {name: float for name in self.outputs or ["*"]}
+            outputs = dict.fromkeys(self.outputs or ["*"], float)
         else:
             for reference in self.reference:
                 _known(reference.output, list(outputs), "reference: output")
@@ -165,7 +163,7 @@ class MetricStep(DrivenStep):
         outputs = ahead[self.of].outputs
         if not self.of_a_response or not outputs or (self.output is None and len(outputs) > 1):
             return float
-        return outputs[self.output or next(iter(outputs))]
+        return outputs.get(self.output or next(iter(outputs)), float)
 
     def options(self, work: Workspace) -> dict[str, Any]:
         """Keyword arguments for a metric as the step says."""
