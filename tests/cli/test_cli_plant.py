@@ -216,7 +216,7 @@ def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(fo
         ("bad.py:axis", "own.toml: step.axis: bad.py, line 1: ZeroDivisionError"),
     ],
 )
-def test_a_recipe_with_a_faulty_plant_writes_nothing(folder, capsys, plant, expected):
+def test_a_recipe_with_a_faulty_plant_writes_a_report_that_says_so(folder, capsys, plant, expected):
     (folder / "inner").mkdir()
     (folder.parent / "outside.py").write_text(AXIS)
     (folder / "inner" / "bad.py").write_text("1 / 0")
@@ -225,7 +225,9 @@ def test_a_recipe_with_a_faulty_plant_writes_nothing(folder, capsys, plant, expe
     code, out, err = told(capsys, "run", "inner/own.toml", "--json")
     assert (code, out) == (3, "")
     assert expected in err
-    assert not Path("out/own").exists()
+    data = json.loads(Path("out/own/result.json").read_text(encoding="utf-8"))
+    assert (data["exit_code"], data["ending"]["how"]) == (3, "bad input")
+    assert not [step for step in data["steps"] if step["numbers"]]
 
 
 def test_checking_a_recipe_runs_no_code(folder, capsys):

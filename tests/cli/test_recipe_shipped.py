@@ -57,7 +57,7 @@ def test_first_light_writes_everything_beside_the_report(first_light):
     assert all((first_light.folder / name).is_file() for name in first_light.data["files"])
     assert len(list((first_light.folder / "figures").glob("*.svg"))) >= 10
     page = (first_light.folder / "report.html").read_text(encoding="utf-8")
-    assert "All 9 requirements are met" in page
+    assert "All 11 requirements are met" in page
     assert page.count("<figure id=") == len(list((first_light.folder / "figures").glob("*.svg")))
 
 

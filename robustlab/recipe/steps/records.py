@@ -347,6 +347,7 @@ class DiscoverStep(Step):
     def foretell(self, ahead: Ahead) -> Foretold:
         from robustlab.dynamics.effects.catalogue import catalogue, effect
         from robustlab.dynamics.effects.contract import Scales
+        from robustlab.dynamics.effects.parameter_effects import GroundedEffect
         from robustlab.identification.naming.discovery_parts import Gap, wave_amplitude
 
         left_out = {effect(name).id for name in self.exclude}
@@ -356,11 +357,14 @@ class DiscoverStep(Step):
             for name, unit in compared[0].items()
         }
         effects: dict[str, Any] = {}
-        for name in catalogue().keys() - left_out:  # a unit that depends on the place is left out there
-            units: dict[str, Any] = {p.name: p.unit for p in catalogue()[name].parameters(Scales())}
+        for name, kind in catalogue().items():  # a unit that depends on the place is left out there
+            units: dict[str, Any] = {p.name: p.unit for p in kind.parameters(Scales())}
             if wave_amplitude(dict.fromkeys(units, 0.0)) is not None:
                 units["amplitude"] = float
-            effects |= {name: units, f"{name}@*": units}
+            if isinstance(kind, GroundedEffect):  # at a joint that has no such parameter
+                units[kind.symbol] = float
+            if name not in left_out:
+                effects |= {name: units, f"{name}@*": units}
         parameters = getattr(ahead[self.of].value, "parameters", None)
         nominal = {"*": float} if parameters is None else {name: p.unit for name, p in parameters.items()}
         line = {over: {"period": unit, "amplitude": float} for over, unit in (("position", float), ("time", "s"))}
