@@ -74,21 +74,16 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     unmet = [q for q in requirements if not q["met"]]
     doubtful = [s for s in result["steps"] if not s["trustworthy"]]
     count = f"{len(requirements) - len(unmet)} of {len(requirements)} requirements met"
-    if any(q["why_not"] for q in unmet) and not doubtful:
-        faults = sum(bool(q["why_not"]) for q in unmet)
-        word = "requirement" if faults == 1 else "requirements"
-        return Verdict("bad", "✗", f"{faults} {word} cannot be judged", f"{count}; why, the table below says.")
     if doubtful:
         names = ", ".join(s["name"] for s in doubtful)
         return Verdict("bad", "✗", "No trustworthy number", f"These steps ended without one: {names}. {count}.")
     if unmet:
-        word = "requirement is" if len(unmet) == 1 else "requirements are"
-        return Verdict(
-            "bad",
-            "✗",
-            f"{len(unmet)} {word} not met",
-            f"{count}; every step ended with a number that can be vouched for.",
-        )
+        faults = sum(bool(q["why_not"]) for q in unmet)
+        failed = len(unmet) - faults
+        words = [f"{failed} {'requirement is' if failed == 1 else 'requirements are'} not met"] if failed else []
+        words += [f"{faults} {'requirement' if faults == 1 else 'requirements'} cannot be judged"] if faults else []
+        detail = "every step ended with a number that can be vouched for"
+        return Verdict("bad", "✗", ", ".join(words), f"{count}; {detail}.")
     if not requirements:
         return Verdict(
             "warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for."
