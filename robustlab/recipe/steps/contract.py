@@ -106,11 +106,11 @@ class Foretold:
         model = getattr(value, "K", value)  # a controller is kept with what it was designed for
         return cls(value, _units(getattr(model, "inputs", None)), _units(getattr(model, "outputs", None)), leaves)
 
-    def select(self, outputs: Sequence[str] | None, leaves: Any = ...) -> Foretold:
+    def select(self, outputs: Sequence[str] | None) -> Foretold:
         """The same signals for a value that has yet to be made, with the outputs that are kept."""
         if outputs is None or self.outputs is None:
-            return Foretold(None, self.inputs, self.outputs, leaves)
-        return Foretold(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs}, leaves)
+            return Foretold(None, self.inputs, self.outputs)
+        return Foretold(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs})
 
 
 def _units(signals: Any) -> dict[str, str] | None:
@@ -150,7 +150,7 @@ class Workspace:
     """What a step may use: the values of earlier steps, the files found for it, the seed, and a folder to write to."""
 
     folder: Path  # where this run writes; `files` lists what was written, relative to it
-    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_files`.
+    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
     sources: Mapping[str, Path]
     seed: int  # seed of the recipe
     # Folder for what outlives an interrupted run, so that the next one can go on with it; it may not exist yet.
