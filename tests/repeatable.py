@@ -1,4 +1,4 @@
-"""The same call under load: a snippet in a process of its own, idle or at nice 19 beside two busy loops.
+"""The same call under load: a snippet in a process of its own, which runs freely or is stopped most of the time.
 
 What it prints has to be the same to the last bit. The loaded process has another number of BLAS threads as well.
 """
@@ -21,26 +21,36 @@ __all__ = ["answer", "digest", "same_under_load"]
 
 # Fields that hold how long something took: they are no part of an answer.
 TIMES = {"seconds"}
-# What is imported and compiled at the first call comes before the load: it would take most of the time. The loops give
-# way to other tests (at nice 10 each still gets seven times the share of nice 19), and end with their process.
+# What a busy machine does to a process, done by a child of its own: it is stopped for three quarters of the time. Busy
+# loops would take the processor from other tests, and at a low priority it would starve beside them. The child lets the
+# process go on before it looks whether it is to end.
+STOPPING = """
+import os, select, signal, time
+process = os.getppid()
+while True:
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(0.03)
+    os.kill(process, signal.SIGCONT)
+    if select.select([0], [], [], 0.01)[0]:
+        break
+"""
+# What is imported and compiled at the first call comes before the load: it would take most of the time.
 FRAME = """
-import contextlib, io, os, subprocess, sys
+import contextlib, io, subprocess, sys
 import numpy as np
 import robustlab as rl
-from repeatable import digest
-loops, code = [], compile({snippet!r}, "snippet", "exec")
+from repeatable import STOPPING, digest
+code = compile({snippet!r}, "snippet", "exec")
 if {loaded}:
     with contextlib.redirect_stdout(io.StringIO()):
         exec(code, dict(rl=rl, np=np, digest=digest))
-    busy = "import os; os.nice(10)\\nwhile os.getppid() == " + str(os.getpid()) + ":\\n    sum(range(100000))"
-    loops = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(2)]
-    os.nice(19)
+    load = subprocess.Popen([sys.executable, "-c", STOPPING], stdin=subprocess.PIPE)
 try:
     exec(code, dict(rl=rl, np=np, digest=digest))
 finally:
-    for loop in loops:
-        loop.kill()
-        loop.wait()
+    if {loaded}:
+        load.stdin.close()
+        load.wait()
 """
 
 

@@ -149,10 +149,13 @@ class Display:
     @property
     def remaining(self) -> float | None:
         """Seconds to go in proportion to what is done; None where nothing is known."""
+        return self._remaining(time.monotonic())
+
+    def _remaining(self, now: float) -> float | None:
         done = self._done - self._from
         if done <= 0 or self._total < self._done:
             return None
-        return (time.monotonic() - self._base) * (self._total - self._done) / done
+        return (now - self._base) * (self._total - self._done) / done
 
     def _look(self) -> None:
         """The thread that shows: a bar once the command takes long, or a line of JSON now and then."""
@@ -167,11 +170,12 @@ class Display:
 
     def state(self, ended: bool = False) -> dict[str, Any]:
         """Where the command stands, as a line of JSON says it under ``progress``."""
-        remaining = self.remaining
+        now = time.monotonic()
+        remaining = self._remaining(now)
         return {
             "command": self.command,
             "text": plain_text(self._text),
-            "elapsed_s": round(time.monotonic() - self._began, 3),
+            "elapsed_s": round(now - self._began, 3),
             "done": self._done if self._total else None,
             "total": self._total or None,
             "remaining_s": None if remaining is None or ended else round(remaining, 3),
@@ -202,7 +206,8 @@ class Display:
                     return
 
     def _times(self) -> str:
-        passed, remaining = _duration(time.monotonic() - self._began), self.remaining
+        now = time.monotonic()
+        passed, remaining = _duration(now - self._began), self._remaining(now)
         if remaining is None:
             return passed
         left = f"{'at most' if self._at_most else 'about'} {_duration(remaining)} to go"

@@ -17,14 +17,17 @@ app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_
 
 @app.command()
 def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOption = False) -> None:
-    """Check a recipe and the files it reads without running it; every fault is named.
+    """Check a recipe and the files it reads without running it: keys, files, signals, units, the results required.
+
+    Every fault is named. What only the run can show is no fault.
 
     Example: robustlab recipe check first-light
     """
-    from robustlab.recipe.load import find_files, load_recipe, recipe_path
+    from robustlab.recipe.check import look_through
+    from robustlab.recipe.load import load_recipe, recipe_path
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
-    files = {name: str(path) for name, path in find_files(loaded).items()}
+    files = {name: str(path) for name, path in look_through(loaded).sources.items()}
     steps = [(name, step.kind, files.get(name, "")) for name, step in loaded.recipe.step.items()]
     count = len(loaded.recipe.require)
     text = f"{table(steps, ('step', 'does', 'reads'))}\n\ncan be run; steps: {len(steps)}, requirements: {count}"

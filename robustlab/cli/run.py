@@ -33,18 +33,28 @@ def run(
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
 
-    Without --out each recipe and each choice of settings has a folder of its own; out/latest is the last one.
+    Without --out each recipe and each choice of settings has a folder of its own; out/latest is the last one. The
+    report is written however the run ends; until then it says that the run has not finished.
 
-    Exit code 0: all requirements met; 1: one is not; 4: a step ended without a trustworthy number.
+    Exit code 0: all requirements met; 1: one is not; 3: the recipe asks for what is not there; 4: a step ended without
+    a trustworthy number.
 
     Example: robustlab run first-light --set seed=7 --out out/first-light
     """
+    from contextlib import suppress
     from pathlib import Path
 
-    from robustlab.recipe.load import load_recipe, recipe_path
-    from robustlab.recipe.run import default_folder, point_latest, replaced, run_recipe
+    from robustlab.errors import InputError
+    from robustlab.recipe.load import load_recipe, recipe_path, split_overrides
+    from robustlab.recipe.run import default_folder, outdate, read_result, replaced, run_recipe
+    from robustlab.report.html import ending_of
 
-    loaded = load_recipe(recipe_path(recipe), changes or [])
+    path = recipe_path(recipe)
+    try:
+        loaded = load_recipe(path, changes or [])
+    except InputError as error:
+        outdate(path, split_overrides(changes or []), out, error)
+        raise
     folder = Path(out) if out else default_folder(loaded)
     replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
@@ -56,9 +66,13 @@ def run(
             begun.append(name)
             display.step(len(begun) - 1, f"[{len(begun)}/{count}] {name} ({kind})")
 
-        result = run_recipe(loaded, folder, begin)
-    if not out:
-        point_latest(result.folder)
+        try:
+            result = run_recipe(loaded, folder, begin, latest=not out)
+        except BaseException:
+            with suppress(InputError):  # none was written
+                if ending_of(read_result(folder, isolate=False))["how"] != "finished":
+                    note(f"report of what was run: {folder.resolve() / 'report.html'}")
+            raise
     if replacing:
         note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
@@ -67,12 +81,11 @@ def run(
 
 def _text(result: RunResult) -> str:
     """What became of each requirement, and the steps without a trustworthy number."""
-    from robustlab.report.html import found_in_words
+    from robustlab.report.html import found_in_words, in_windows_only, verdict_of
 
     data = result.data
-    rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], found_in_words(q), q["condition"]) for q in data["requirements"]
-    ]
+    words = [(verdict_of(q), q) for q in data["requirements"]]
+    rows = [(v if q["met"] else v.upper(), q["text"], found_in_words(q), q["condition"]) for v, q in words]
     doubtful = [
         f"no trustworthy number: step {s['name']}: {s['error'] or s['status']}"
         for s in data["steps"]
@@ -82,6 +95,7 @@ def _text(result: RunResult) -> str:
     parts = [
         table(rows, ("", "requirement", "found", "condition")) if rows else "no requirement stated",
         *doubtful,
+        *in_windows_only(data["requirements"]),
         f"{met} of {len(rows)} requirements met in {data['seconds']:.1f} s",
         f"report: {result.folder / 'report.html'}",
     ]

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 # A document of JSON or TOML needs no arrays, and its reader no numpy: that one is loaded where trees are sent.
 
 MAGIC = b"RLTREE1\n"
+# The reader's own limit is processor time, which a busy machine does not use up; this many times as long is waited for
+# one that sleeps.
+PATIENCE = 4
 DTYPES = {"f": "<f8", "i": "<i8", "b": "|b1", "c": "<c16"}
 
 
@@ -205,12 +208,13 @@ def _command(kind: str, limits: Limits, **arguments: Any) -> list[str]:
 
 
 def _answer(command: list[str], where: str, limits: Limits, take: Callable[[bytes], Any], given: bytes = b"") -> Any:
+    wait = PATIENCE * limits.seconds
     try:
         done = subprocess.run(  # noqa: S603  our own interpreter with our own module
-            command, input=given, capture_output=True, env=_environment(), timeout=limits.seconds, check=False
+            command, input=given, capture_output=True, env=_environment(), timeout=wait, check=False
         )
     except subprocess.TimeoutExpired:
-        raise _no_answer(where, f"{limits.seconds:g} s") from None
+        raise _no_answer(where, f"{wait:g} s") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path
         reason = getattr(error, "strerror", None) or error
         raise EnvironmentFault(where, f"the reader process cannot be started ({reason})") from error

@@ -48,7 +48,7 @@ class Limits:
     objects: int = 10_000
     depth: int = 16
     name: int = 200  # characters of a name
-    seconds: float = 30.0  # time the reader process may take
+    seconds: float = 30.0  # processor time that the reader process may take
 
 
 def size_text(n: int) -> str:

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -25,6 +25,7 @@ from robustlab.recipe.steps.models import LoadStep, PlantStep
 from robustlab.recipe.steps.records import FrequencyResponseStep, RecordStep
 from robustlab.recipe.steps.vocabulary import RefersTo
 
+Mark = TypeVar("Mark")
 MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
 
@@ -72,7 +73,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool =
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
-    given = dict(_split_override(item) for item in overrides)
+    given = split_overrides(overrides)
     data = read_document("toml", raw, str(path)) if isolate else parse_document("toml", raw, str(path))
     return LoadedRecipe(_checked(data, str(path), given), file.resolve(), text, given)
 
@@ -191,20 +192,32 @@ def _reference_faults(recipe: Recipe) -> list[str]:
 def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
     """Key in the step, name of another step that stands there, and what that one must give."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
-    for name, field in type(step).model_fields.items():
-        marks = [m for m in field.metadata if isinstance(m, RefersTo)]
-        if not marks:  # an optional reference keeps its mark inside the union, a list of them inside the list
-            arguments = getattr(field.annotation, "__args__", ())
-            marks = [m for a in arguments for m in getattr(a, "__metadata__", ()) if isinstance(m, RefersTo)]
-        target = getattr(step, name) if marks else None
+    for name, mark in marked(step, RefersTo):
+        target = getattr(step, name)
         if isinstance(target, list):
-            found += [(f"{name}.{i}", item, marks[0].gives) for i, item in enumerate(target)]
+            found += [(f"{name}.{i}", item, mark.gives) for i, item in enumerate(target)]
         elif target is not None:
-            found.append((name, target, marks[0].gives))
+            found.append((name, target, mark.gives))
+    return found
+
+
+def marked(step: Step, kind: type[Mark]) -> list[tuple[str, Mark]]:
+    """Fields of a step that carry a mark of this kind, with the first of them."""
+    found: list[tuple[str, Mark]] = []
+    for name, field in type(step).model_fields.items():
+        # An optional field keeps its mark inside the union, a list of references inside the list.
+        parts = [m for a in getattr(field.annotation, "__args__", ()) for m in getattr(a, "__metadata__", ())]
+        marks = [m for m in (*field.metadata, *parts) if isinstance(m, kind)]
+        found += [(name, mark) for mark in marks[:1]]
     return found
 
 
 # --- overrides -------------------------------------------------------------------------------------------------------
+
+
+def split_overrides(items: Sequence[str]) -> dict[str, str]:
+    """Dotted key -> text of the value. Raises UsageError: an item without ``=``."""
+    return dict(_split_override(item) for item in items)
 
 
 def _split_override(item: str) -> tuple[str, str]:
@@ -255,8 +268,8 @@ def _value(text: str) -> Any:
         return text
 
 
-def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
-    """Step name -> the file it reads, for every step that reads one; asked for before anything runs.
+def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
+    """The file that a step reads, None where it reads none; asked for before anything runs.
 
     A path is looked for beside the recipe, in the folder above it, and in the working directory; one given with
     ``--set`` in the working directory first. Models, and plants in a file of Python, must lie in the recipe's folder or
@@ -265,19 +278,16 @@ def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
     Raises InputError: a file that is not there (with the places looked at), is no regular file, or lies where a recipe
     may not reach.
     """
-    found: dict[str, Path] = {}
-    for name, step in loaded.recipe.step.items():
-        key, given = _named_file(step)
-        if given is None:
-            continue
-        typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
-        is_measured = isinstance(step, (RecordStep, FrequencyResponseStep))
-        about = step.about if is_measured else ""
-        path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
-        if not is_measured and not typed:
-            _check_inside(loaded.path, f"step.{name}.{key}", given, path)
-        found[name] = path
-    return found
+    key, given = _named_file(step)
+    if given is None:
+        return None
+    typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
+    is_measured = isinstance(step, (RecordStep, FrequencyResponseStep))
+    about = step.about if is_measured else ""
+    path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
+    if not is_measured and not typed:
+        _check_inside(loaded.path, f"step.{name}.{key}", given, path)
+    return path
 
 
 def _named_file(step: Step) -> tuple[str, str | None]:

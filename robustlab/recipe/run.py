@@ -11,6 +11,9 @@
 
 Where nobody says where, each recipe and each choice of settings has a folder of its own, and ``out/latest`` is the
 last.
+
+A report is there from the beginning: first one that says that the run has not finished, which takes the place of an
+earlier run's, and in its place the run's own, however that ends. So no old report can be taken for that of this run.
 """
 
 from __future__ import annotations
@@ -26,35 +29,39 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock
 
 from robustlab.errors import (
+    EXIT_BUG,
+    EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
     InputError,
     NoTrustworthyNumber,
     RobustlabError,
-    UsageError,
 )
 from robustlab.files.atomic import atomic_write
 from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
-from robustlab.recipe.load import LoadedRecipe, find_files, references
-from robustlab.recipe.schema import Recipe, judge, look_up
+from robustlab.recipe.check import at_step, look_through
+from robustlab.recipe.load import LoadedRecipe, references
+from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
-from robustlab.report.html import junit_xml, render
+from robustlab.report.html import ending_of, junit_xml, render
 from robustlab.result import Status, plain
 from robustlab.shown import Facts, Shown, listed
 
 DONE, NOT_RUN = "done", "not run"
+FINISHED, RUNNING = "finished", "running"
 LOCK = ".running"  # held by the run that writes the folder
 STRAY_AGE = 3600.0  # s
+REPORT_FILES = ("report.html", "junit.xml", "result.json")
 
 NUMBER = (int, float)
 # What the report reads in result.json, and the type of each.
@@ -70,6 +77,7 @@ RESULT_PARTS = {
             "figures": [{"stem": str, "caption": str}],
         }
     ],
+    "ending": {"how": str, "message": str},
     "recipe": {**dict.fromkeys(("name", "title", "description", "text", "sha256"), str), "overrides": dict},
     "seed": int,
     "seconds": NUMBER,
@@ -148,35 +156,119 @@ def _sweep(target: Path) -> None:
             continue  # in use, or not ours to remove: a stray folder does no harm
 
 
+@dataclass
+class Ending:
+    """How a run ended, or that it has not."""
+
+    how: str  # finished, running, interrupted, bad input, environment, internal error
+    message: str = ""  # what ended it
+    exit_code: int | None = None  # None where the requirements and the steps tell it
+
+
 def run_recipe(
-    loaded: LoadedRecipe, out: str | Path, report: Callable[[str, str], None] = lambda _name, _kind: None
+    loaded: LoadedRecipe,
+    out: str | Path,
+    report: Callable[[str, str], None] = lambda _name, _kind: None,
+    latest: bool = False,
 ) -> RunResult:
     """Run a recipe and write its results into ``out``.
 
-    Files appear in ``out`` only when the run is through, ``result.json`` last: an interrupted run leaves the previous
-    one as it was.
+    From the first moment the report there says that the run has not finished. However it ends, also by an error, by
+    Ctrl-C or by a fault of ours, the report is then that of this run: what was done, what failed, what was not run.
 
     ``out``: the folder; files in it that are no result of an earlier run stay.
     ``report``: called with name and kind of each step before it runs.
-    Raises InputError, UsageError, EnvironmentFault: a step cannot be done as the recipe says; the step is named. (A
-    step that is done, but ends without a trustworthy number, is no error: the run goes on with the steps that do not
-    need it, and says so.).
+    ``latest``: the link ``latest`` beside the folder is to point to it.
+    Raises InputError, EnvironmentFault: the recipe or a step cannot be done as it is; all that is known before the
+    first step is told at once. (A step that is done, but ends without a trustworthy number, is no error: the run goes
+    on with the steps that do not need it, and says so.).
     """
     started = time.monotonic()
-    sources = find_files(loaded)
     target = Path(out).resolve()
     if target.exists() and not target.is_dir():
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
     with _workplace(target, out) as folder:
-        unfinished = target.with_name(f".{target.name}-unfinished")
-        workspace = Workspace(folder, sources, loaded.recipe.seed, unfinished)
-        workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in sources.items()}
-        steps = _run_steps(loaded, workspace, report)
-        data = _result(loaded, workspace, steps, time.monotonic() - started)
-        _write(folder / "result.json", json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False))
-        write_report(data, folder)
-        _publish(folder, target)
+        workspace = Workspace(folder, {}, loaded.recipe.seed, target.with_name(f".{target.name}-unfinished"))
+        steps: list[dict[str, Any]] = []
+        _announce(loaded, workspace, target)
+        if latest:
+            point_latest(target)
+        ending = Ending(FINISHED)
+        try:
+            workspace.ahead = look_through(loaded)
+            workspace.sources = workspace.ahead.sources
+            workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in workspace.sources.items()}
+            for entry in _run_steps(loaded, workspace, report):
+                steps.append(entry)
+        except BaseException as error:
+            ending = _ending_of(error)
+            raise
+        finally:
+            data = _result(loaded, workspace, steps, time.monotonic() - started, ending)
+            _write_result(data, folder)
+            _publish(folder, target)
     return RunResult(data, target)
+
+
+def _ending_of(error: BaseException) -> Ending:
+    """What ended a run before its end."""
+    from robustlab.dynamics.plant_file import fault_of_user_code
+
+    if isinstance(error, KeyboardInterrupt):
+        return Ending("interrupted", "the run was interrupted", EXIT_INTERRUPTED)
+    known = error if isinstance(error, RobustlabError) else None
+    if known is None and isinstance(error, Exception) and not isinstance(error, MemoryError):
+        known = fault_of_user_code(error)
+    if known is not None:
+        how = "environment" if isinstance(known, EnvironmentFault) else "bad input"
+        return Ending(how, str(known), known.exit_code)
+    words = f"{type(error).__name__}: {error}"
+    if isinstance(error, (OSError, MemoryError)):
+        return Ending("environment", words, EnvironmentFault.exit_code)
+    return Ending("internal error", words, EXIT_BUG)
+
+
+def _announce(loaded: LoadedRecipe, workspace: Workspace, target: Path) -> None:
+    """Put a report that says that the run has not finished in the place of an earlier one.
+
+    The files of the earlier run are listed as its own: the run that is through removes them.
+    """
+    began = Provenance.now("robustlab run").created
+    data = _result(loaded, workspace, [], 0.0, Ending(RUNNING, f"begun {began}"))
+    data["files"] = sorted({*data["files"], *_files_of_previous_run(target)})
+    target.mkdir(parents=True, exist_ok=True)
+    try:
+        _write_result(data, target)
+    except BaseException:
+        for name in REPORT_FILES:
+            (target / name).unlink(missing_ok=True)
+        raise
+
+
+def outdate(path: Path, overrides: Mapping[str, str], out: str | Path | None, error: InputError) -> None:
+    """Say in the report of an earlier run of a recipe that its file can no longer be read.
+
+    ``out``: the folder to write; where nobody says it, the one named as the file, and the one of the last run, if they
+    hold the report of that file with the same settings.
+    """
+    for folder in [Path(out)] if out else [Path("out") / path.stem, Path("out") / LATEST]:
+        earlier = _earlier(folder)
+        if not earlier:
+            continue
+        recipe = earlier["recipe"]
+        if not out and (recipe.get("origin"), recipe["overrides"]) != (_origin(path), overrides):
+            continue
+        ending = Ending("bad input", str(error), error.exit_code)
+        provenance = {**earlier["provenance"], **Provenance.now("robustlab run").to_json()}
+        _write_result(
+            {**earlier, "ending": vars(ending), "exit_code": ending.exit_code, "requirements": [], "steps": [],
+             "seconds": 0.0, "provenance": provenance}, folder,
+        )  # fmt: skip
+
+
+def _write_result(data: Mapping[str, Any], folder: Path) -> None:
+    _write(folder / "result.json", json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False))
+    write_report(data, folder)
 
 
 def write_report(data: Mapping[str, Any], folder: Path) -> None:
@@ -189,13 +281,15 @@ def write_report(data: Mapping[str, Any], folder: Path) -> None:
 # --- steps -----------------------------------------------------------------------------------------------------------
 
 
-def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str, str], None]) -> list[dict[str, Any]]:
-    done: list[dict[str, Any]] = []
+def _run_steps(
+    loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str, str], None]
+) -> Iterator[dict[str, Any]]:
+    """The entry of each step as it is done; also that of one which ends the run."""
     for name, step in loaded.recipe.step.items():
         report(name, step.kind)
         missing = [target for _, target, _ in references(step) if target not in workspace.values]
         if missing:
-            done.append(_entry(name, step, NOT_RUN, f"it needs step {missing[0]!r}, which gave nothing"))
+            yield _entry(name, step, NOT_RUN, f"it needs step {missing[0]!r}, which gave nothing")
             continue
         workspace.step = name
         begun = time.monotonic()
@@ -203,26 +297,16 @@ def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str
             outcome = step.run(workspace)
         except NoTrustworthyNumber as error:
             entry = _entry(name, step, str(Status.FAILED), str(error))
-        except RobustlabError as error:
-            raise _at_step(error, loaded.path.name, name) from error
+        except BaseException as error:
+            ending = _ending_of(error)
+            yield {**_entry(name, step, ending.how, ending.message), "seconds": round(time.monotonic() - begun, 3)}
+            if isinstance(error, RobustlabError):
+                raise at_step(error, loaded, name) from error
+            raise
         else:
             workspace.values[name], workspace.numbers[name] = outcome.value, outcome.numbers
             entry = _done(name, step, outcome, workspace.figures.get(name, []))
-            _check_paths(loaded.recipe, name, entry["numbers"])
-        done.append({**entry, "seconds": round(time.monotonic() - begun, 3)})
-    return done
-
-
-def _check_paths(recipe: Recipe, name: str, numbers: Mapping[str, Any]) -> None:
-    """Refuse a requirement on a number that the step does not have, as soon as the step is done."""
-    for requirement in recipe.require:
-        if requirement.that.split(".")[0] == name:
-            look_up(requirement.that, {name: numbers}, lists=requirement.contains is not None)
-
-
-def _at_step(error: RobustlabError, recipe: str, name: str) -> RobustlabError:
-    kind = InputError if isinstance(error, UsageError) else type(error)  # what is off is the recipe, not the command
-    return kind(f"{recipe}: step.{name}: {error.where}", error.found, error.expected, error.hint, error.more)
+        yield {**entry, "seconds": round(time.monotonic() - begun, 3)}
 
 
 def _done(name: str, step: Step, outcome: Outcome, figures: list[tuple[str, str]]) -> dict[str, Any]:
@@ -265,21 +349,31 @@ def _entry(name: str, step: Step, status: str = NOT_RUN, error: str = "") -> dic
 # --- result ----------------------------------------------------------------------------------------------------------
 
 
-def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
+def _result(
+    loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, Any]], seconds: float, ending: Ending
+) -> dict[str, Any]:
     recipe = loaded.recipe
+    over = "the run has not finished" if ending.how == RUNNING else "the run ended before it"
+    rest = list(recipe.step.items())[len(steps) :]
+    steps = [*steps, *(_entry(name, step, NOT_RUN, over) for name, step in rest)]
     numbers = {s["name"]: s["numbers"] for s in steps if not s["error"]}
-    missing = {s["name"]: f"step {s['name']!r} gave no number" for s in steps if s["error"]}
-    judgements = [judge(requirement, numbers, missing).to_json() for requirement in recipe.require]
-    if not all(s["trustworthy"] for s in steps):
+    missing = {s["name"]: f"step {s['name']!r} gave no number ({s['status']})" for s in steps if s["error"]}
+    judgements = [_with_free_run(judge(asked, numbers, missing), recipe, numbers) for asked in recipe.require]
+    if ending.exit_code is not None or ending.how == RUNNING:
+        code = ending.exit_code
+    elif any(j.misstated for j in judgements):
+        code = InputError.exit_code
+    elif not all(s["trustworthy"] for s in steps):
         code = NoTrustworthyNumber.exit_code
     else:
-        code = EXIT_OK if all(j["met"] for j in judgements) else EXIT_REQUIREMENT_NOT_MET
+        code = EXIT_OK if all(j.met for j in judgements) else EXIT_REQUIREMENT_NOT_MET
     provenance = Provenance.now("robustlab run", workspace.inputs, recipe.seed)
     return {
         "schema": "robustlab.result/1",
         "command": "run",
         "exit_code": code,
-        "requirements": judgements,
+        "ending": {"how": ending.how, "message": ending.message},
+        "requirements": [j.to_json() for j in judgements],
         "steps": steps,
         "recipe": {
             "name": recipe.name,
@@ -294,13 +388,32 @@ def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, An
         "seed": recipe.seed,
         "seconds": round(seconds, 3),
         "provenance": provenance.to_json(),
-        "files": sorted({*workspace.files, "report.html", "junit.xml", "result.json"}),
+        "files": sorted({*workspace.files, *REPORT_FILES}),
     }
+
+
+def _with_free_run(judged: Judgement, recipe: Recipe, numbers: Mapping[str, Any]) -> Judgement:
+    """With the same number in free run beside one that holds in windows, where the recipe does not ask for that."""
+    that = judged.requirement.that
+    name = that.split(".")[0]
+    path = recipe.step[name].in_free_run(that)
+    if path is None or judged.why_not:
+        return judged
+    asked = (f"{path.rpartition('.')[0]}.", f"{name}.free_run.")
+    others = [r.that for r in recipe.require if recipe.step[r.that.split(".")[0]].in_free_run(r.that) is None]
+    if any(other.startswith(asked) for other in others):
+        return judged
+    free = judge(judged.requirement.model_copy(update={"that": path}), numbers, {})
+    return replace(judged, free_run={"value": free.value, "met": free.met})
 
 
 def recipe_origin(loaded: LoadedRecipe) -> str:
     """What tells one recipe file from another of the same name: a hash of its place, which names no folder."""
-    return hashlib.sha256(str(loaded.path.resolve()).encode()).hexdigest()[:16]
+    return _origin(loaded.path)
+
+
+def _origin(path: Path) -> str:
+    return hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
 
 
 def _write(path: Path, text: str) -> None:
@@ -342,7 +455,7 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
     data = read_document("json", raw, where) if isolate else parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
-    _check_parts(data, RESULT_PARTS, "", where)
+    _check_parts({"ending": ending_of(data), **data}, RESULT_PARTS, "", where)
     return data
 
 

@@ -16,8 +16,9 @@ from typing import Annotated, Any, Literal, Self, Union
 from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import KINDS, Step
+from robustlab.recipe.steps.leaves import nothing_there
 from robustlab.recipe.steps.vocabulary import StepName, Strict, Text
 
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
@@ -128,9 +129,11 @@ class Judgement:
     """A requirement and what became of it."""
 
     requirement: Requirement  # the requirement
-    value: Any  # what was found; None where the step gave no numbers
+    value: Any  # what was found; None where nothing was
     met: bool  # True where it was found and fulfils the condition
-    why_not: str = ""  # why no value could be judged; empty where one was
+    why_not: str = ""  # why it cannot be judged; empty where it was
+    misstated: bool = False  # it asks for something that the step, though done, does not have
+    free_run: Mapping[str, Any] | None = None  # of a number in windows: the same in free run, `value` and `met`
 
     def to_json(self) -> dict[str, Any]:
         """Plain types."""
@@ -144,21 +147,28 @@ class Judgement:
             "value": self.value,
             "met": self.met,
             "why_not": self.why_not,
+            "free_run": self.free_run,
         }
 
 
 def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> Judgement:
-    """Judge one requirement.
+    """Judge one requirement; what cannot be judged is not met, and says why.
 
     ``numbers``: step name -> its numbers.
     ``missing``: step name -> why it has none.
-    Raises InputError: the step is done, but has no number of that name.
     """
     step = requirement.that.split(".")[0]
     if step in missing:
         return Judgement(requirement, None, False, missing[step])
-    value = look_up(requirement.that, numbers, lists=requirement.contains is not None)
-    return Judgement(requirement, value, bool(_holds(requirement, value)))
+    value = None
+    try:
+        value = look_up(requirement.that, numbers, lists=requirement.contains is not None)
+        met = bool(_holds(requirement, value))
+    except InputError as error:
+        why = f"{error.found}, expected {error.expected}" + (f" ({error.hint})" if error.hint else "")
+        return Judgement(requirement, value, False, why, misstated=True)
+    is_nan = value == "nan" and requirement.limits is not None
+    return Judgement(requirement, value, met, "there is no number to judge (NaN)" if is_nan else "")
 
 
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
@@ -182,8 +192,7 @@ def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
                 here = here[int(part)]
                 done.append(part)
                 continue
-        expected = f"one of {', '.join(known)}" if known else f"nothing below {'.'.join(done)}"
-        raise InputError(f"require: {path}", f"{'.'.join(done)} has no {part!r}", expected, did_you_mean(part, known))
+        raise nothing_there(f"require: {path}", done, part, known)
     if lists and isinstance(here, (list, tuple)):
         return list(here)
     if isinstance(here, (Mapping, list, tuple)):

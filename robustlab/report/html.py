@@ -68,6 +68,8 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     """The verdict that the result states; or that of a run: trustworthy or not, and how many requirements are met."""
     if "verdict" in result:
         return Verdict(**result["verdict"])
+    if ending_of(result)["how"] != "finished":
+        return _unfinished(result)
     requirements = result["requirements"]
     unmet = [q for q in requirements if not q["met"]]
     doubtful = [s for s in result["steps"] if not s["trustworthy"]]
@@ -76,13 +78,12 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
         names = ", ".join(s["name"] for s in doubtful)
         return Verdict("bad", "✗", "No trustworthy number", f"These steps ended without one: {names}. {count}.")
     if unmet:
-        word = "requirement is" if len(unmet) == 1 else "requirements are"
-        return Verdict(
-            "bad",
-            "✗",
-            f"{len(unmet)} {word} not met",
-            f"{count}; every step ended with a number that can be vouched for.",
-        )
+        faults = sum(bool(q["why_not"]) for q in unmet)
+        failed = len(unmet) - faults
+        words = [f"{failed} {'requirement is' if failed == 1 else 'requirements are'} not met"] if failed else []
+        words += [f"{faults} {'requirement' if faults == 1 else 'requirements'} cannot be judged"] if faults else []
+        detail = "every step ended with a number that can be vouched for"
+        return Verdict("bad", "✗", ", ".join(words), f"{count}; {detail}.")
     if not requirements:
         return Verdict(
             "warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for."
@@ -91,7 +92,37 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
     if remains:
         return Verdict("warn", "!", f"{headline}; something remains", f"What these steps found is not all: {remains}.")
+    windows = in_windows_only(requirements)
+    if windows:
+        return Verdict("warn", "!", f"{headline}; in free run the model is further off", " ".join(windows))
     return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
+
+
+def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
+    """How a run ended; one of an earlier version is there only if it finished."""
+    return result.get("ending", {"how": "finished", "message": ""})
+
+
+def _unfinished(result: Mapping[str, Any]) -> Verdict:
+    """Of a run that has not come to its end."""
+    ending = ending_of(result)
+    how, message = ending["how"], ending["message"]
+    if how == "running":
+        detail = f"Run {message}. If it is not running any more, it was ended from outside and gave no result."
+        return Verdict("bad", "✗", "This run has not finished", detail)
+    where = [s["name"] for s in result["steps"] if s["status"] == how]
+    at = f" in step {where[0]}" if where else " before the first step" if how == "bad input" else ""
+    return Verdict("bad", "✗", f"This run did not finish: {how}{at}", message)
+
+
+def in_windows_only(requirements: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A sentence for each requirement that is met in windows, and whose condition does not hold in free run."""
+    return [
+        f"In windows alone: {q['text'] or q['that']}. In free run it is "
+        f"{_with_unit(q, q['free_run']['value'])}, which no requirement asks for."
+        for q in requirements
+        if q["met"] and q.get("free_run") and not q["free_run"]["met"]
+    ]
 
 
 def tone(step: Mapping[str, Any]) -> str:
@@ -118,6 +149,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
             r=readable,
             verdict=verdict(readable),
             found=found_in_words,
+            became=verdict_of,
             heading=heading,
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
@@ -195,11 +227,25 @@ def heading(step: Mapping[str, Any]) -> str:
 
 
 def found_in_words(requirement: Mapping[str, Any]) -> str:
-    """What was found for a requirement with its unit, or why nothing was."""
-    value = requirement["value"]
-    shown = requirement["why_not"] or in_words(value, requirement.get("limits"))
+    """What was found for a requirement with its unit, and beside it the same in free run; or why nothing was."""
+    if requirement["why_not"]:
+        return str(requirement["why_not"])
+    free = requirement.get("free_run")
+    beside = f" (in free run {_with_unit(requirement, free['value'])})" if free else ""
+    return f"{_with_unit(requirement, requirement['value'])}{beside}"
+
+
+def _with_unit(requirement: Mapping[str, Any], value: Any) -> str:
+    shown = in_words(value, requirement.get("limits"))
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     return f"{shown} {requirement.get('unit', '')}".rstrip() if is_number else shown
+
+
+def verdict_of(requirement: Mapping[str, Any]) -> str:
+    """What became of a requirement, in a word or two."""
+    if requirement["met"]:
+        return "met"
+    return "cannot be judged" if requirement["why_not"] else "not met"
 
 
 def _paragraphs(text: str) -> list[str]:
@@ -211,7 +257,9 @@ def _status_meaning(step: Mapping[str, Any]) -> str:
     if status in set(Status):
         more = "; but something remains that it does not explain" if tone(step) == "warn" else ""
         return _MEANING[Status(status)] + more
-    return "it was left out" if step["error"] else "nothing here could fail to converge"
+    if status == "not run":
+        return "it was left out"
+    return "it ended the run" if step["error"] else "nothing here could fail to converge"
 
 
 def _pretty(numbers: Any) -> str:
@@ -279,13 +327,17 @@ def _script() -> str:
 def junit_xml(result: Mapping[str, Any]) -> str:
     """JUnit XML: one test case per requirement, one more per step that ended without a trustworthy number.
 
+    A requirement that is not met is a failure, one that cannot be judged an error; so is a run that did not finish.
     Texts are escaped for XML; characters that XML cannot carry are shown as escapes.
     """
     requirements = result["requirements"]
     doubtful = [s for s in result["steps"] if not s["trustworthy"]]
-    failures = sum(not q["met"] for q in requirements)
+    failures, faults = (sum(not q["met"] and bool(q["why_not"]) is w for q in requirements) for w in (False, True))
     name = plain_text(str(result["recipe"]["name"]))
-    counts = {"tests": len(requirements) + len(doubtful), "failures": failures, "errors": len(doubtful)}
+    ending = ending_of(result)
+    cut = ending["how"] != "finished"
+    tests = len(requirements) + len(doubtful) + cut
+    counts = {"tests": tests, "failures": failures, "errors": len(doubtful) + faults + cut}
     attributes = {"name": name, **{key: str(n) for key, n in counts.items()}, "time": f"{float(result['seconds']):.3f}"}
     suites = ET.Element("testsuites", attributes)
     suite = ET.SubElement(suites, "testsuite", attributes)
@@ -295,10 +347,13 @@ def junit_xml(result: Mapping[str, Any]) -> str:
         )
         if not q["met"]:
             reason = q["why_not"] or f"{q['that']} is {q['value']}, required: {q['condition']}"
-            ET.SubElement(case, "failure", {"message": plain_text(str(reason))})
+            ET.SubElement(case, "error" if q["why_not"] else "failure", {"message": plain_text(str(reason))})
     for s in doubtful:
         case = ET.SubElement(suite, "testcase", {"classname": f"{name}.steps", "name": plain_text(str(s["name"]))})
         reason = s["error"] or f"status {s['status']}"
         ET.SubElement(case, "error", {"message": plain_text(str(reason))})
+    if cut:
+        case = ET.SubElement(suite, "testcase", {"classname": f"{name}.run", "name": "the run finishes"})
+        ET.SubElement(case, "error", {"message": plain_text(f"{ending['how']}: {ending['message']}")})
     ET.indent(suites)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import h5py
 import pytest
+from patience import PATIENCE
 
 import robustlab as rl
 
@@ -29,7 +30,7 @@ def in_shell(line, folder):
     quoted = " ".join(f"'{word}'" for word in COMMAND)
     done = subprocess.run(
         ["bash", "-c", f'R() {{ {quoted} "$@"; }}\n{line}'],
-        capture_output=True, text=True, cwd=folder, timeout=120, check=False,
+        capture_output=True, text=True, cwd=folder, timeout=PATIENCE, check=False,
     )  # fmt: skip
     return done.stdout.strip(), done.stderr.strip()
 
@@ -170,16 +171,16 @@ def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
         # A shell's background jobs ignore Ctrl-C, and so would this child of one.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
-    until = time.monotonic() + 100
+    until = time.monotonic() + PATIENCE
     while len(workers := children(process.pid)) < 2 and time.monotonic() < until:
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.05)
     process.send_signal(number)
-    out, errors = process.communicate(timeout=60)
+    out, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (130, "")
     assert "interrupted" in errors.splitlines()[-1]
     assert "Traceback" not in errors
-    until = time.monotonic() + 20
+    until = time.monotonic() + PATIENCE
     while any(map(alive, workers)) and time.monotonic() < until:
         time.sleep(0.05)
     assert not any(map(alive, workers))
@@ -212,7 +213,9 @@ def command():
     for _ in range(3000): time.sleep(0.01)
 sys.exit(main_guard(command))
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 

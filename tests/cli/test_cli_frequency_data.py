@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 import robustlab as rl
 from robustlab.cli import main
@@ -89,7 +90,7 @@ at_least = 10.0
 """
     (tmp_path / "r.toml").write_text(text)
     command = [sys.executable, "-m", "robustlab.cli.main", "run", "r.toml", "--out", "out"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "nothing is claimed between them" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 

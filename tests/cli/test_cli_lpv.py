@@ -8,13 +8,14 @@ import sys
 
 import pytest
 import shown_objects
+from patience import PATIENCE
 
 import robustlab as rl
 
 
 def robustlab(*words: str, cwd=None) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "robustlab.cli.main", *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=300)
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=PATIENCE)
 
 
 @pytest.fixture

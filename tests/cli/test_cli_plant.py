@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 import robustlab as rl
 from robustlab.cli.ending import main_guard
@@ -215,7 +216,7 @@ def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(fo
         ("bad.py:axis", "own.toml: step.axis: bad.py, line 1: ZeroDivisionError"),
     ],
 )
-def test_a_recipe_with_a_faulty_plant_writes_nothing(folder, capsys, plant, expected):
+def test_a_recipe_with_a_faulty_plant_writes_a_report_that_says_so(folder, capsys, plant, expected):
     (folder / "inner").mkdir()
     (folder.parent / "outside.py").write_text(AXIS)
     (folder / "inner" / "bad.py").write_text("1 / 0")
@@ -224,7 +225,9 @@ def test_a_recipe_with_a_faulty_plant_writes_nothing(folder, capsys, plant, expe
     code, out, err = told(capsys, "run", "inner/own.toml", "--json")
     assert (code, out) == (3, "")
     assert expected in err
-    assert not Path("out/own").exists()
+    data = json.loads(Path("out/own/result.json").read_text(encoding="utf-8"))
+    assert (data["exit_code"], data["ending"]["how"]) == (3, "bad input")
+    assert not [step for step in data["steps"] if step["numbers"]]
 
 
 def test_checking_a_recipe_runs_no_code(folder, capsys):
@@ -239,7 +242,7 @@ def test_checking_a_recipe_runs_no_code(folder, capsys):
 
 def process(*words, **options):
     command = [sys.executable, "-m", "robustlab.cli.main", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, **options)
 
 
 def test_what_a_file_prints_does_not_stand_in_the_result(folder):
@@ -266,12 +269,11 @@ def test_ctrl_c_ends_an_endless_loop(folder):
     heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}  # what runs behind a shell ignores it
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, **heard) as child:
         try:
-            for _ in range(600):
-                if Path("began").exists():
-                    break
+            until = time.monotonic() + PATIENCE
+            while not Path("began").exists() and time.monotonic() < until:
                 time.sleep(0.1)
             os.kill(child.pid, signal.SIGINT)
-            _, err = child.communicate(timeout=60)
+            _, err = child.communicate(timeout=PATIENCE)
         finally:
             child.kill()
     assert (child.returncode, err.strip()) == (130, "interrupted")

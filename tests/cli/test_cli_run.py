@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -154,38 +157,191 @@ def test_a_second_run_replaces_its_own_files_and_no_others(recipe):
     assert (folder / "notes.txt").read_text() == "mine"
 
 
+# --- however a run ends, the report is that of this run --------------------------------------------------------------
+
+
+def page_of(folder):
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def cases_of(folder):
+    """Name of a test case -> what is in it."""
+    root = ET.parse(folder / "junit.xml").getroot()
+    return {case.get("name"): [(mark.tag, mark.get("message")) for mark in case] for case in root.iter("testcase")}
+
+
 @pytest.mark.parametrize(
-    ("change", "code", "message"),
+    ("change", "message"),
     [
-        ("set.tolerances.Kg=0.1", 3, "step.set: dc-motor: 'Kg': no such parameter"),
-        ("cover.input.v=1.0", 3, "input 'v': no such signal"),
-        ("motor.plant=dc-moter", 3, "did you mean dc-motor?"),
-        ("require.0.that=cover.outputs.omega.cover", 3, "has no 'cover'"),
-        ("cover.n=-1", 3, "step.cover.n"),
-        ("covr.n=1", 2, "did you mean cover?"),
+        (("Kf = 0.35", "Kg = 0.1"), "step.set.tolerances.Kg: 'Kg': motor has no such parameter, expected one of R, L"),
+        (("u = 42.0", "v = 42.0"), "step.cover.input.v: 'v': set has no such input, expected one of u"),
+        (("dc-motor", "dc-moter"), "did you mean dc-motor?"),
+        (("omega.covers.0", "omega.cover"), "require.0.that: cover.outputs.omega has no 'cover'"),
     ],
 )
-def test_a_run_that_cannot_be_done_keeps_the_previous_one(recipe, capsys, change, code, message):
+def test_what_is_wrong_before_the_first_step_is_told_in_the_report_too(recipe, capsys, change, message):
     robustlab("run", "small.toml")
-    before = {p: p.read_bytes() for p in (recipe / "out/small").rglob("*") if p.is_file()}
-    assert robustlab("run", "small.toml", "--set", change) == code
-    assert message in capsys.readouterr().err
-    assert {p: p.read_bytes() for p in (recipe / "out/small").rglob("*") if p.is_file()} == before
+    (recipe / "notes.txt").write_text("mine")
+    (recipe / "small.toml").write_text(RECIPE.replace(*change))
+    capsys.readouterr()
+    assert robustlab("run", "small.toml") == 3
+    err = capsys.readouterr().err
+    assert message in err
+    assert "[1/4]" not in err  # no step was begun
+    folder = recipe / "out/small"
+    assert f"report of what was run: {folder / 'report.html'}" in err
+    data = result(folder)
+    assert (data["exit_code"], data["ending"]["how"]) == (3, "bad input")
+    assert message in data["ending"]["message"]
+    assert {s["status"] for s in data["steps"]} == {"not run"}
+    assert "This run did not finish: bad input before the first step" in page_of(folder)
+    assert "All" not in page_of(folder).partition("<h1>")[2].partition("</small>")[0]
+    assert cases_of(folder)["the run finishes"][0][0] == "error"
+    assert not (folder / "set.h5").exists()  # of the run before
     assert {p.name for p in (recipe / "out").iterdir()} == {"small", "latest"}
 
 
-def test_ctrl_c_is_130_and_keeps_the_previous_run(recipe, capsys, monkeypatch):
+@pytest.mark.parametrize("out", [(), ("--out", "there")])
+def test_a_recipe_that_cannot_be_read_outdates_its_report_and_no_other(recipe, capsys, out):
+    robustlab("run", "small.toml", *out)
+    robustlab("run", "small.toml", "--set", "seed=7", "--out", "other")
+    before = (recipe / "other/report.html").read_bytes()
+    folder = recipe / (out[1] if out else "out/small")
+    assert robustlab("run", "small.toml", "--set", "cover.n=-1", *out) == 3
+    assert ("did not finish" in page_of(folder)) == bool(out)  # other settings have another folder
+    (recipe / "small.toml").write_text(RECIPE + "x = 1\n")
+    assert robustlab("run", "small.toml", *out) == 3
+    assert "require.0.x: unknown key" in capsys.readouterr().err
+    assert "This run did not finish: bad input before the first step" in page_of(folder)
+    assert "require.0.x: unknown key" in page_of(folder)
+    assert result(folder)["exit_code"] == 3
+    assert (recipe / "other/report.html").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "how", "words"),
+    [
+        (
+            rl.InputError("covers", "too wide", "a narrower one"),
+            3,
+            "bad input",
+            "covers: too wide, expected a narrower",
+        ),
+        (KeyboardInterrupt(), 130, "interrupted", "the run was interrupted"),
+        (ZeroDivisionError("division by zero"), 70, "internal error", "ZeroDivisionError: division by zero"),
+        (OSError(28, "No space left on device"), 5, "environment", "No space left on device"),
+    ],
+)
+def test_a_step_that_ends_the_run_is_in_the_report(recipe, capsys, monkeypatch, error, code, how, words):
     robustlab("run", "small.toml")
-    before = (recipe / "out/small/result.json").read_bytes()
 
-    def interrupt(*_):
-        raise KeyboardInterrupt
+    def fails(*_):
+        raise error
 
-    monkeypatch.setattr(KINDS["sample"], "run", interrupt)
-    assert robustlab("run", "small.toml") == 130
-    assert "interrupted" in capsys.readouterr().err
-    assert (recipe / "out/small/result.json").read_bytes() == before
+    monkeypatch.setattr(KINDS["sample"], "run", fails)
+    assert robustlab("run", "small.toml") == code
+    folder = recipe / "out/small"
+    data = result(folder)
+    assert (data["exit_code"], data["ending"]["how"]) == (code, how)
+    assert [s["status"] for s in data["steps"]] == ["done", "done", how, "not run"]
+    assert words in data["steps"][2]["error"]
+    (asked,) = data["requirements"]
+    assert (asked["met"], asked["value"]) == (False, None)
+    assert asked["why_not"] == f"step 'cover' gave no number ({how})"
+    page = page_of(folder)
+    assert f"This run did not finish: {how} in step cover" in page
+    assert words in page
+    assert "✗ cannot be judged" in page
+    cases = cases_of(folder)
+    assert cases["covered"][0] == ("error", asked["why_not"])
+    assert set(cases) == {"covered", "cover", "file", "the run finishes"}
+    assert {p.name for p in folder.rglob("*") if p.is_file()} == {"result.json", "report.html", "junit.xml"}
+    assert (recipe / "out/latest").resolve() == folder
     assert {p.name for p in (recipe / "out").iterdir()} == {"small", "latest"}
+    monkeypatch.undo()
+    monkeypatch.chdir(recipe)
+    assert robustlab("run", "small.toml") == 0
+    assert "The requirement is met" in page_of(folder)
+
+
+KILLED = """
+import os, signal, sys
+from robustlab.cli.main import main
+from robustlab.recipe.steps.contract import KINDS
+import robustlab.recipe.steps
+KINDS["sample"].run = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+sys.argv = ["robustlab", "run", "small.toml"]
+main()
+"""
+
+
+def test_a_killed_run_has_a_report_that_says_that_it_did_not_finish(recipe, capsys):
+    robustlab("run", "small.toml")
+    robustlab("run", "small.toml", "--set", "seed=3")
+    assert (recipe / "out/latest").resolve().name == "small-seed-3"
+    done = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, cwd=recipe, check=False)
+    assert done.returncode == -signal.SIGKILL
+    folder = recipe / "out/small"
+    assert (recipe / "out/latest").resolve() == folder
+    data = result(folder)
+    assert (data["exit_code"], data["ending"]["how"]) == (None, "running")
+    assert "This run has not finished" in page_of(folder)
+    assert "met</td>" not in page_of(folder)
+    assert cases_of(folder)["covered"] == [("error", "step 'cover' gave no number (not run)")]
+    assert robustlab("report", str(folder)) == 0  # written again, it says the same
+    assert "This run has not finished" in page_of(folder)
+    assert robustlab("report", "compare", "out/small-seed-3", "out/small") == 1
+    assert robustlab("run", "small.toml") == 0
+    assert set(result(folder)["files"]) == {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
+# --- requirements that cannot be judged ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("numbers", "code", "words"),
+    [
+        ({"outputs": {"omega": {}}}, 3, "cover.outputs.omega has no 'covers', expected nothing below"),
+        ({"outputs": {"omega": {"covers": [0.5]}}}, 1, ""),
+        ({"outputs": {"omega": {"covers": [None]}}}, 1, ""),
+    ],
+)
+def test_a_number_that_is_not_there_after_all_is_a_fault_in_the_report(
+    recipe, monkeypatch, capsys, numbers, code, words
+):
+    monkeypatch.setattr(KINDS["sample"], "run", lambda *_: Outcome(None, "done", numbers))
+    assert robustlab("run", "small.toml") == code
+    (asked,) = result(recipe / "out/small")["requirements"]
+    assert not asked["met"]
+    assert words in asked["why_not"]
+    out = capsys.readouterr().out
+    assert ("CANNOT BE JUDGED" in out) == bool(words)
+    assert "[4/4]" in out or result(recipe / "out/small")["steps"][3]["status"] == "done"
+    if words:
+        assert "1 requirement cannot be judged" in page_of(recipe / "out/small")
+        assert cases_of(recipe / "out/small")["covered"][0][0] == "error"
+
+
+@pytest.mark.parametrize(
+    ("value", "words", "code"),
+    [
+        (float("nan"), "there is no number to judge (NaN)", 1),
+        ("high", "'high', expected a number, because the condition compares numbers", 3),
+        ({"a": 1.0}, "names a table, expected a single number, text, or yes/no", 3),
+    ],
+)
+def test_what_is_no_number_is_a_fault(recipe, monkeypatch, capsys, value, words, code):
+    (recipe / "small.toml").write_text(
+        RECIPE.replace("covers.0", "peak_deviation").replace("equals = true", "at_most = 1.0")
+    )
+    numbers = {"outputs": {"omega": {"peak_deviation": value}}}
+    monkeypatch.setattr(KINDS["sample"], "run", lambda *_: Outcome(None, "done", numbers))
+    assert robustlab("run", "small.toml") == code
+    assert words in capsys.readouterr().out
+    (asked,) = result(recipe / "out/small")["requirements"]
+    assert (asked["met"], asked["why_not"]) == (False, words)
+    assert words.replace("'", "&#39;") in page_of(recipe / "out/small")
+    assert cases_of(recipe / "out/small")["covered"] == [("error", words)]
 
 
 def test_no_trustworthy_number_is_exit_code_4_and_the_rest_is_reported(tmp_path, monkeypatch, capsys):
@@ -202,7 +358,7 @@ def test_no_trustworthy_number_is_exit_code_4_and_the_rest_is_reported(tmp_path,
     page = (tmp_path / "out/unstable/report.html").read_text(encoding="utf-8")
     assert "No trustworthy number" in page
     root = ET.parse(tmp_path / "out/unstable/junit.xml").getroot()
-    assert (root.get("failures"), root.get("errors")) == ("1", "1")
+    assert (root.get("failures"), root.get("errors")) == ("0", "2")  # a requirement that nobody can judge, and its step
 
 
 def test_a_status_that_is_not_trustworthy_is_exit_code_4(recipe, monkeypatch):
@@ -307,12 +463,12 @@ def test_report_writes_the_same_page_again(recipe, capsys):
 @pytest.mark.parametrize(
     ("step", "message"),
     [
-        ('do = "robust-stability"\nof = "a"', "step 'a': gave a StateSpaceModel, expected an UncertainModel"),
+        ('do = "robust-stability"\nof = "a"', "step 'a' gives a StateSpaceModel, expected an UncertainModel"),
         ('do = "sample"\nof = "a"\nn = 1\ninput = { u1 = 1.0 }\nt_end = 1.0', "expected an UncertainModel"),
         ('do = "compare"\nof = "a"\nrecord = "a"', "expected a Record"),
         (
             'do = "worst-case"\nof = "set"\nmetric = "peak-deviation"\ninput = { u9 = 1.0 }\nt_end = 1.0',
-            "no such signal",
+            "step.last.input.u9: 'u9': set has no such input, expected one of u1",
         ),
         ('do = "worst-case"\nof = "set"\noutput = "y9"\ninput = { u1 = 1.0 }\nt_end = 1.0', "y9"),
         ('do = "close-loop"\nof = "set"\ncontroller = "wide"', "controller: 2 inputs and 1 outputs, expected 1 and 1"),

@@ -8,6 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 import robustlab as rl
 from robustlab.cli.ending import main_guard
@@ -107,7 +108,7 @@ def test_all_formats_hold_the_same_controller(finished):
     assert "y[0]: u [V], held in [-24.0, 24.0]" in source
     if shutil.which("gcc"):
         command = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", "files.c", "-o", "files.o"]
-        subprocess.run(command, cwd=folder, check=True, timeout=60)
+        subprocess.run(command, cwd=folder, check=True, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 import robustlab as rl
 from robustlab.campaign import CampaignSettings, Crew, run_campaign, saved_samples
@@ -42,7 +43,7 @@ def cluster(tmp_path):
     options = ("--scheduler-file", file)
     running = [launch(tmp_path, "distributed.cli.dask_scheduler", "--port", 0, "--no-dashboard", *options)]
     try:
-        until = time.monotonic() + 60
+        until = time.monotonic() + PATIENCE
         while not file.exists() or not file.read_text(encoding="utf-8").strip():
             assert time.monotonic() < until, (tmp_path / "log.txt").read_text(encoding="utf-8")
             time.sleep(0.05)
@@ -77,7 +78,7 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
     settings = CampaignSettings("peak-deviation", N, u={"u": 42.0}, t_end=0.1, points=51)
     words = ["--input", "u=42", "--t-end", "0.1", "--points", "51", "-n", N, "--json", "--store", "cluster.sqlite"]
     run = launch(tmp_path, "robustlab.cli.main", "campaign", "run", "motor.h5", *words, "--cluster", address)
-    until = time.monotonic() + 60
+    until = time.monotonic() + PATIENCE
     saved = 0
     while not saved and run.poll() is None and time.monotonic() < until:
         try:
@@ -85,7 +86,7 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
         except RobustlabError:
             time.sleep(0.02)
     worker.send_signal(signal.SIGKILL)
-    out, _ = run.communicate(timeout=400)
+    out, _ = run.communicate(timeout=PATIENCE)
     assert run.returncode == 0, (tmp_path / "log.txt").read_text(encoding="utf-8")
     result = json.loads(out)
     assert (result["done"], result["lost"], result["status"]) == (N, 0, "converged")
@@ -106,7 +107,7 @@ def test_an_answer_that_died_with_its_worker_is_given_back(cluster, monkeypatch)
         Payload(Identity.of(motor, CampaignSettings("hinf", TILE)), model_to_bytes(motor)), address
     )
     try:
-        until = time.monotonic() + 60
+        until = time.monotonic() + PATIENCE
         while not workers.idle() and time.monotonic() < until:
             workers._watch()
         workers.start(Piece(0, TILE, 60.0))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from patience import PATIENCE
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
@@ -38,7 +39,7 @@ def compiled(folder, source, name="controller"):
     (folder / f"{name}.c").write_text(source)
     library = folder / f"{name}.so"
     subprocess.run(
-        [CC, *STRICT, "-shared", "-fPIC", "-o", str(library), str(folder / f"{name}.c")], check=True, timeout=60
+        [CC, *STRICT, "-shared", "-fPIC", "-o", str(library), str(folder / f"{name}.c")], check=True, timeout=PATIENCE
     )
     return ctypes.CDLL(str(library))
 

@@ -12,7 +12,7 @@ from robustlab.files.hdf5 import read_tree
 from robustlab.files.isolation import run_reader
 from robustlab.files.signature import Limits
 
-QUICK = Limits(seconds=1.0)
+LIMITS = Limits(seconds=20.0)  # no reader here comes near it
 
 
 def reader(script):
@@ -22,18 +22,18 @@ def reader(script):
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_crash_is_named():
     with pytest.raises(InputError, match=r"p\.h5: reader crashed \(signal 11\); file is damaged or hostile"):
-        run_reader(reader("import os; os.kill(os.getpid(), 11)"), "p.h5", QUICK)
+        run_reader(reader("import os; os.kill(os.getpid(), 11)"), "p.h5", LIMITS)
 
 
 def test_a_hang_is_named():
-    with pytest.raises(InputError, match=r"p\.h5: reader gave no answer in 0\.5 s"):
+    with pytest.raises(InputError, match=r"p\.h5: reader gave no answer in 2 s"):
         run_reader(reader("import time; time.sleep(60)"), "p.h5", Limits(seconds=0.5))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_the_processor_limit_counts_as_a_hang():
     with pytest.raises(InputError, match=r"gave no answer"):
-        run_reader(reader("import os, signal; os.kill(os.getpid(), signal.SIGXCPU)"), "p.h5", QUICK)
+        run_reader(reader("import os, signal; os.kill(os.getpid(), signal.SIGXCPU)"), "p.h5", LIMITS)
 
 
 NONSENSE = [
@@ -49,14 +49,14 @@ sys.stdout.buffer.write(b'RLTREE1\\n' + len(h).to_bytes(8, 'little') + h)""",
 @pytest.mark.parametrize("script", NONSENSE)
 def test_nonsense_is_not_believed(script):
     with pytest.raises(InputError, match="reader gave no valid answer"):
-        run_reader(reader(script), "p.h5", Limits(seconds=20))
+        run_reader(reader(script), "p.h5", LIMITS)
 
 
 def test_a_reader_that_cannot_work_is_no_fault_of_the_file():
     with pytest.raises(EnvironmentFault, match="reader process failed"):
-        run_reader(reader("import nothing_of_that_name"), "p.h5", Limits(seconds=20))
+        run_reader(reader("import nothing_of_that_name"), "p.h5", LIMITS)
     with pytest.raises(EnvironmentFault, match="cannot be started"):
-        run_reader(["/nonexistent/python"], "p.h5", QUICK)
+        run_reader(["/nonexistent/python"], "p.h5", LIMITS)
 
 
 def test_the_users_folder_lends_no_modules_to_the_reader(tmp_path, monkeypatch):

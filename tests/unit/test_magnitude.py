@@ -69,9 +69,9 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "hinf_norm": (rl.hinf_norm, "hinf_norm", True),
     "h2_norm": (h2_norm, "h2_norm", True),
     "h2": (lambda m: rl.h2(generalised(m), 1, 1), "synth h2", True),
-    "hinf": (lambda m: rl.hinf(generalised(m), 1, 1, time_limit=2), "synth hinf", False),
-    "dk": (lambda m: rl.dk(generalised(m), [rl.FullBlock("k", 1, 1)], 1, 1, time_limit=2), "synth dk", False),
-    "mixsyn": (lambda m: rl.mixsyn(m, W1=0.5, W2=0.1, time_limit=2), "synth mixsyn", False),
+    "hinf": (lambda m: rl.hinf(generalised(m), 1, 1, effort=0.05), "synth hinf", False),
+    "dk": (lambda m: rl.dk(generalised(m), [rl.FullBlock("k", 1, 1)], 1, 1, effort=0.05), "synth dk", False),
+    "mixsyn": (lambda m: rl.mixsyn(m, W1=0.5, W2=0.1, effort=0.05), "synth mixsyn", False),
     "ncf": (rl.ncf, "synth ncf", True),
     "lqg": (lambda m: rl.lqg(m, *PAIR, *PAIR), "synth lqg", False),
     "lqr": (lambda m: rl.lqr(m, *PAIR), "lqr", True),
@@ -236,7 +236,7 @@ def test_synthesis_with_direct_terms_of_any_magnitude(size, n):
     assert bound * (1 - 1e-9) <= design.gamma < np.inf
     assert n or size != 1.0 or design.gamma <= bound * (1 + 1e-3)
     try:
-        robust = rl.dk(P, [rl.FullBlock("k", 1, 1)], 1, 1, time_limit=5)
+        robust = rl.dk(P, [rl.FullBlock("k", 1, 1)], 1, 1, effort=0.05)
     except rl.NoTrustworthyNumber as error:
         assert (size > 1, error.where) == (True, "synth dk")
     else:
@@ -247,7 +247,7 @@ def test_synthesis_with_direct_terms_of_any_magnitude(size, n):
 def test_dk_where_all_direct_terms_are_large_ends_in_one_line(size):
     P = Model(-np.eye(1), np.ones((1, 3)), np.ones((3, 1)), size * np.block([[D11, D12], [D21, 0.0]]))
     with pytest.raises(rl.NoTrustworthyNumber, match=r"^synth dk: .*1e(310|600)"):
-        rl.dk(P, [rl.FullBlock("k", 1, 1)], 1, 1, time_limit=2)
+        rl.dk(P, [rl.FullBlock("k", 1, 1)], 1, 1, effort=0.05)
 
 
 def test_h2_where_the_control_acts_1e20_times_weaker_than_the_disturbance():

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from patience import PATIENCE
 
 from robustlab.identification.naming import discovery as module
 from robustlab.identification.naming.discovery import Progress
@@ -108,7 +109,7 @@ def test_lines_come_while_one_step_takes_long_and_end_with_it(monkeypatch):
     before, lines = threading.active_count(), []
     with Progress(lines.append) as progress:
         progress.step(1, 3, "a long fit")
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + PATIENCE
         while len(lines) < 3 and time.monotonic() < deadline:
             time.sleep(0.01)
         progress.tell("what remains")

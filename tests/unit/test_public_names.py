@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import PATIENCE
 from stub import STUB, stub_text
 
 import robustlab as rl
@@ -73,7 +74,7 @@ def test_a_type_checker_knows_every_public_name(tmp_path):
     lines = ["import robustlab as rl", *(f"reveal_type(rl.{name})" for name in (*rl.__all__, "__version__"))]
     (tmp_path / "user.py").write_text("\n".join(lines))
     command = [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, "user.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE)
     found = {d["range"]["start"]["line"]: d for d in json.loads(done.stdout)["generalDiagnostics"]}
     for k, line in enumerate(lines[1:], start=1):
         said = found[k]["message"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.load import MAX_BYTES, find_files, load_recipe, parse_recipe
+from robustlab.recipe.load import MAX_BYTES, find_file, load_recipe, parse_recipe
 from robustlab.recipe.schema import json_schema
 
 HEAD = 'schema = "robustlab.recipe/1"\nname = "x"\n'
@@ -198,7 +198,8 @@ def project(tmp_path, monkeypatch):
 
 def found(recipe, path, kind="load", more="", changes=()):
     recipe.write_text(f'{HEAD}[step.m]\ndo = "{kind}"\npath = {json.dumps(path)}\n{more}')
-    return find_files(load_recipe(recipe, changes))["m"]
+    loaded = load_recipe(recipe, changes)
+    return find_file(loaded, "m", loaded.recipe.step["m"])
 
 
 def test_a_model_is_looked_for_beside_the_recipe_and_in_the_folder_above(project):

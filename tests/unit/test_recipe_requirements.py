@@ -58,21 +58,33 @@ def test_conditions(condition, met):
     assert verdict(**condition).met is met
 
 
-def test_contains_wants_a_list_and_equals_wants_none():
-    with pytest.raises(InputError, match="because the condition is contains"):
-        verdict(that="gap.kind", contains="x")
-    with pytest.raises(InputError, match="names a table"):
-        verdict(that="gap.names", equals="x")
-    with pytest.raises(InputError, match="names a table"):
-        verdict(that="gap.outputs", contains="q")
+@pytest.mark.parametrize(
+    ("condition", "why"),
+    [
+        ({"that": "gap.kind", "contains": "x"}, "'x', expected a list, because the condition is contains"),
+        ({"that": "gap.names", "equals": "x"}, "names a table, expected a single number, text, or yes/no"),
+        ({"that": "gap.outputs", "contains": "q"}, "names a table, expected a single number, text, or yes/no"),
+        ({"that": "gap.ok", "at_least": 1.0}, "True, expected a number, because the condition compares numbers"),
+        ({"that": "gap.kind", "at_least": 1.0}, "'x', expected a number, because the condition compares numbers"),
+        ({"that": "gap.outputs.q.fitt", "at_least": 1.0}, "gap.outputs.q has no 'fitt', expected one of fit (did you"),
+    ],
+)
+def test_what_is_of_another_kind_cannot_be_judged(condition, why):
+    judgement = verdict(**condition)
+    assert not judgement.met
+    assert judgement.misstated
+    assert judgement.why_not.startswith(why)
 
 
 def test_true_is_not_the_number_one():
-    with pytest.raises(InputError, match="compares numbers"):
-        verdict(that="gap.ok", at_least=1.0)
     assert not verdict(that="gap.outputs.q.fit", equals=True).met
-    with pytest.raises(InputError, match="compares numbers"):
-        verdict(that="gap.kind", at_least=1.0)
+
+
+def test_nan_is_not_met_and_says_that_there_is_no_number():
+    judgement = verdict(that="gap.bad", at_most=1.0)
+    assert (judgement.met, judgement.misstated) == (False, False)
+    assert judgement.why_not == "there is no number to judge (NaN)"
+    assert verdict(that="gap.norm", at_most=1.0).why_not == ""
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,11 @@
 import pickle
 import subprocess
 import sys
-import time
 
 import numpy as np
 import own_plants
 import pytest
+from calls import calls
 from plant_files import NAMES, maker
 
 import robustlab as rl
@@ -165,18 +165,14 @@ def test_its_tapes_are_short(chain):
     assert len(chain.equations.models.operations) < 2000
 
 
-def test_a_second_of_twelve_states_is_quick(chain):
-    """The bar of 20 ms (benchmarks/results/own_plants.txt), with room for a busy machine."""
-    t = np.linspace(0.0, 1.0, 1001)
-    u = np.sin(20 * t)
-
-    def spent():
-        start = time.process_time()
-        rl.simulate(chain, t, u, own_plants.START)
-        return time.process_time() - start
-
-    spent()
-    assert min(spent() for _ in range(5)) < 0.06
+def test_a_simulation_of_twelve_states_is_compiled(chain):
+    """Python is not asked for each sample: how long it takes is in benchmarks/results/own_plants.txt."""
+    counts = []
+    for n in (101, 1001):
+        t = np.linspace(0.0, 0.1 * (n // 100), n)
+        rl.simulate(chain, t, np.sin(20 * t), own_plants.START)
+        counts.append(calls(lambda t=t: rl.simulate(chain, t, np.sin(20 * t), own_plants.START)))
+    assert counts[0] == counts[1]
 
 
 def test_nothing_is_compiled_for_a_plant(chain):

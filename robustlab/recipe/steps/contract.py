@@ -31,6 +31,7 @@ class Step(Strict):
     model_config = ConfigDict(defer_build=True)  # only the union of all kinds needs a validator, see `recipe_model`
 
     gives: ClassVar[str] = "nothing"
+    leaves: ClassVar[Any] = ...  # what requirements may refer to, as `robustlab.recipe.steps.leaves` writes it
 
     title: Text = Field("", description="What the report calls this step; the step's name where left out.")
 
@@ -39,9 +40,20 @@ class Step(Strict):
         """What the step does, as the recipe says with ``do``."""
         return str(vars(self)["do"])
 
+    def foretell(self, ahead: Ahead) -> Foretold:
+        """What the step will give and leave, as far as that is known before anything runs; cheap to say.
+
+        Raises RobustlabError: the step cannot be done as the recipe says.
+        """
+        return Foretold()
+
     def run(self, work: Workspace) -> Outcome:
         """Do what the step says."""
         raise NotImplementedError(self.kind)
+
+    def in_free_run(self, path: str) -> str | None:
+        """Where a number that holds in windows stands for the free run; None of any other number."""
+        return None
 
 
 def step(cls: Kind) -> Kind:
@@ -76,6 +88,49 @@ class Fact:
 
 
 @dataclass(frozen=True)
+class Foretold:
+    """What is known of a step before it runs; None: nothing."""
+
+    value: Any = None  # what later steps get, where it is there without a computation: a plant of ours, a file's object
+    # Signals of what later steps get: name -> unit.
+    inputs: Mapping[str, str] | None = None
+    outputs: Mapping[str, str] | None = None
+    leaves: Any = ...  # what requirements may refer to, where that depends on more than the kind of step
+
+    @classmethod
+    def of(cls, value: Any, leaves: Any = ...) -> Foretold:
+        """What is known of a step whose value is there."""
+        if isinstance(value, rl.Record):
+            inputs, outputs = ({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs))
+            return cls(value, inputs, outputs, leaves)
+        model = getattr(value, "K", value)  # a controller is kept with what it was designed for
+        return cls(value, _units(getattr(model, "inputs", None)), _units(getattr(model, "outputs", None)), leaves)
+
+    def select(self, outputs: Sequence[str] | None) -> Foretold:
+        """The same signals for a value that has yet to be made, with the outputs that are kept."""
+        if outputs is None or self.outputs is None:
+            return Foretold(None, self.inputs, self.outputs)
+        return Foretold(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs})
+
+
+def _units(signals: Any) -> dict[str, str] | None:
+    known = isinstance(signals, tuple) and all(isinstance(s, rl.Signal) for s in signals)
+    return {s.name: s.unit for s in signals} if known else None
+
+
+@dataclass
+class Ahead:
+    """What is known before anything runs: the files that steps read, and what each step before this one foretells."""
+
+    sources: Mapping[str, Path]  # as in `Workspace`
+    steps: dict[str, Foretold] = field(default_factory=dict)
+    step: str = ""  # name of the step that is asked now
+
+    def __getitem__(self, name: str | None) -> Foretold:
+        return self.steps.get(name or "", Foretold())
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What a step leaves behind."""
 
@@ -95,7 +150,7 @@ class Workspace:
     """What a step may use: the values of earlier steps, the files found for it, the seed, and a folder to write to."""
 
     folder: Path  # where this run writes; `files` lists what was written, relative to it
-    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_files`.
+    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
     sources: Mapping[str, Path]
     seed: int  # seed of the recipe
     # Folder for what outlives an interrupted run, so that the next one can go on with it; it may not exist yet.
@@ -111,6 +166,7 @@ class Workspace:
     discoveries: dict[str, Discovery] = field(default_factory=dict)
     simulated: set[str] = field(default_factory=set)  # names of the steps whose records are simulated, not measured
     step: str = ""  # name of the step that runs now
+    ahead: Ahead = field(default_factory=lambda: Ahead({}))  # what was known before the first step
 
     def uncertain(self, name: str) -> rl.UncertainModel:
         """The uncertain model that an earlier step gave; a loaded file may hold something else."""

@@ -12,14 +12,25 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
+from robustlab.errors import InputError, unknown_name
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    least_trusted,
+    quantity,
+    step,
+)
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     ComplementaryWeight,
     ControlWeight,
     Effort,
     ErrorWeight,
+    Names,
     PerformanceWeight,
     Positive,
     RefersTo,
@@ -37,7 +48,7 @@ Sizes = Positive | dict[str, Positive]
 
 Controllers = Annotated[list[ToController], Field(min_length=1, max_length=12)]
 
-Names = Annotated[list[str], Field(min_length=1, max_length=100)]
+Outputs = Annotated[list[str], Field(min_length=1, max_length=100), Names("outputs")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +70,11 @@ class TrackingProblemStep(Step):
     """
 
     gives: ClassVar[str] = "problem"
+    leaves: ClassVar[Any] = {"states": "1", "blocks": [str], "channels": "1", "measurements": "1", "controls": "1"}
     do: Literal["tracking-problem"]
     of: Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-    controlled: Names = Field(description='Names of outputs; "phi_*" stands for all that begin so.')
-    measured: Names = Field(description="The same.")
+    controlled: Outputs = Field(description='Names of outputs; "phi_*" stands for all that begin so.')
+    measured: Outputs = Field(description="The same.")
     W1: Positive | ErrorWeight | PerformanceWeight | None = Field(
         None, description="On the error, as a share of the reference."
     )
@@ -71,7 +83,7 @@ class TrackingProblemStep(Step):
     reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
     reference_bandwidth: Positive | None = Field(None, description="rad/s, above which references get smaller.")
     disturbance: Sizes | None = Field(None, description="Size of what is added to the controls, in their units.")
-    loads: dict[str, Positive] = Field(
+    loads: Annotated[dict[str, Positive], Names("inputs")] = Field(
         {}, description='Inputs of the model that are no controls, with their sizes: { "load *" = 1.0 }.'
     )
     noise: Sizes | None = Field(
@@ -142,6 +154,7 @@ class CascadeStep(Step):
     """
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = {"order": "1", "p_up": "1/s", "p_low": "1/s"}
     do: Literal["cascade"]
     of: ToPlant
     p_up: Positive = 236.0
@@ -181,6 +194,11 @@ class RobustPerformanceStep(Step):
     )
     gain: bool = Field(True, description="The worst-case gain, too.")
     points: Annotated[int, Field(ge=2, le=10_000)] = Field(120, description="Frequencies of the curves in the figure.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        pure = ("order", "nominal_gain", "mu_lower", "mu_upper", *(("gain_lower", "gain_upper") if self.gain else ()))
+        row = {**dict.fromkeys(pure, "1"), "frequency": "rad/s"}
+        return Foretold(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.design_figures import mu_comparison_figure
@@ -241,8 +259,8 @@ class SimulateControlStep(Step):
     do: Literal["simulate-control"]
     of: ToPlant
     controllers: Controllers
-    controlled: Names
-    measured: Names
+    controlled: Outputs
+    measured: Outputs
     amplitude: Positive = Field(description="Of the reference, in the controlled output's unit.")
     omega: Positive = Field(description="Of the reference in rad/s.")
     rise_time: Positive = Field(description="s, in which the sine grows to its amplitude.")
@@ -256,7 +274,24 @@ class SimulateControlStep(Step):
     members: list[dict[str, float]] = Field([], description="Parameters of further members of the set to simulate.")
     scale: Positive = Field(1.0, description="Factor from the controlled output to `unit`.")
     unit: str = ""
-    limits: dict[str, Positive] = Field({}, description="Largest magnitude of a signal; compared, not clipped.")
+    limits: Annotated[dict[str, Positive], Names("signals")] = Field(
+        {}, description="Largest magnitude of a signal; compared, not clipped."
+    )
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        known = {**(ahead[self.of].inputs or {}), **(ahead[self.of].outputs or {})}
+        plant = ahead[self.of].value
+        if plant is not None:  # unknown effects, places and parameters are refused
+            for member in self.members:
+                plant.with_parameters(**member)
+            if self.effects:
+                rl.with_effects(plant, self.effects)
+        unit = self.unit or known.get(self.controlled[0], float)
+        row = {
+            "order": "1", "largest_error": unit, "worst_error": unit, "within_limits": bool,
+            "largest": {name: known.get(name, float) for name in self.limits},
+        }  # fmt: skip
+        return Foretold(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def _wave(self) -> tuple[Any, Any, int]:
         """Times (n,), the reference at them, and how many of them lie between two points that are kept."""
@@ -277,7 +312,10 @@ class SimulateControlStep(Step):
         plant = work.values[self.of]
         if not isinstance(plant, LinearPlant):
             raise InputError(f"step {self.of!r}", f"gave a {type(plant).__name__}", "a linear plant")
-        _known_limits(self.limits, plant)
+        for name in self.limits:
+            known = [s.name for s in (*plant.outputs, *plant.inputs)]
+            if name not in known:
+                raise unknown_name(f"limits.{name}", "no such signal", name, known)
         t, wave, fine = self._wave()
         reference = np.tile(wave[:, None], len(self.controlled))
         rows: dict[str, dict[str, Any]] = {}
@@ -348,6 +386,14 @@ class FollowTrajectoryStep(Step):
     t_end: Positive = 5.0
     after: Annotated[float, Field(ge=0)] = Field(3.0, description="s from which on the errors count.")
     points: Annotated[int, Field(ge=2, le=100_000)] = 2501
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        row = {
+            "order": "1", "worst_error": "mm", "position_error": "m", "orientation_error": "rad",
+            "nut_errors": {f"phi_{i}": "rad" for i in range(1, 7)}, "largest_torque": "N m", "largest_voltage": "V",
+            "within_limits": bool, "spectral_abscissa": "1/s",
+        }  # fmt: skip
+        return Foretold(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
         """The nonlinear platform under each controller, with its motors' torque loops below if it has motors.
@@ -541,10 +587,3 @@ def _weight(given: Any, make: Any) -> Any:
 def _sizes(sizes: Mapping[str, float], signals: Any) -> str:
     units = {s.name: s.unit for s in signals}
     return ", ".join(f"{name} {quantity(size, units.get(name, ''))}" for name, size in sizes.items()) or "none"
-
-
-def _known_limits(limits: Mapping[str, float], plant: Any) -> None:
-    known = [s.name for s in (*plant.outputs, *plant.inputs)]
-    for name in limits:
-        if name not in known:
-            raise InputError(f"limits.{name}", "no such signal", f"one of {', '.join(known)}")

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.steps.models import uncertain_numbers
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.leaves import leaves_of
+from robustlab.recipe.steps.models import UNCERTAIN, uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
+    Names,
     Positive,
     RefersTo,
     Text,
@@ -50,7 +53,7 @@ class DataCoverStep(Step):
     of: ToPlantOrFile
     records: Annotated[list[ToRecord], Field(min_length=1, max_length=20)]
     held_out: list[ToRecord] = Field([], description="Records on which the set is checked; they do not change it.")
-    noise: Annotated[dict[str, Positive], Field(min_length=1)] = Field(
+    noise: Annotated[dict[str, Positive], Field(min_length=1), Names("outputs")] = Field(
         description="Output that is compared -> largest noise, in its unit."
     )
     margin: Annotated[float, Field(ge=1)] = Field(
@@ -66,6 +69,13 @@ class DataCoverStep(Step):
     )
     effort: Effort = Field(1.0, description="Multiple of the usual work, for each record.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.identification.validation.data_cover import DataCover
+
+        more = {"passes": bool, "blocks": [str], "loads": {"*": float}}
+        # The loads of the plant's effects come before its inputs.
+        return Foretold(outputs=ahead[self.of].outputs, leaves=leaves_of(DataCover, "model", "validations", **more))
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.set_figures import validation_figure
@@ -122,12 +132,28 @@ class StoryStep(Step):
 
     do: Literal["story"]
     record: ToRecord | None = Field(None, description="Record that both plants are simulated against, from rest.")
-    output: Text = Field("", description="Output of the record to draw; the first where left out.")
+    output: Annotated[Text, Names("outputs", "record")] = Field(
+        "", description="Output of the record to draw; the first where left out."
+    )
     plants: Annotated[list[ToPlantOrFile], BeforeAfter] | None = None
     covers: Annotated[list[ToUncertain], BeforeAfter] | None = Field(None, description="data-cover steps.")
     performance: Annotated[list[ToPerformance], BeforeAfter] = Field(description="robust-performance steps.")
     controllers: Annotated[list[ToController], BeforeAfter]
     runs: ToRuns = Field(description="simulate-control or follow-trajectory step with both controllers.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        """The names of both controllers must be among those that the steps before were given."""
+        asked = zip((*self.performance, self.runs, self.runs), (*self.controllers, *self.controllers), strict=True)
+        for name, controller in asked:
+            rows = ahead[name].leaves
+            if rows is not ... and controller not in rows["controllers"]:
+                known = rows["controllers"]
+                raise unknown_name(f"step {name!r}", f"does not have {controller!r}", controller, known)
+        pair = {"before": float, "after": float, "ratio": "1"}
+        leaves: dict[str, Any] = {"mu": {"before": "1", "after": "1", "fall_percent": "%"}, "error": pair}
+        leaves |= {"gap": pair} if self.record is not None else {}
+        leaves |= {"radius": pair, "held_out": pair} if self.covers is not None else {}
+        return Foretold(leaves=leaves)
 
     @model_validator(mode="after")
     def _together(self) -> Self:
@@ -239,6 +265,11 @@ class CoverModelsStep(Step):
     """
 
     gives: ClassVar[str] = "uncertain"
+    leaves: ClassVar[Any] = {
+        **UNCERTAIN, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"), "loads": {"*": float},
+        **dict.fromkeys(("order", "excess", "least_excess", "conservatism", "conservatism_at_least"), "1"),
+        "set_gain": float,
+    }  # fmt: skip
     do: Literal["cover-models"]
     models: Annotated[list[ToOneModel], Field(max_length=100)] = Field([])
     of: ToPlantOrFile | None = Field(None, description="A mechanism, linearised at each of `poses`.")
@@ -258,7 +289,7 @@ class CoverModelsStep(Step):
         "coprime",
     ] = "elements"
     nominal: ToOneModel | None = Field(None, description="Where left out, the middle, or what makes the set smallest.")
-    outputs: list[str] | None = None
+    outputs: Annotated[list[str], Names("outputs")] | None = None
     tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(
         1e-9, description="Share of its matrix' largest that an entry may be off: pca, ellipsoid need fewer directions."
     )
@@ -279,6 +310,10 @@ class CoverModelsStep(Step):
         if len(self.models) + len(self.poses) < 2:
             raise PydanticCustomError("set", "expected at least two models, or of with at least two poses")
         return self
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        source = ahead[self.of if self.of is not None else self.models[0]]
+        return replace(source.select(self.outputs), inputs=None)
 
     def run(self, work: Workspace) -> Outcome:
         """The smallest uncertain model of a form around a set of models, with its conservatism.
@@ -319,9 +354,13 @@ class UncertainFromStep(Step):
     """An uncertain model of what a `discover` step found and left unexplained; each block says where it comes from."""
 
     gives: ClassVar[str] = "uncertain"
+    leaves: ClassVar[Any] = {
+        **UNCERTAIN, "count": "1", "inputs": "1", "left_out": "1", "range": {"*": {"low": float, "high": float}},
+        "bound": {"*": float},
+    }  # fmt: skip
     do: Literal["uncertain-from"]
     of: ToPlantOrFile = Field(description="A discover step, a plant, or the file of an updated plant.")
-    outputs: list[str] | None = None
+    outputs: Annotated[list[str], Names("outputs")] | None = None
     amplitude: dict[str, Positive | AmplitudePair] = Field(
         {}, description="Of the signal of a joint, position, input or output: at which the effects are described there."
     )
@@ -334,6 +373,9 @@ class UncertainFromStep(Step):
         2.0, description="Half width of the range of a fitted value in its standard deviations."
     )
     pade: Annotated[int, Field(ge=1, le=8)] = Field(2, description="Order of the Padé approximation of delays.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        return replace(ahead[self.of].select(self.outputs), inputs=None)  # bounded errors come before its inputs
 
     def run(self, work: Workspace) -> Outcome:
         """What was named and what remains as blocks, each with its origin.
@@ -386,10 +428,14 @@ class WithLoadsStep(Step):
     """
 
     gives: ClassVar[str] = "record"
+    leaves: ClassVar[Any] = {"largest": {"*": "1"}, "bound": {"*": float}}
     do: Literal["with-loads"]
     of: ToPlantOrFile = Field(description="A discover step, or a plant with effects.")
     record: ToRecord
     sigmas: Annotated[float, Field(ge=0, le=10)] = Field(2.0, description="As in the step that made the set.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        return Foretold(outputs=ahead[self.record].outputs)
 
     def run(self, work: Workspace) -> Outcome:
         """The record with the loads of a plant's effects: known signals, at most one.

@@ -10,13 +10,27 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, quantity, step, told
-from robustlab.recipe.steps.models import uncertain_numbers
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    picked,
+    quantity,
+    step,
+    told,
+)
+from robustlab.recipe.steps.leaves import COMPLEX
+from robustlab.recipe.steps.models import UNCERTAIN, uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     ComplementaryWeight,
     ControlWeight,
     Effort,
+    Names,
     PerformanceWeight,
     Positive,
     Strict,
@@ -30,11 +44,23 @@ from robustlab.signals import Taken, law
 GammaRel = Annotated[float, Field(ge=1, le=10)]
 
 
+def numbers_of(*more: str) -> dict[str, Any]:
+    """What is left of every design, see `designed`, and ``more`` numbers of one kind."""
+    return {"order": "1", "stable": bool, **dict.fromkeys((*BASE, *more), float)}
+
+
+BASE = ("gamma", "fastest_controller_pole", "closed_loop_abscissa")
+HINF = (
+    "smallest_gamma", "peak_frequency", "scalings_disagree", "gamma_lower", "estimated_optimum", "regularisation_cost",
+)  # fmt: skip
+
+
 @step
 class MixsynStep(Step):
     """Mixed-sensitivity H-infinity controller: makes the norm of [W1 S; W2 K S; W3 T] small."""
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = numbers_of(*HINF)
     do: Literal["mixsyn"]
     of: ToModel
     W1: PerformanceWeight | None = None
@@ -91,6 +117,7 @@ class DesignStep(Step):
 class HinfStep(DesignStep):
     """H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
 
+    leaves: ClassVar[Any] = numbers_of(*HINF)
     do: Literal["hinf"]
     gamma_rel: GammaRel = Field(1.05, description="Allowed ratio to the smallest gamma; the slowest controller wins.")
     nominal: bool = Field(
@@ -110,9 +137,16 @@ class CloseLoopStep(Step):
     """The tracking loop of a controller around a model: reference in, the controlled outputs out."""
 
     gives: ClassVar[str] = "uncertain"
+    leaves: ClassVar[Any] = {**UNCERTAIN, "spectral_abscissa": float, "nominally_stable": bool}
     do: Literal["close-loop"]
     of: ToModel
     controller: ToController
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        inputs, outputs = ahead[self.of].inputs, ahead[self.of].outputs
+        if inputs is None or outputs is None:
+            return Foretold()
+        return Foretold(None, {f"{name}_ref": unit for name, unit in outputs.items()}, {**outputs, **inputs})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.statespace import as_model
@@ -136,6 +170,7 @@ class CloseLoopStep(Step):
 class H2Step(DesignStep):
     """H2 (LQG) controller of a generalised plant; of a tracking problem, of the nominal one."""
 
+    leaves: ClassVar[Any] = numbers_of("regularisation", "regularised_norm", "smallest_norm")
     do: Literal["h2"]
 
     def run(self, work: Workspace) -> Outcome:
@@ -157,6 +192,7 @@ class LqgStep(Step):
     """
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = numbers_of("separation", "peak")
     do: Literal["lqg"]
     of: ToModel
     Q: Diagonal = Field(1.0, description="Cost of the states.")
@@ -167,9 +203,13 @@ class LqgStep(Step):
         None, description='"constant", or the frequency of a sinusoid in rad/s.'
     )
     at: Literal["input", "output"] = Field("input", description="Where the disturbance adds.")
-    channels: list[str] | None = Field(None, description="On which inputs or outputs; all where left out.")
+    channels: Annotated[list[str], Names("signals")] | None = Field(
+        None, description="On which inputs or outputs; all where left out."
+    )
     disturbance_noise: Positive = Field(1.0, description="The larger, the faster the disturbance is estimated.")
-    regulated: list[str] | None = Field(None, description="Outputs that it must leave; all where left out.")
+    regulated: Annotated[list[str], Names("outputs")] | None = Field(
+        None, description="Outputs that it must leave; all where left out."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         import numpy as np
@@ -197,6 +237,7 @@ class NcfStep(Step):
     """Loop shaping with normalised coprime factors (u = K y, positive feedback); gamma_min is exact."""
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = numbers_of("gamma_min", "factor", "rho", "steady_error", "references")
     do: Literal["ncf"]
     of: ToModel
     W1: Positive | None = Field(None, description="Gain before the plant.")
@@ -206,7 +247,9 @@ class NcfStep(Step):
         None, description="Two degrees of freedom, u = K [r; y]: what the outputs are to do."
     )
     rho: Positive = Field(1.0, description="Weight of following the reference model.")
-    follow: list[str] | None = Field(None, description="Outputs that follow it; all where left out.")
+    follow: Annotated[list[str], Names("outputs")] | None = Field(
+        None, description="Outputs that follow it; all where left out."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.design_figures import functions_picture
@@ -225,6 +268,7 @@ class NcfStep(Step):
 class DkStep(DesignStep):
     """Robust controller by D-K iteration and direct minimisation; gamma bounds mu at all frequencies."""
 
+    leaves: ClassVar[Any] = numbers_of("lower", "frequency", "scaled_level", "start_mu")
     do: Literal["dk"]
     start: ToController | None = Field(None, description="Stabilising controller to start from.")
     structure: Annotated[str, Field(max_length=200)] | None = Field(
@@ -264,6 +308,7 @@ class FixedStep(DesignStep):
     Of a tracking problem or an uncertain model the worst member counts, unless `nominal`.
     """
 
+    leaves: ClassVar[Any] = numbers_of("peak_frequency")
     do: Literal["fixed"]
     structure: Annotated[str, Field(max_length=200)] = Field(
         "static", description='static, p, i, pi, pd, pid, "order:N", "poles:-1,-20", "ipd:full", "decentralised:WORD".'
@@ -308,6 +353,7 @@ class TuneStep(Step):
     """Controller u = K (r - y) of a given structure: hard goals met, the others made small, for several plants."""
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = numbers_of("missed", "overshoot")
     do: Literal["tune"]
     of: ToModel
     also: list[ToModel] = Field(default_factory=list, description="Further plants for the same controller.")
@@ -346,6 +392,7 @@ class TuneStep(Step):
 class ReduceControllerStep(DesignStep):
     """The controller of lowest order whose verified loop is at most a stated share worse than the full one's."""
 
+    leaves: ClassVar[Any] = numbers_of("original_order", "original_gamma", "loss", "allowed_loss")
     do: Literal["reduce-controller"]
     controller: ToController
     loss: Annotated[float, Field(ge=0, le=10)] = 0.01
@@ -373,10 +420,13 @@ class LqrStep(Step):
     """
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = {"K": [[float]], "poles": [COMPLEX], "X": [[float]]}
     do: Literal["lqr"]
     of: ToModel
     states: Annotated[Weights, Field(min_length=1)] = Field(description="Weights on states by name; 0 where left out.")
-    controls: dict[str, Positive] = Field({}, description="Weights on controls by name; 1 where left out.")
+    controls: Annotated[dict[str, Positive], Names("inputs")] = Field(
+        {}, description="Weights on controls by name; 1 where left out."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.statespace import as_model
@@ -385,7 +435,7 @@ class LqrStep(Step):
 
         model = as_model(work.values[self.of], self.of)
         found = rl.lqr(model, *integral_weights(model, {}, self.states, self.controls))
-        numbers = {"K": found.K, "poles": found.poles, "X": found.X}
+        numbers = picked(found, *self.leaves)
         return told(found, gain_controller(model, found), f"States of {self.of} fed back.", numbers, work)
 
 
@@ -397,13 +447,18 @@ class LqiStep(Step):
     """
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = {
+        "K": [[float]], "K_i": [[float]], "poles": [COMPLEX], "steady_error": ..., "spectral_abscissa": float,
+    }  # fmt: skip
     do: Literal["lqi"]
     of: ToModel
-    integral: Annotated[Weights, Field(min_length=1)] = Field(
+    integral: Annotated[Weights, Field(min_length=1), Names("outputs")] = Field(
         description="Outputs that are to follow, with the weights on their integrated errors."
     )
     states: Weights = Field({}, description="Weights on states by name; 0 where left out.")
-    controls: dict[str, Positive] = Field({}, description="Weights on controls by name; 1 where left out.")
+    controls: Annotated[dict[str, Positive], Names("inputs")] = Field(
+        {}, description="Weights on controls by name; 1 where left out."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.statespace import as_model
@@ -424,10 +479,13 @@ class KalmanStep(Step):
     """Steady-state Kalman filter, as a model from inputs and measured outputs to estimated states."""
 
     gives: ClassVar[str] = "model"
+    leaves: ClassVar[Any] = {"L": [[float]], "poles": [COMPLEX], "deviations": {"*": float}}
     do: Literal["kalman"]
     of: ToModel
     process: Weights = Field(description="Intensities of the noise on states, or on inputs, by name.")
-    measurement: Weights = Field(description="Intensities of the noise on each output by name; discrete: variances.")
+    measurement: Annotated[Weights, Names("outputs")] = Field(
+        description="Intensities of the noise on each output by name; discrete: variances."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         import numpy as np

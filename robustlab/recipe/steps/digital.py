@@ -11,7 +11,7 @@ from pydantic import Field
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, step
-from robustlab.recipe.steps.design import designed
+from robustlab.recipe.steps.design import designed, numbers_of
 from robustlab.recipe.steps.vocabulary import GUARD, Effort, Positive, TimeLimit, ToController, ToDesignable
 
 FORMATS = (".c", ".json", ".mat", ".h5")
@@ -25,6 +25,11 @@ class DiscretiseStep(Step):
     """
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = {
+        **numbers_of("loss", "allowed_loss"), **dict.fromkeys(("dt", "delay"), "s"), "antialiasing": "rad/s",
+        **{key: {"lower": "1", "upper": "1"} for key in ("mu_before", "mu_after")},
+        **dict.fromkeys(("margin_before", "margin_after", "stability_margin_after", "mu_growth"), "1"),
+    }  # fmt: skip
     do: Literal["discretise"]
     of: ToController
     plant: ToDesignable = Field(description="The problem or generalised plant that the controller was designed for.")
@@ -57,6 +62,7 @@ class ExportStep(Step):
     """A controller for other programs: STEP.c (C99), STEP.json, STEP.mat and STEP.h5 in the output folder."""
 
     gives: ClassVar[str] = "saved"
+    leaves: ClassVar[Any] = {"order": "1", "dt": "s", "sha256": {"*": str}}
     do: Literal["export"]
     of: ToController
     prefix: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")] = Field(

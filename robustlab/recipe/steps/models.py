@@ -1,8 +1,9 @@
-"""Steps that make models: from physics, from files, from one another; with delays."""
+"""Steps that make models: from physics, from files, from one another."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -11,10 +12,11 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.delays.neglected import PROOFS
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, unknown_name
 from robustlab.recipe.steps.contract import (
+    Ahead,
     Fact,
+    Foretold,
     Outcome,
     Step,
     Workspace,
@@ -24,9 +26,11 @@ from robustlab.recipe.steps.contract import (
     step,
     told,
 )
+from robustlab.recipe.steps.leaves import COMPLEX
 from robustlab.recipe.steps.vocabulary import (
     Band,
     FileName,
+    Names,
     NumberOrPair,
     Positive,
     RefersTo,
@@ -39,6 +43,18 @@ from robustlab.recipe.steps.vocabulary import (
     ToSaved,
     as_pair,
 )
+
+# What is left of a model, and of an uncertain one.
+MODEL: dict[str, Any] = {
+    "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": [COMPLEX],
+}  # fmt: skip
+RANK = {"rank": "1", "states": "1", "full": bool}
+UNCERTAIN: dict[str, Any] = {"blocks": [str], "channels": "1", "states": "1", "sampled": [str]}
+
+
+def same_signals(self: Any, ahead: Ahead) -> Foretold:
+    """What steps foretell that change a model and not its signals."""
+    return ahead[self.of].select(None)
 
 
 @step
@@ -64,10 +80,22 @@ class PlantStep(Step):
             raise PydanticCustomError("named_once", "{name} is among parameters and choices", {"name": twice[0]})
         return self
 
+    @property
+    def _given(self) -> dict[str, Any]:
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
+        if ahead.step in ahead.sources:  # code of the user's is run when the recipe is
+            return Foretold(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
+        made: Any = rl.plant(self.plant, **self._given, **self.choices)
+        parameters = {name: {**parameter, "value": p.unit} for name, p in made.parameters.items()}
+        return Foretold.of(made, {"parameters": parameters})
+
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.plant_file import code_of, plant_from_file, unit_reference
 
-        given = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
+        given = self._given
         facts: list[Fact] = []
         numbers: dict[str, Any] = {}
         if work.step in work.sources:
@@ -94,6 +122,7 @@ class LineariseStep(Step):
     """The linear state-space model of a plant; states that the kept outputs do not show are left out."""
 
     gives: ClassVar[str] = "model"
+    leaves: ClassVar[Any] = MODEL
     do: Literal["linearise"]
     of: ToPlant
     at: Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float] | None = Field(
@@ -101,7 +130,10 @@ class LineariseStep(Step):
         description="Pose of a mechanism: tx, ty, tz in m, ax, ay, az in rad; or where another plant that is not linear"
         " rests: states, inputs and outputs by name. Home, or the rest nearest to zero, where left out.",
     )
-    outputs: list[str] | None = None
+    outputs: Annotated[list[str], Names("outputs")] | None = None
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        return ahead[self.of].select(self.outputs)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics import LinearPlant
@@ -126,6 +158,7 @@ class LoadStep(Step):
     """A model from an HDF5 file: a path, or the file that an earlier step saved."""
 
     gives: ClassVar[str] = "any"
+    leaves: ClassVar[Any] = {"kind": str, "verified": bool, **MODEL}
     do: Literal["load"]
     path: Text | None = None
     saved: ToSaved | None = None
@@ -135,6 +168,13 @@ class LoadStep(Step):
         if (self.path is None) == (self.saved is None):
             raise PydanticCustomError("one_source", "expected either path or saved")
         return self
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.storage import read
+
+        if self.saved is not None:
+            return replace(ahead[self.saved], leaves=self.leaves)
+        return Foretold.of(read(ahead.sources[ahead.step]).object)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.storage import read
@@ -160,9 +200,12 @@ class SaveStep(Step):
     """Write the object of an earlier step to an HDF5 file in the output folder."""
 
     gives: ClassVar[str] = "saved"
+    leaves: ClassVar[Any] = {"sha256": str}
     do: Literal["save"]
     of: ToAnything
     file: FileName
+
+    foretell = same_signals
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics import NonlinearPlant
@@ -189,6 +232,7 @@ class SaveStep(Step):
 class StructuralStep(Step):
     """Controllability and observability."""
 
+    leaves: ClassVar[Any] = {"controllability": RANK, "observability": RANK}
     do: Literal["structural"]
     of: ToModel
 
@@ -210,6 +254,9 @@ class StructuralStep(Step):
 class ZerosStep(Step):
     """Finite invariant zeros of a model with their kinds."""
 
+    leaves: ClassVar[Any] = {
+        "values": [COMPLEX], "kinds": [str], "normal_rank": "1", "count": "1", "not_minimum_phase": "1",
+    }  # fmt: skip
     do: Literal["zeros"]
     of: ToModel
 
@@ -233,11 +280,14 @@ class SteadyStateStep(Step):
 
     do: Literal["steady-state"]
     of: ToModel
-    inputs: dict[str, float]
-    outputs: list[str] | None = None
+    inputs: Annotated[dict[str, float], Names("inputs")]
+    outputs: Annotated[list[str], Names("outputs")] | None = None
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        kept = ahead[self.of].select(self.outputs).outputs
+        return Foretold(leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
     def run(self, work: Workspace) -> Outcome:
-        import numpy as np
 
         from robustlab.statespace import as_model
         from robustlab.structural import drop_unconnected
@@ -247,12 +297,7 @@ class SteadyStateStep(Step):
             model = drop_unconnected(model.select(outputs=self.outputs))
         for name in self.inputs:
             if name not in model.input_names:
-                raise InputError(
-                    f"inputs.{name}",
-                    "no such input",
-                    f"one of {', '.join(model.input_names)}",
-                    did_you_mean(name, model.input_names),
-                )
+                raise unknown_name(f"inputs.{name}", "no such input", name, model.input_names)
         if not model.is_stable():
             raise InputError(
                 f"model {self.of}",
@@ -275,10 +320,11 @@ class UncertainStep(Step):
     """An uncertain model of a plant: each parameter in `tolerances` varies by that share of its value, 0.05 or "5%"."""
 
     gives: ClassVar[str] = "uncertain"
+    leaves: ClassVar[Any] = UNCERTAIN
     do: Literal["uncertain"]
     of: ToPlant
-    tolerances: Annotated[dict[str, RelativeTolerance], Field(min_length=1)]
-    outputs: list[str] | None = None
+    tolerances: Annotated[dict[str, RelativeTolerance], Field(min_length=1), Names("parameters")]
+    outputs: Annotated[list[str], Names("outputs")] | None = None
     at: Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float] | None = Field(
         None, description="Nonlinear plants: pose tx, ty, tz in m, ax, ay, az in rad, or states, inputs, outputs."
     )
@@ -286,15 +332,16 @@ class UncertainStep(Step):
         None, description="Nonlinear plants: states and inputs that stay while the parameters change."
     )
 
+    def foretell(self, ahead: Ahead) -> Foretold:
+        return ahead[self.of].select(self.outputs)
+
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics import LinearPlant
 
         given = work.values[self.of]
         exact = {name: (p.value, 0.0) for name, p in given.parameters.items()}
         ranges = {name: (given.values.get(name, 1.0), tolerance) for name, tolerance in self.tolerances.items()}
-        made = given.with_parameters(
-            **{**exact, **ranges}
-        )  # an unknown name is refused there, with the nearest known one
+        made = given.with_parameters(**{**exact, **ranges})
         rest = {key: value for key, value in (("at", self.at), ("hold", self.hold)) if value is not None}
         if rest and isinstance(made, LinearPlant):
             raise InputError(next(iter(rest)), f"{self.of} is linear", "it for a nonlinear plant only")
@@ -310,6 +357,9 @@ class ReduceModelStep(Step):
     """A model of lower order, its error certified; modes that are not stable are kept, but for "coprime"."""
 
     gives: ClassVar[str] = "model"
+    leaves: ClassVar[Any] = {
+        "order": "1", "error": float, "states": "1", "bound": float, "n_apart": "1", "hankel": [float], "stable": bool,
+    }  # fmt: skip
     do: Literal["reduce-model"]
     of: ToOneModel
     order: Annotated[int, Field(ge=0, le=1000)] | None = None
@@ -327,6 +377,8 @@ class ReduceModelStep(Step):
         if (self.order is None) == (self.tolerance is None):
             raise PydanticCustomError("one_measure", "expected either order or tolerance")
         return self
+
+    foretell = same_signals
 
     def run(self, work: Workspace) -> Outcome:
         weights = {
@@ -353,10 +405,13 @@ class ResampleStep(Step):
     """
 
     gives: ClassVar[str] = "model"
+    leaves: ClassVar[Any] = {**MODEL, "dt": "s", "error": float}
     do: Literal["resample"]
     of: ToOneModel
     dt: Annotated[float, Field(ge=0)] = Field(description="Sample time in s; 0: continuous.")
     method: Literal["zoh", "foh", "tustin"] = "zoh"
+
+    foretell = same_signals
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.statespace import as_model
@@ -383,11 +438,18 @@ class ConnectStep(Step):
     """Models wired by the names of their signals: an output feeds every input of the same name."""
 
     gives: ClassVar[str] = "any"  # an uncertain model where a part is one
+    leaves: ClassVar[Any] = {**UNCERTAIN, **MODEL}
     do: Literal["connect"]
     parts: Annotated[list[ToPart], Field(min_length=1, max_length=100)]
     inputs: list[str] = Field(description="Signals from outside, in this order.")
     outputs: list[str] = Field(description="Signals to show, in this order.")
     sums: list[Text] = Field([], description='Summing junctions: "e = r - y" makes the signal e.')
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        units: dict[str, str] = {}
+        for part in self.parts:
+            units |= {**(ahead[part].inputs or {}), **(ahead[part].outputs or {})}
+        return Foretold(None, *({name: units.get(name, "") for name in side} for side in (self.inputs, self.outputs)))
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.statespace import as_model
@@ -407,12 +469,16 @@ class ElementwiseStep(Step):
     """An uncertain model from a nominal model and the same model perturbed as far as it may go."""
 
     gives: ClassVar[str] = "uncertain"
+    leaves: ClassVar[Any] = {**UNCERTAIN, "endpoint_residual": "1"}
     do: Literal["elementwise"]
     nominal: ToModel
     perturbed: ToModel
     structure: Literal["elements", "columns", "rows", "matrices", "single", "cover"] = Field(
         "elements", description="cover: a full block for each matrix, which holds every element-wise member."
     )
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        return ahead[self.nominal].select(None)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
@@ -471,61 +537,3 @@ def _range(block: Any) -> str:
     if p is None:
         return f"{block.rows} channels"
     return f"{quantity(p.low)} … {quantity(p.high, p.unit)}"
-
-
-Delay = (
-    Annotated[float, Field(ge=0)] | Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
-)
-Delays = dict[str, Delay]
-Longest = dict[str, Positive]
-
-
-@step
-class DelaysStep(Step):
-    """Delays at the signals of a model, exact, in a range, or left out of it: a set that holds it with all of them.
-
-    What is proved of the set is proved of the model with its exact delays, at all frequencies.
-    """
-
-    gives: ClassVar[str] = "uncertain"
-    do: Literal["delays"]
-    of: ToModel
-    inputs: Delays = Field({}, description="Input -> its delay in s, or [shortest, longest].")
-    outputs: Delays = Field({}, description="Output -> its delay in s, or [shortest, longest].")
-    neglected_delays: Longest = Field(
-        {}, description="Input -> the longest delay in s that its model leaves out; a weight covers all up to it."
-    )
-    neglected_lags: Longest = Field(
-        {}, description="Input -> the longest time constant in s of a lag that its model leaves out; likewise."
-    )
-    order: Annotated[int, Field(ge=0, le=40)] = Field(3, description="Of the Padé approximations.")
-    weight_order: Annotated[int, Field(ge=1, le=81)] = Field(3, description="Of the weight of their error.")
-
-    def run(self, work: Workspace) -> Outcome:
-        given = work.values[self.of]
-        found = rl.uncertain_delays(
-            rl.linearise(given) if hasattr(given, "parameters") else given,
-            self.inputs,
-            self.outputs,
-            self.order,
-            self.weight_order,
-        )
-        facts = [Fact(b.name, f"{b.rows} channels", b.origin) for b in found.blocks if b.origin]
-        for kind, longest in (("delay", self.neglected_delays), ("lag", self.neglected_lags)):
-            for name, length in longest.items():
-                weight = rl.neglected_delay(length) if kind == "delay" else rl.neglected_lag(length)
-                found = _neglecting(found, name, weight, f"{name}: neglected {kind}")
-                facts.append(Fact(f"{name}: neglected {kind}", f"up to {length:g} s", PROOFS[kind]))
-        note = "The errors are bounded for all frequencies: what is proved holds for the exact delays and lags."
-        numbers = uncertain_numbers(found)
-        return Outcome(found, f"{self.of} with delays, covered.", numbers, tuple(facts), rl.Status.CERTIFIED, (note,))
-
-
-def _neglecting(found: rl.UncertainModel, name: str, weight: rl.StateSpaceModel, block: str) -> rl.UncertainModel:
-    """The set behind ``1 + W Delta`` at one of its inputs."""
-    known = [s.name for s in found.inputs]
-    if name not in known:
-        raise InputError(f"delays: input {name!r}", "no such signal", f"one of {', '.join(known)}")
-    column = np.eye(len(known))[:, [known.index(name)]]
-    through = rl.StateSpaceModel([], [], [], np.eye(len(known)), 0.0, found.inputs, found.inputs)
-    return found @ rl.unstructured(through, weight @ column.T, "input-multiplicative", W1=column, name=block)

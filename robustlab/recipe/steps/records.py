@@ -10,12 +10,22 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.steps.vocabulary import Positive, PriorTolerance, Text, ToModel, ToOneModel, ToRecord
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.leaves import leaves_of
+from robustlab.recipe.steps.vocabulary import Names, Positive, PriorTolerance, Text, ToModel, ToOneModel, ToRecord
+
+RECORD = {"samples": "1", "duration": "s", "dt": "s"}
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from robustlab.identification.comparison.comparison_result import Comparison
     from robustlab.identification.naming.discovery_result import Discovery
+
+# Fields of a comparison that its JSON has under other names, or not without the time series.
+NOT_LEFT = ("measured", "simulated", "recursive", "motions", "noise_reason", "against_noise", "linear_reason")
+
+POSE = ("tx", "ty", "tz", "ax", "ay", "az")
 
 _CAPTIONS = {
     "where": "Where {} is missed: rms of the error over time, direction, speed, position, input, frequency; orange is "
@@ -35,6 +45,7 @@ class RecordStep(Step):
     """A record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
 
     gives: ClassVar[str] = "record"
+    leaves: ClassVar[Any] = RECORD
     do: Literal["record"]
     path: Text
     group: str | None = None
@@ -50,12 +61,17 @@ class RecordStep(Step):
         "", description="What the record is, who published it, how to get it; shown where the file is absent."
     )
 
-    def run(self, work: Workspace) -> Outcome:
+    def foretell(self, ahead: Ahead) -> Foretold:
         options: dict[str, Any] = {"units": self.units} if self.units else {}
         if self.clock is not None:
             options["clock"] = self.clock
-        path = work.sources[work.step]
-        found = rl.Record.read(path, group=self.group, inputs=self.inputs, outputs=self.outputs, dt=self.dt, **options)
+        path = ahead.sources[ahead.step]
+        return Foretold.of(
+            rl.Record.read(path, group=self.group, inputs=self.inputs, outputs=self.outputs, dt=self.dt, **options)
+        )
+
+    def run(self, work: Workspace) -> Outcome:
+        path, found = work.sources[work.step], work.ahead[work.step].value
         notes = (" ".join(self.about.split()),) if self.about else ()
         if self.simulated:
             work.simulated.add(work.step)
@@ -71,6 +87,7 @@ class FrequencyResponseStep(Step):
     """
 
     gives: ClassVar[str] = "any"
+    leaves: ClassVar[Any] = {"omega": ["rad/s"], "gain": [float], "peak": float, "peak_frequency": "rad/s"}
     do: Literal["frequency-response"]
     path: Text | None = Field(None, description="The table; its file may lie anywhere.")
     units: dict[str, str] = Field({}, description='Units that its header leaves out: { f = "Hz" }.')
@@ -114,10 +131,19 @@ class JoinStep(Step):
     """One record from two loggers with sample times of their own; a shift between their clocks is not looked for."""
 
     gives: ClassVar[str] = "record"
+    leaves: ClassVar[Any] = RECORD
     do: Literal["join"]
     first: ToRecord
     second: ToRecord
     dt: Positive | None = Field(None, description="s; the coarser of the two where left out.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        first, second = ahead[self.first], ahead[self.second]
+        if None in (first.inputs, second.inputs):
+            return Foretold()
+        return Foretold(
+            None, {**(first.inputs or {}), **(second.inputs or {})}, {**(first.outputs or {}), **(second.outputs or {})}
+        )
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.identification.record_check.resampling import join_clocks
@@ -142,8 +168,37 @@ class CompareStep(Step):
         None, description="Longest opening stretch in s to which the initial state is fitted."
     )
     lags: Annotated[int, Field(ge=1, le=1000)] | None = None
-    speed: str | None = Field(None, description="Output over which the error is sorted by speed.")
-    position: str | None = Field(None, description="Output over which the error is sorted by position.")
+    speed: Annotated[str, Names("outputs", "record")] | None = Field(
+        None, description="Output over which the error is sorted by speed."
+    )
+    position: Annotated[str, Names("outputs", "record")] | None = Field(
+        None, description="Output over which the error is sorted by position."
+    )
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.identification.comparison.comparison_result import Comparison, OutputGap
+        from robustlab.identification.comparison.localisation import InputDisturbance
+
+        inputs, outputs = _compared(ahead, self.of, self.record)
+        left = leaves_of(Comparison, *NOT_LEFT)
+        for name in ("windows", "residual", "direction", "amplitude"):
+            left[name] = dict.fromkeys(outputs, left[name]["*"])
+        percent = {f"{run}{name}": "%" for run in ("", "windowed_") for name in ("peak_percent", "rms_percent", "fit")}
+        sizes = ("range", "peak", "rms", "windowed_peak", "windowed_rms")
+        left["outputs"] = {
+            name: leaves_of(OutputGap, **dict.fromkeys(sizes, unit), **percent, peak_time="s")
+            for name, unit in outputs.items()
+        }
+        left["disturbance"] = {
+            name: leaves_of(InputDisturbance, forward=unit, backward=unit, seconds="s") for name, unit in inputs.items()
+        }
+        left["worst"] = {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)}
+        left |= {"worst_window": {name: ["s"] for name in outputs}, "window": "s"}
+        left |= dict.fromkeys(("percent_of", "residual_reference"), str)
+        return Foretold(leaves=left | dict.fromkeys(("speed", "position", "frequency", "noise", "linear"), ...))
+
+    def in_free_run(self, path: str) -> str | None:
+        return path.replace(".windowed_", ".") if ".outputs." in path and ".windowed_" in path else None
 
     def run(self, work: Workspace) -> Outcome:
         """Disagreement of a model with a record: how much, and where in time, speed and frequency it lives.
@@ -197,6 +252,22 @@ class CompareStep(Step):
         return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
 
+def _compared(ahead: Ahead, model: str, record: str) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Inputs of a model, and the outputs that a record shares with it, with their units as far as they are known.
+
+    Raises InputError: an input is not recorded, or no output is; UnitMismatch: their units differ.
+    """
+    from robustlab.identification.response.response import matched
+
+    ours, recorded = ahead[model], ahead[record]
+    if ours.inputs is None or ours.outputs is None or recorded.outputs is None:
+        return {"*": float}, {"*": float}
+    if isinstance(recorded.value, rl.Record):
+        inputs, outputs = ([rl.Signal(*s) for s in side.items()] for side in (ours.inputs, ours.outputs))
+        return ours.inputs, {s.name: s.unit for s in matched(inputs, outputs, recorded.value)[0]}
+    return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
+
+
 def _as_record(found: rl.Record, summary: str, notes: tuple[str, ...]) -> Outcome:
     signals = [f"{name} [{found.unit(name) or 'unit not stated'}]" for name in (*found.inputs, *found.outputs)]
     numbers = {"samples": found.n, "duration": found.duration, "dt": found.dt}
@@ -238,7 +309,7 @@ def _worst(model: Any, found: Comparison) -> dict[str, Any]:
     if isinstance(machine, StewartPlatform) and all(name in found.measured.outputs for name in angles):
         k = int(np.argmin(np.abs(found.measured.t - 0.5 * (start + stop))))
         pose = machine.poses(np.array([found.measured[name][k] for name in angles]))
-        worst["pose"] = dict(zip(("tx", "ty", "tz", "ax", "ay", "az"), pose.tolist(), strict=True))
+        worst["pose"] = dict(zip(POSE, pose.tolist(), strict=True))
         shown = [f"{axis} {1e3 * v:.3g} {'mm' if axis[0] == 't' else 'mrad'}" for axis, v in worst["pose"].items()]
         words += f", at the pose {', '.join(shown)}"
     return {**worst, "words": (words, "largest windowed error of its range; its worst window, the middle of it")}
@@ -262,7 +333,7 @@ class DiscoverStep(Step):
         [], description="Records that no fit sees; every fourth window of the others where left out."
     )
     repeats: list[ToRecord] = Field([], description="Further records with the same input, for the noise floor.")
-    tolerances: dict[str, PriorTolerance] = Field(
+    tolerances: Annotated[dict[str, PriorTolerance], Names("parameters")] = Field(
         {}, description="Relative tolerance of a parameter, over the one that the plant states."
     )
     exclude: list[str] = Field([], description="Ids of effects that are not tried.")
@@ -272,6 +343,49 @@ class DiscoverStep(Step):
         ["no missing effect", "named"],
         description="Verdicts that this recipe takes for an answer; any other is no trustworthy number (exit code 4).",
     )
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.dynamics.effects.catalogue import catalogue, effect
+        from robustlab.dynamics.effects.contract import Scales
+        from robustlab.dynamics.effects.parameter_effects import GroundedEffect
+        from robustlab.identification.naming.discovery_parts import Gap, wave_amplitude
+
+        left_out = {effect(name).id for name in self.exclude}
+        compared = [_compared(ahead, self.of, name)[1] for name in (*self.records, *self.held_out, *self.repeats)]
+        gaps = {
+            name: leaves_of(Gap, **dict.fromkeys(("range", "nominal", "refitted", "updated"), unit))
+            for name, unit in compared[0].items()
+        }
+        effects: dict[str, Any] = {}
+        for name, kind in catalogue().items():  # a unit that depends on the place is left out there
+            units: dict[str, Any] = {p.name: p.unit for p in kind.parameters(Scales())}
+            if wave_amplitude(dict.fromkeys(units, 0.0)) is not None:
+                units["amplitude"] = float
+            if isinstance(kind, GroundedEffect):  # at a joint that has no such parameter
+                units[kind.symbol] = float
+            if name not in left_out:
+                effects |= {name: units, f"{name}@*": units}
+        parameters = getattr(ahead[self.of].value, "parameters", None)
+        nominal = {"*": float} if parameters is None else {name: p.unit for name, p in parameters.items()}
+        line = {over: {"period": unit, "amplitude": float} for over, unit in (("position", float), ("time", "s"))}
+        percent = ("gap_before", "gap_refitted", "gap_after")
+        free_run = {**dict.fromkeys(("before", "refitted", "after"), "%"), "outputs": gaps}
+        leaves = {
+            "verdict": str, "complete": bool, **{key: [str] for key in ("names", "places", "answer")}, "count": "1",
+            **dict.fromkeys(percent, "%"), **dict.fromkeys(("gap_ratio", "refitted_ratio"), "1"), "gaps": gaps,
+            "free_run": free_run, "effects": effects, "lower": effects, "upper": effects,
+            "confidence": dict.fromkeys(effects, "1"), "nominal": nominal,
+            "next_experiment": {"name": str, "separation": float}, "structure": {"*": ...}, "remaining_lines": [...],
+            "line": line, "seconds": "s",
+        }  # fmt: skip
+        return Foretold(None, ahead[self.of].inputs, ahead[self.of].outputs, leaves)
+
+    def in_free_run(self, path: str) -> str | None:
+        step, _, name = path.partition(".")
+        if name.startswith("gaps."):
+            return f"{step}.free_run.outputs.{name.removeprefix('gaps.')}"
+        whole = {"gap_before": "before", "gap_refitted": "refitted", "gap_after": "after"}
+        return f"{step}.free_run.{whole[name]}" if name in whole else None
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.effects.catalogue import effect

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -17,6 +17,7 @@ from robustlab.recipe.steps.vocabulary import (
     Band,
     Effort,
     Feedback,
+    Names,
     Positive,
     Text,
     TimeLimit,
@@ -30,11 +31,16 @@ from robustlab.recipe.steps.vocabulary import (
 if TYPE_CHECKING:
     from robustlab.iqc import IqcGain, Nature
 
+NORM = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
+BOUNDS = {"lower": float, "upper": float}
+MARGIN = {"lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}}
+
 
 @step
 class HinfNormStep(Step):
     """H-infinity norm of a model."""
 
+    leaves: ClassVar[Any] = NORM
     do: Literal["hinf-norm"]
     of: ToModel
 
@@ -46,6 +52,7 @@ class HinfNormStep(Step):
 class LinfNormStep(Step):
     """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis, or in a band."""
 
+    leaves: ClassVar[Any] = NORM
     do: Literal["linf-norm"]
     of: ToModel
     band: Band | None = Field(None, description="[low, high] in rad/s; all frequencies where left out.")
@@ -56,7 +63,7 @@ class LinfNormStep(Step):
 
 
 def _peak(norm: HinfNorm, title: str, of: str) -> Outcome:
-    numbers = picked(norm, "value", "frequency", "lower", "upper")
+    numbers = picked(norm, *NORM)
     facts = (
         Fact(title, f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
         Fact("attained at", quantity(norm.frequency, "rad/s")),
@@ -68,6 +75,7 @@ def _peak(norm: HinfNorm, title: str, of: str) -> Outcome:
 class H2NormStep(Step):
     """H2 norm of a model."""
 
+    leaves: ClassVar[Any] = {"value": float, "integral": float}
     do: Literal["h2-norm"]
     of: ToModel
 
@@ -76,7 +84,7 @@ class H2NormStep(Step):
         facts = [Fact("H2 norm, by the Gramians", quantity(norm.value, digits=8))]
         if norm.integral is not None:
             facts.append(Fact("by the integral over frequency", quantity(norm.integral, digits=8)))
-        numbers = picked(norm, "value", "integral")
+        numbers = picked(norm, *self.leaves)
         return Outcome(None, f"H2 norm of {self.of}.", numbers, tuple(facts), norm.status)
 
 
@@ -84,6 +92,9 @@ class H2NormStep(Step):
 class PassivityStep(Step):
     """Relative passivity index of a square model, and its input and output index."""
 
+    leaves: ClassVar[Any] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "passive": bool, "input_index": float, "output_index": float,
+    }  # fmt: skip
     do: Literal["passivity"]
     of: ToModel = Field(description="A square model, input k belonging to output k.")
 
@@ -106,6 +117,7 @@ class PassivityStep(Step):
 class RobustStabilityStep(Step):
     """Robust stability margin over the whole frequency axis, with its mu bounds."""
 
+    leaves: ClassVar[Any] = MARGIN
     do: Literal["robust-stability"]
     of: ToUncertain
     effort: Effort = Field(1.0, description="Multiple of the usual work of the proof.")
@@ -121,7 +133,7 @@ class RobustStabilityStep(Step):
             uncertain, omega=grid, effort=self.effort, time_limit=self.time_limit, seed=work.seed
         )
         work.keep(margin)
-        numbers = picked(margin, "lower", "upper", "frequency", "delta")
+        numbers = picked(margin, *MARGIN)
         attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
         facts = [
             Fact("Margin, proved from below", f"{quantity(margin.lower)}: no smaller Δ destabilises"),
@@ -147,6 +159,7 @@ class RobustStabilityStep(Step):
 class RobustnessAtStep(Step):
     """Margin, or worst-case gain, at given frequencies; nothing is claimed between them."""
 
+    leaves: ClassVar[Any] = {**BOUNDS, "frequency": "rad/s"}
     do: Literal["robustness-at"]
     of: ToUncertain = Field(description="An uncertain model, or a file with frequency-response data.")
     controller: ToController | None = Field(None, description="Closes the loop, u = sign K y.")
@@ -174,6 +187,7 @@ class RobustnessAtStep(Step):
 class RobustGainStep(Step):
     """How much of the set keeps every member's gain below a level."""
 
+    leaves: ClassVar[Any] = {**MARGIN, "level": float}
     do: Literal["robust-gain"]
     of: ToUncertain
     level: float = Field(gt=0, description="The gain, in the unit of the outputs over that of the inputs.")
@@ -184,7 +198,7 @@ class RobustGainStep(Step):
         uncertain = work.uncertain(self.of)
         found = rl.robust_gain(uncertain, self.level, effort=self.effort, time_limit=self.time_limit, seed=work.seed)
         work.keep(found)
-        numbers = picked(found, "lower", "upper", "level", "frequency", "delta")
+        numbers = picked(found, *self.leaves)
         facts = [
             Fact("Margin, proved from below", f"{quantity(found.lower)}: no member of a smaller set reaches the level"),
             Fact("Margin, attained from above", quantity(found.upper)),
@@ -199,6 +213,7 @@ class RobustGainStep(Step):
 class ClassicalMarginsStep(Step):
     """Gain, phase and delay margin of each loop alone."""
 
+    leaves: ClassVar[Any] = {"stable": bool, "gain_high": "1", "gain_low": "1", "phase": "rad", "delay": "s"}
     do: Literal["classical-margins"]
     of: ToModel = Field(description="The open loop, square.")
     sign: Feedback = None
@@ -256,9 +271,14 @@ class NonlinearStep(Step):
 class IqcGainStep(NonlinearStep):
     """Worst L2 gain, proved for blocks that are nonlinear, vary with time, or are uncertain."""
 
+    leaves: ClassVar[Any] = BOUNDS
     do: Literal["iqc-gain"]
-    inputs: list[Text] | None = Field(None, description="Inputs to keep; all where left out.")
-    outputs: list[Text] | None = Field(None, description="Outputs to keep; all where left out.")
+    inputs: Annotated[list[Text], Names("inputs")] | None = Field(
+        None, description="Inputs to keep; all where left out."
+    )
+    outputs: Annotated[list[Text], Names("outputs")] | None = Field(
+        None, description="Outputs to keep; all where left out."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         found = rl.iqc_gain(
@@ -276,6 +296,7 @@ class IqcGainStep(NonlinearStep):
 class IqcStabilityStep(NonlinearStep):
     """Stability, proved for blocks that are nonlinear, vary with time, or are uncertain."""
 
+    leaves: ClassVar[Any] = {"margin": "1", "stable": bool}
     do: Literal["iqc-stability"]
 
     def run(self, work: Workspace) -> Outcome:
@@ -294,10 +315,13 @@ class IqcStabilityStep(NonlinearStep):
 class EffectGainStep(Step):
     """Worst L2 gain of a loop with the plant's effects as nonlinearities, beside that of constant gains."""
 
+    leaves: ClassVar[Any] = {**BOUNDS, "as_constants": float}
     do: Literal["effect-gain"]
     of: ToPlantOrFile = Field(description="A plant with effects, a discover step, or the file of an updated plant.")
     controller: ToController
-    outputs: list[Text] | None = Field(None, description="Outputs that the controller sees; all where left out.")
+    outputs: Annotated[list[Text], Names("outputs")] | None = Field(
+        None, description="Outputs that the controller sees; all where left out."
+    )
     amplitude: dict[str, Positive] = Field({}, description="Place of an effect -> bound of its signal.")
     stick_speed: dict[str, Positive] = Field({}, description="Joint -> speed below which dry friction is creep.")
     sign: Feedback = None
@@ -328,6 +352,7 @@ class EffectGainStep(Step):
 class AntiWindupStep(Step):
     """Static anti-windup gain of least proved L2 gain."""
 
+    leaves: ClassVar[Any] = {**BOUNDS, "without": float, "back": float, "linear": float, "L": [[float]]}
     do: Literal["anti-windup"]
     of: ToModel = Field(description="The plant; u and y are its last inputs and outputs.")
     controller: ToController

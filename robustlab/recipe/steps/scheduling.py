@@ -8,7 +8,7 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Outcome, Step, Workspace, step, told
+from robustlab.recipe.steps.contract import Outcome, Step, Workspace, picked, step, told
 from robustlab.recipe.steps.vocabulary import GUARD, Effort, TimeLimit, ToUncertain
 
 Counts = dict[str, Annotated[int, Field(ge=2, le=100)]]
@@ -44,11 +44,12 @@ class ScheduledStep(Step):
 class LpvGainStep(ScheduledStep):
     """Induced L2 gain over all trajectories of measured parameters, proved between the points too."""
 
+    leaves: ClassVar[Any] = {"lower": float, "upper": float}
     do: Literal["lpv-gain"]
 
     def run(self, work: Workspace) -> Outcome:
         found = rl.lpv_gain(self.scheduled(work), **self.options)
-        return told(found, None, f"Induced gain of {self.of}.", {"lower": found.lower, "upper": found.upper}, work)
+        return told(found, None, f"Induced gain of {self.of}.", picked(found, *self.leaves), work)
 
 
 @step
@@ -56,11 +57,12 @@ class LpvHinfStep(ScheduledStep):
     """H-infinity controller scheduled by measured parameters, its loop verified for all their trajectories."""
 
     gives: ClassVar[str] = "controller"
+    leaves: ClassVar[Any] = {"gamma": float, "lmi_gamma": float, "frozen": float}
     do: Literal["lpv-hinf"]
     measurements: Annotated[int, Field(ge=1)] = Field(description="How many of the last outputs are measured.")
     controls: Annotated[int, Field(ge=1)] = Field(description="How many of the last inputs are controls.")
 
     def run(self, work: Workspace) -> Outcome:
         found = rl.lpv_hinf(self.scheduled(work), self.measurements, self.controls, **self.options)
-        numbers = {"gamma": found.gamma, "lmi_gamma": found.lmi_gamma, "frozen": found.frozen}
+        numbers = picked(found, *self.leaves)
         return told(found, found.controller, f"Scheduled controller for {self.of}.", numbers, work)

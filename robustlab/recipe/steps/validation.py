@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.leaves import leaves_of
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Count,
     Effort,
+    Names,
     Positive,
     StepName,
     Strict,
@@ -57,6 +59,13 @@ class DataSheetStep(Step):
     of: ToPlant
     points: Annotated[list[SheetPointEntry], Field(min_length=1, max_length=100)]
 
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.identification.record_check.steady_state import BalanceCheck, SteadyStateComparison
+
+        check = leaves_of(BalanceCheck, factor="1", rivals=[str], explained_by=str)
+        points = {p.name: dict.fromkeys(("torque", "voltage", "both"), check) for p in self.points}
+        return Foretold(leaves=leaves_of(SteadyStateComparison, "checks", points=points, contradictions="1"))
+
     def run(self, work: Workspace) -> Outcome:
         from robustlab.identification.record_check.steady_state import SheetPoint, compare_steady_state
 
@@ -85,10 +94,27 @@ class CoverStep(Step):
     n: Count = 20
     vertices: Count = 0
     rate: Positive | None = Field(None, description="s, over which mean rates of the outputs are judged as well.")
-    allowance: dict[str, Annotated[float, Field(ge=0)]] = Field(
+    allowance: Annotated[dict[str, Annotated[float, Field(ge=0)]], Names("outputs", "record")] = Field(
         {}, description="What the sensor of an output may be off, in its unit."
     )
     seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.identification.comparison.envelope import EnvelopeCoverage, SignalCoverage
+
+        ours, recorded = ahead[self.of].outputs, ahead[self.record].outputs
+        shared = {"*": float}
+        if ours is not None and recorded is not None:
+            shared = {name: recorded[name] or unit for name, unit in ours.items() if name in recorded}
+            shared |= {f"{name}-rate": float for name in shared} if self.rate else {}
+        signals = {
+            name: leaves_of(
+                SignalCoverage, **dict.fromkeys(("size", "miss", "gap", "reach", "allowance"), unit),
+                **dict.fromkeys(("miss_percent", "gap_percent", "reach_percent"), "%"), share="1", miss_time="s",
+            )
+            for name, unit in shared.items()
+        }  # fmt: skip
+        return Foretold(leaves=leaves_of(EnvelopeCoverage, signals=signals, covered=bool, members="1", seed="1"))
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.identification.comparison.envelope import cover as cover_record
@@ -135,7 +161,7 @@ class ValidateStep(Step):
     do: Literal["validate"]
     of: ToUncertain
     record: ToRecord
-    noise: dict[str, Annotated[float, Field(ge=0)]] = Field(
+    noise: Annotated[dict[str, Annotated[float, Field(ge=0)]], Names("outputs")] = Field(
         {}, description="Noise bound of an output, in its unit; from the record's own repeats where all are left out."
     )
     domain: Literal["time", "frequency"] = Field(
@@ -154,6 +180,12 @@ class ValidateStep(Step):
     precision: Annotated[float, Field(ge=1e-4, le=0.2)] = 0.01
     effort: Effort = Field(1.0, description="Multiple of the usual work.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.identification.validation.result import BlockSize, Validation
+
+        more = {"gamma": "1", "lower": "1", "upper": "1", "verdict": str, "invalidated": bool, "outputs": [[str]]}
+        return Foretold(leaves=leaves_of(Validation, "recheck", blocks={"*": leaves_of(BlockSize)}, **more))
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.set_figures import validation_figures
@@ -219,6 +251,13 @@ class PublishedNumbersStep(Step):
     do: Literal["published-numbers"]
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
 
+    def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.thesis.numbers import PublishedNumber
+
+        row = leaves_of(PublishedNumber, difference=float, agrees=bool)
+        bands = {"*": {"*": "%"}}
+        return Foretold(leaves={"rows": {"*": row}, "counts": {"*": "1"}, "disagreeing": "1", "bands": bands})
+
     def run(self, work: Workspace) -> Outcome:
         from robustlab.thesis.numbers import published_numbers as compute
 
@@ -252,6 +291,10 @@ class ThesisCaseStep(Step):
     """
 
     gives: ClassVar[str] = "uncertain"
+    leaves: ClassVar[Any] = {
+        "blocks": "1", "channels": "1", "published": "%", "gain_percent": "%", "released": "N m", "worst": "1",
+        "changes": {"*": "%"},
+    }  # fmt: skip
     do: Literal["thesis-case"]
     case: Literal["1", "2a", "2b", "2c"]
     structure: Literal["elements", "columns", "rows", "matrices", "single"] = "single"

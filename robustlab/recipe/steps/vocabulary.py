@@ -31,6 +31,14 @@ class RefersTo:
         return {"description": f"Name of an earlier step that gives: {kinds}.", **handler(core_schema)}
 
 
+@dataclass(frozen=True)
+class Names:
+    """Marks a field whose texts (or keys) name what another step has; see `robustlab.recipe.check`."""
+
+    side: Literal["inputs", "outputs", "signals", "parameters"]
+    of: str = "of"  # key of this step in which that other step stands
+
+
 # "any": a loaded file shows only at run time what it holds.
 ToPlant = Annotated[str, RefersTo(("plant",))]
 ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]

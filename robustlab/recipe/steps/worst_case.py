@@ -11,12 +11,13 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
+from robustlab.errors import NoTrustworthyNumber, UnitMismatch, unknown_name
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Count,
     Effort,
+    Names,
     Points,
     Positive,
     ReferenceLine,
@@ -29,8 +30,8 @@ from robustlab.recipe.steps.vocabulary import (
 class DrivenStep(Step):
     """What the steps share that drive a model: a step of `input` at t = 0, plus a `sine` of `frequency`."""
 
-    input: dict[str, float] = Field({}, description="Amplitude of the step on each input.")
-    sine: dict[str, float] = Field({}, description="Amplitude of the sine on each input.")
+    input: Annotated[dict[str, float], Names("inputs")] = Field({}, description="Amplitude of the step on each input.")
+    sine: Annotated[dict[str, float], Names("inputs")] = Field({}, description="Amplitude of the sine on each input.")
     frequency: Positive | None = Field(None, description="Frequency of the sine in Hz.")
 
     @model_validator(mode="after")
@@ -63,10 +64,28 @@ class SampleStep(ResponseStep):
     n: Count = 20
     vertices: Count = 0
     reference: list[ReferenceLine] = Field([])
-    outputs: Annotated[list[str], Field(min_length=1)] | None = Field(None, description="All where left out.")
+    outputs: Annotated[list[str], Field(min_length=1), Names("outputs")] | None = Field(
+        None, description="All where left out."
+    )
     percent: float | None = Field(
         None, gt=0, description="Draw the members' deviation in percent too, beside this published band (+-)."
     )
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        outputs = ahead[self.of].select(self.outputs).outputs
+        if outputs is None:
+            outputs = dict.fromkeys(self.outputs or ["*"], float)
+        else:
+            for reference in self.reference:
+                _known(reference.output, list(outputs), "reference: output")
+        left = {
+            name: {
+                "final": dict.fromkeys(("nominal", "lower", "upper"), unit),
+                "peak_deviation": unit, "peak_percent": "%", "covers": [bool], "worst_member": "1",
+            }
+            for name, unit in outputs.items()
+        }  # fmt: skip
+        return Foretold(leaves={"outputs": left, "members": "1", "unstable": "1"})
 
     def run(self, work: Workspace) -> Outcome:
         model = work.uncertain(self.of)
@@ -115,8 +134,10 @@ class MetricStep(DrivenStep):
         "controllability",
         "hankel",
     ] = "peak-deviation"
-    output: str | None = None
-    from_input: str | None = Field(None, description="Input of a norm or of controllability; all where left out.")
+    output: Annotated[str, Names("outputs")] | None = None
+    from_input: Annotated[str, Names("inputs")] | None = Field(
+        None, description="Input of a norm or of controllability; all where left out."
+    )
     t_end: Positive | None = None
     points: Points = 401
     band: Tolerance = Field(0.02, description="Share of the final value that counts as settled.")
@@ -134,6 +155,15 @@ class MetricStep(DrivenStep):
                 "needs_response", "{metric} needs input (or sine) and t_end", {"metric": self.metric}
             )
         return self
+
+    def unit_of_metric(self, ahead: Ahead) -> Any:
+        """Unit of the metric's values; ``float`` where it is not known yet."""
+        if self.metric in ("overshoot", "settling-time"):
+            return "%" if self.metric == "overshoot" else "s"
+        outputs = ahead[self.of].outputs
+        if not self.of_a_response or not outputs or (self.output is None and len(outputs) > 1):
+            return float
+        return outputs.get(self.output or next(iter(outputs)), float)
 
     def options(self, work: Workspace) -> dict[str, Any]:
         """Keyword arguments for a metric as the step says."""
@@ -158,6 +188,12 @@ class WorstCaseStep(MetricStep):
     n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Points that the search starts from.")
     effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        unit = self.unit_of_metric(ahead)
+        return Foretold(
+            leaves={"value": unit, "nominal_value": unit, "evaluations": "1", "delta": {"*": ...}, "percent": "%"}
+        )
 
     def run(self, work: Workspace) -> Outcome:
         import numpy as np
@@ -205,6 +241,18 @@ class ViolationStep(MetricStep):
     n: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
         None, description="Samples; as many as show `probability` without a violation, or 1000, where left out."
     )
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        unit = self.unit_of_metric(ahead)
+        if self.unit is not None and unit is not float and self.unit != unit:
+            raise UnitMismatch("unit", self.unit, f"{unit or 'none'}: that of the metric")
+        pure = ("n", "violations", "unbounded", "probability", "lower", "upper", "at_most", "samples_needed")
+        return Foretold(
+            leaves={
+                **dict.fromkeys(pure, "1"), "worst_value": unit, "worst_delta": {"*": ...}, "shown": bool,
+                "quantiles": {"*": {"*": float}}, "influence": {"*": "1"},
+            }
+        )  # fmt: skip
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.robustness_figures import distribution_figure, influence_figure
@@ -309,7 +357,7 @@ def _hold(step: DrivenStep) -> Any:
 
 def _known(name: str, known: list[str], where: str) -> None:
     if name not in known:
-        raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+        raise unknown_name(f"{where} {name!r}", "no such signal", name, known)
 
 
 def _respond(model: Any, t: Any, u: Any, hold: Any) -> Any:
@@ -346,6 +394,16 @@ class CampaignStep(MetricStep):
     limit: float | None = Field(None, description="Count how often the metric is worse than it.")
     workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
     time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        unit = self.unit_of_metric(ahead)
+        return Foretold(
+            leaves={
+                **dict.fromkeys(("worst_index", "done", "lost", "unbounded", "unseen"), "1"), "worst": unit,
+                "nominal": unit, "delta": {"*": ...}, "digest": str, "quantiles": {"*": unit},
+                "violation": dict.fromkeys(("count", "of", "lower", "upper"), "1"),
+            }
+        )  # fmt: skip
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.campaign import CampaignSettings, Crew, run_campaign

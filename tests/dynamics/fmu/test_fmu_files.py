@@ -15,6 +15,7 @@ from pathlib import Path
 import fmu_units as units
 import pytest
 from fmu_units import needs_compiler
+from patience import PATIENCE
 
 import robustlab as rl
 from robustlab.dynamics.fmu.description import read_description, unpack
@@ -168,9 +169,8 @@ def test_the_child_does_not_outlive_its_parent_even_while_it_hangs(unit, tmp_pat
     parent.send_signal(signal.SIGKILL)
     parent.wait()
     parent.stdout.close()
-    for _ in range(100):
-        if not Path(f"/proc/{child}").exists() and not Path(folder).exists():
-            break
+    until = time.monotonic() + PATIENCE
+    while (Path(f"/proc/{child}").exists() or Path(folder).exists()) and time.monotonic() < until:
         time.sleep(0.05)
     assert not Path(f"/proc/{child}").exists()
     assert not Path(folder).exists()

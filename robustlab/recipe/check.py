@@ -1,0 +1,156 @@
+"""What of a recipe can be told to be wrong before its first step runs: files, signals, units, and results asked for.
+
+Each step says what it will give and leave as far as that is known without a computation
+(`robustlab.recipe.steps.contract.Step.foretell`): of a plant of ours and of a file's object all signals, of what is
+made of them mostly those that are kept. What cannot be known before the run is no fault here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import robustlab as rl
+from robustlab.errors import InputError, RobustlabError, UsageError, unknown_name
+from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
+from robustlab.recipe.schema import Requirement
+from robustlab.recipe.steps.contract import Ahead, Foretold, Step
+from robustlab.recipe.steps.leaves import kind_in_words, look_ahead
+from robustlab.recipe.steps.vocabulary import Names
+from robustlab.units import same_unit
+
+# What a loaded file may hold, and what a step may ask for that takes nothing else.
+HELD = (rl.StateSpaceModel, rl.UncertainModel, rl.Controller, rl.Record)
+WANTED: dict[str, type] = {"uncertain": rl.UncertainModel, "record": rl.Record}
+
+
+def look_through(loaded: LoadedRecipe) -> Ahead:
+    """What is known of each step before anything runs.
+
+    Raises InputError: files that are not there or not what they must be, names of signals and parameters that are not
+    among those that a step has, numbers that no step leaves, units that are not theirs; all of them at once. Another
+    error of ours where that is all there is to say.
+    """
+    recipe = loaded.recipe
+    sources: dict[str, Path] = {}
+    ahead = Ahead(sources)
+    faults: list[RobustlabError] = []
+    for name, step in recipe.step.items():
+        ahead.step, ahead.steps[name] = name, Foretold()
+        try:
+            path = find_file(loaded, name, step)
+        except RobustlabError as error:
+            faults.append(error)
+            continue
+        if path is not None:
+            sources[name] = path
+        wrong: list[RobustlabError] = [*_wrong_kinds(step, ahead), *_wrong_names(step, ahead)]
+        if not any(fault.where.startswith((".inputs", ".outputs")) for fault in wrong):  # else it gave wrong names
+            try:
+                ahead.steps[name] = step.foretell(ahead)
+            except RobustlabError as error:
+                wrong = wrong or [error]
+        faults += [at_step(fault, loaded, name) for fault in wrong]
+    for i, requirement in enumerate(recipe.require):
+        name = requirement.that.split(".")[0]
+        leaves = ahead[name].leaves if ahead[name].leaves is not ... else recipe.step[name].leaves
+        fault = _wrong_requirement(requirement, leaves)
+        if fault is not None:
+            key = f"{loaded.path.name}: require.{i}.{fault.where}"
+            faults.append(InputError(key, fault.found, fault.expected, fault.hint))
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        shown = [_in_lines(fault, loaded) for fault in faults[:MAX_FAULTS_SHOWN]]
+        more = [f"  and {len(faults) - len(shown)} more"] if len(faults) > len(shown) else []
+        lines = (*(line for lines in shown for line in lines), *more)
+        raise InputError(loaded.path.name, f"{len(faults)} faults", None, None, lines)
+    return ahead
+
+
+def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> RobustlabError:
+    """The error with the step's name before it; what is off is the recipe, not the command."""
+    kind = InputError if isinstance(error, UsageError) else type(error)
+    colon = "" if error.where.startswith(".") else ": "  # a key of the step, or what the step asked
+    where = f"{loaded.path.name}: step.{name}{colon}{error.where}"
+    return kind(where, error.found, error.expected, error.hint, error.more)
+
+
+def _in_lines(fault: RobustlabError, loaded: LoadedRecipe) -> list[str]:
+    hint = f" ({fault.hint})" if fault.hint else ""
+    first = f"{fault.line.removeprefix(f'{loaded.path.name}: ')}{hint}"
+    return [f"  {first}", *(f"    {line.strip()}" for line in fault.more)]
+
+
+# --- steps -----------------------------------------------------------------------------------------------------------
+
+
+def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
+    """References to files that hold something else than the step takes."""
+    found: list[InputError] = []
+    for key, target, wanted in references(step):
+        held = ahead[target].value
+        kind = WANTED.get(wanted[0]) if set(wanted[1:]) <= {"any"} else None
+        if kind is not None and isinstance(held, HELD) and not isinstance(held, kind):
+            words = f"{'an' if kind is rl.UncertainModel else 'a'} {kind.__name__}"
+            found.append(InputError(f".{key}", f"step {target!r} gives a {type(held).__name__}", words))
+    return found
+
+
+def _wrong_names(step: Step, ahead: Ahead) -> list[InputError]:
+    """Names that are none of the signals or parameters that another step is known to have."""
+    found: list[InputError] = []
+    for key, mark in marked(step, Names):
+        target, given = getattr(step, mark.of), getattr(step, key)
+        known = _known(ahead[target], mark.side) if isinstance(target, str) else None
+        if known is None or not given:
+            continue
+        named = {"": given} if isinstance(given, str) else dict(enumerate(given))
+        for i, name in named.items():
+            if name in known or ("*" in name and any(fnmatchcase(k, name) for k in known)):
+                continue
+            part = f".{name}" if isinstance(given, Mapping) else f".{i}".rstrip(".")
+            found.append(unknown_name(f".{key}{part}", f"{name!r}: {target} has no such {mark.side[:-1]}", name, known))
+    return found
+
+
+def _known(told: Foretold, side: str) -> list[str] | None:
+    if side == "parameters":
+        parameters = getattr(told.value, "parameters", None)
+        return None if parameters is None else list(parameters)
+    sides = (told.outputs, told.inputs) if side == "signals" else (getattr(told, side),)
+    return None if None in sides else [name for known in sides for name in known or ()]
+
+
+# --- requirements ----------------------------------------------------------------------------------------------------
+
+
+def _wrong_requirement(requirement: Requirement, leaves: Any) -> InputError | None:
+    """What is wrong with a requirement on what a step leaves; its WHERE is the key of the requirement."""
+    r = requirement
+    try:
+        leaf = look_ahead(r.that, {"status": str, **leaves} if isinstance(leaves, dict) else leaves)
+    except InputError as error:
+        return error
+    if leaf is ...:
+        return None
+    found, asked = kind_in_words(leaf), _asked(r)
+    if isinstance(leaf, dict) or (isinstance(leaf, list) and r.contains is None):
+        return InputError("that", f"{r.that} is {found}", "a single number, text, or yes/no")
+    if found != asked:
+        return InputError("that", f"{r.that} is {found}", f"{asked}, because of its condition, {r.condition}")
+    if r.unit and isinstance(leaf, str) and leaf and not same_unit(r.unit, leaf):
+        unit = "no unit: it is a pure number" if leaf == "1" else f"{leaf}, that of {r.that}"
+        return InputError("unit", r.unit, f"{unit} (a label converts nothing)")
+    return None
+
+
+def _asked(requirement: Requirement) -> str:
+    """What a condition is about, in the words of `kind_in_words`."""
+    if requirement.contains is not None:
+        return "a list"
+    if isinstance(requirement.equals, (bool, str)):
+        return "yes or no" if isinstance(requirement.equals, bool) else "a text"
+    return "a number"

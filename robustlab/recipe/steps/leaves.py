@@ -1,0 +1,111 @@
+"""What a step leaves for requirements, declared before it runs, in patterns of plain values.
+
+=====================  =================================================================
+``"rad/s"``, ``"1"``   a number in that unit; ``"1"`` is a pure number
+``float``, ``""``      a number whose unit is not known before the run
+``bool``, ``str``      yes or no; a text
+``[pattern]``          a list of such
+``{name: pattern}``    a table; a name with ``*`` stands for all that match
+``...``                not said: anything may be there
+=====================  =================================================================
+
+A result class says the same with the annotations of its fields; `leaves_of` reads them.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from fnmatch import fnmatchcase
+from functools import cache
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.result import Evidence
+
+COMPLEX = {"re": float, "im": float}
+
+
+def leaves_of(kind: type, *without: str, **more: Any) -> dict[str, Any]:
+    """The pattern of a result class: its fields but those ``without``, and what ``more`` says over that.
+
+    A field's unit is not in its annotation: ``more`` names it where it matters.
+    """
+    return {name: leaf for name, leaf in _of_class(kind).items() if name not in without} | more
+
+
+@cache
+def _of_class(kind: type) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {field.name: _of_annotation(hints[field.name]) for field in fields(kind)}
+
+
+def _of_annotation(hint: Any) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        meant = [a for a in arguments if a is not type(None)]
+        return _of_annotation(meant[0]) if len(meant) == 1 else ...
+    if origin is Literal:
+        return str if all(isinstance(a, str) for a in arguments) else ...
+    if not isinstance(origin or hint, type):
+        return ...
+    kind: type = origin or hint
+    if issubclass(kind, Mapping):
+        return {"*": _of_annotation(arguments[1])} if arguments else ...
+    if issubclass(kind, (bool, str, Enum)):
+        return bool if kind is bool else str
+    if issubclass(kind, (int, float)):
+        return float
+    if issubclass(kind, Sequence) and arguments:
+        return [_of_annotation(arguments[0])] if set(arguments[1:]) <= {...} else ...
+    # A class that writes its JSON itself may leave something else than its fields.
+    return _of_class(kind) if is_dataclass(kind) and getattr(kind, "to_json", None) is Evidence.to_json else ...
+
+
+def look_ahead(path: str, leaves: Any) -> Any:
+    """The pattern at a dotted path below a step's name, as far as it is said; ``...`` where it is not.
+
+    Raises InputError: nothing of that name can be there.
+    """
+    step, *parts = path.split(".")
+    here, done = leaves, [step]
+    for part in parts:
+        known: list[str] = []
+        if here is ...:
+            return ...
+        if isinstance(here, dict):
+            if part in here:
+                here = here[part]
+                done.append(part)
+                continue
+            matching = [leaf for name, leaf in here.items() if "*" in name and fnmatchcase(part, name)]
+            if matching:
+                here = matching[0]
+                done.append(part)
+                continue
+            known = [name for name in here if name != "*"]
+        elif isinstance(here, list):
+            if part.isdecimal():
+                here = here[0]
+                done.append(part)
+                continue
+            known = ["0", "1", "..."]
+        raise nothing_there("that", done, part, known)
+    return here
+
+
+def nothing_there(where: str, done: Sequence[str], part: str, known: Sequence[str]) -> InputError:
+    """The error for a path that goes on after ``done`` with something that is not there."""
+    expected = f"one of {', '.join(known)}" if known else f"nothing below {'.'.join(done)}"
+    return InputError(where, f"{'.'.join(done)} has no {part!r}", expected, did_you_mean(part, list(known)))
+
+
+def kind_in_words(leaf: Any) -> str:
+    """What stands at a leaf."""
+    if isinstance(leaf, dict):
+        return "a table"
+    if isinstance(leaf, list):
+        return "a list"
+    return {bool: "yes or no", str: "a text"}.get(leaf, "a number")
