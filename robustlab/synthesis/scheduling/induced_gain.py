@@ -93,7 +93,7 @@ class LPVGain(Shown, Traced):
         lower = f"{number(self.lower, digits=6)} (frozen, attained)"
         return [
             ("gain", f"{lower} .. {upper}" if np.isfinite(self.lower) else "infinite: a frozen model is not stable"),
-            ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if place else ""),
+            ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if np.isfinite(self.lower) else ""),
             ("holds", self.scope),
             ("Lyapunov function", self.lyapunov),
             ("how", self.reason),
