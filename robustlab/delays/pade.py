@@ -189,8 +189,8 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     With :math:`\theta_n \ge 0` the phase of :math:`e^{-jx(1+\delta)}` is off by at most :math:`\theta_n + s x`, s the
     spread, which rises as the error does, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` is used. Without
     a spread :math:`x^{2k} (g^2 / (c_n x^{2n+1})^2 - 1)` falls with x there, as k is at most 2n + 1, and so the end of
-    that interval decides; with one, the slope r is what the error has there at most. Each cell after it uses that the
-    error rises: :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0` with x at its beginning and E at its end.
+    that interval decides; with one, the slope r is what the error has there at most, and 2 is where that is less: W lies
+    above the smaller of r x and g everywhere. Each cell after it uses that the error rises: :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0` with x at its beginning and E at its end.
     Where the phase has reached :math:`\pi` the error is bounded by 2, and the left side goes on rising.
 
     Raises InputError: a weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
@@ -218,7 +218,8 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     if theta[-1] + s * x[-1] < np.pi:
         error[-1] = 2.0  # nothing is known beyond
     begin = np.concatenate([[first], x[:-1]])
-    end = np.concatenate([[(c * first**power + s * first) * (1.0 + ROUNDING)], error[1:]])
+    until_first = min((c * first**power + s * first) * (1.0 + ROUNDING), 2.0)
+    end = np.concatenate([[until_first], error[1:]])
     above = end**2 - (slope * begin) ** 2  # where negative, the slope alone suffices
     short = above > 0
     corners = begin[short] * ((HIGH_GAIN**2 - end[short] ** 2) / above[short]) ** (0.5 / k)

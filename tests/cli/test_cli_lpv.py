@@ -53,6 +53,14 @@ def test_numbers_of_points_that_are_none(spring, points, code, text):
     assert text in done.stderr
 
 
+def test_a_gain_that_no_bound_has_ends_in_code_4_and_names_the_member(tmp_path):
+    frozen = [rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]]) for a in (-1.0, 0.5)]
+    rl.save(tmp_path / "lpv.h5", rl.LPVModel({"a": [-1.0, 0.5]}, frozen))
+    done = robustlab("lpv", "gain", "lpv.h5", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "a = 0.5: pole 0.5+0j is unstable" in done.stdout + done.stderr
+
+
 def test_a_controller_is_designed_stored_and_evaluated(tmp_path):
     rl.save(tmp_path / "plant.h5", shown_objects.scheduled_plant())
     done = robustlab("lpv", "hinf", "plant.h5", "--n-meas", "1", "--n-con", "1", "--out", "k.h5", cwd=tmp_path)

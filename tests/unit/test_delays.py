@@ -282,6 +282,22 @@ def test_the_set_holds_the_model_with_its_delay(order, spread, true):
         assert found == pytest.approx(3 * np.exp(-1j * w * true) / (1j * w + 1), abs=1e-9)
 
 
+@pytest.mark.parametrize("order", [4, 5, 6, 9])
+def test_a_range_from_zero_to_twice_the_delay_is_covered_in_every_order(order):
+    cover = rl.uncertain_delays(LAG, inputs={0: (0.0, 0.8)}, order=order)
+    (block,) = cover.blocks
+    weight = error_weight(order, 3, 1.0).scaled(0.4)
+    # Padé's coefficients from the textbook, (2n - k)! / (2n)! times n over k
+    den = [factorial(2 * order - k) * comb(order, k) / factorial(2 * order) for k in range(order + 1)]
+    for w in np.geomspace(0.01, 300.0, 60):
+        q = np.polyval(den[::-1], 0.4j * w)
+        missed = np.exp(-1j * w * np.linspace(0.0, 0.8, 41)) - q.conjugate() / q
+        size = abs(response(weight, [w])[0])
+        assert np.abs(missed).max() <= size
+        member = cover.response([w], {block.name: complex(missed[-1] / response(weight, [w])[0])})[0, 0, 0]
+        assert member == pytest.approx(np.exp(-0.8j * w) / (1 + 1j * w), abs=1e-9)
+
+
 def test_delays_of_one_length_share_a_block():
     plant = rl.StateSpaceModel(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
     cover = rl.with_delays(plant, inputs={0: 0.1, 1: 0.1}).uncertain(2)

@@ -281,10 +281,26 @@ def test_definiteness_is_told_where_ordinary_digits_end():
     assert not _closely_definite(ones, 1e-17 * np.eye(2), 2e-17 * np.eye(2))
 
 
-def test_an_unstable_frozen_model_has_an_infinite_gain():
-    found = rl.lpv_gain(rl.LPVModel({"a": [-1.0, 1.0]}, [lag(-1.0), lag(1.0)]))
-    assert found.upper == found.lower == np.inf
-    assert "not stable" in found.reason
+def test_an_unstable_frozen_model_is_named_with_its_pole_and_certifies_nothing():
+    """Poles ``a +- 2j`` at a = -1 and 1: no trajectory that rests at a = 1 has a finite gain."""
+    turning = {a: rl.StateSpaceModel([[a, 2.0], [-2.0, a]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]]) for a in (-1.0, 1.0)}
+    found = rl.lpv_gain(rl.LPVModel({"a": [-1.0, 1.0]}, list(turning.values())))
+    assert (found.status, found.lower, found.upper) == (Status.INFEASIBLE, np.inf, np.inf)
+    assert found.at == {"a": 1.0}
+    assert found.frequency == pytest.approx(2.0)
+    assert "a = 1: pole 1+2j is unstable" in found.reason
+    assert "attained" not in str(found)
+
+
+def test_a_frozen_model_whose_stability_rounding_hides_leaves_the_gain_open():
+    """-1e-17 and -1 in mixed states: rounding of A alone moves the slow pole over the axis."""
+    T = np.array([[1.0, 0.3], [0.7, 1.0]])
+    slow = rl.StateSpaceModel(T @ np.diag([-1e-17, -1.0]) @ np.linalg.inv(T), [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
+    quick = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
+    found = rl.lpv_gain(rl.LPVModel({"a": [0.0, 1.0]}, [slow, quick]))
+    assert not found.status.trustworthy
+    assert found.upper == np.inf
+    assert "a = 0: pole" in found.reason
 
 
 def test_a_model_whose_output_nothing_moves_has_a_gain_of_zero():

@@ -33,12 +33,13 @@ class LPVGain(Shown, Traced):
     ----------
     lower
         Largest H-infinity norm of a frozen model that was looked at; attained, because a parameter may stand still.
+        Infinite where a frozen model is not stable.
     upper
         Proved bound of the gain; infinite where none was found.
     at
         Values of the parameters at ``lower``.
     frequency
-        Frequency in rad/s at which that frozen model attains it.
+        Frequency in rad/s at which that frozen model attains it; of its pole where it is not stable.
     P
         Lyapunov matrix, or those at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along a parameter
         with which it does not vary; empty where nothing was proved.
@@ -48,8 +49,9 @@ class LPVGain(Shown, Traced):
         The model that it is about, so that it can be checked again.
     status
         CERTIFIED: every inequality was checked from P and the model outside of the solver. CONVERGED: checked likewise,
-        but how far the family is from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function, as the
-        solver says, which proves no instability.
+        but how far the family is from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function,
+        because the frozen model at ``at`` is not stable (``lower`` is infinite), or as the solver says, which proves no
+        instability. INCONCLUSIVE: nothing was proved, or a pole cannot be told from the stability boundary.
     reason
         How it was found, and what it holds for.
     """
@@ -88,11 +90,10 @@ class LPVGain(Shown, Traced):
         """The bracket, where it is attained, what it holds for."""
         place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
-        if not np.isfinite(self.lower):
-            upper = "infinite (attained)"
+        lower = f"{number(self.lower, digits=6)} (frozen, attained)"
         return [
-            ("gain", f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"),
-            ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if place else ""),
+            ("gain", f"{lower} .. {upper}" if np.isfinite(self.lower) else "infinite: a frozen model is not stable"),
+            ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if np.isfinite(self.lower) else ""),
             ("holds", self.scope),
             ("Lyapunov function", self.lyapunov),
             ("how", self.reason),
@@ -190,15 +191,15 @@ def gain_from(
     """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
     varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
-    lower, at, frequency, unstable = _frozen(model)
+    lower, at, frequency, doubt = _frozen(model)
     word = "varying" if varying else "constant"
 
     def told(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
         return LPVGain(lower, upper, at, frequency, P, word, model, status, reason)
 
     nothing = np.zeros((0, 0))
-    if unstable:
-        return told(np.inf, nothing, Status.CERTIFIED, "a frozen model is not stable: the gain is infinite")
+    if doubt:
+        return told(np.inf, nothing, Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
     posed = Inequality(model, varying, lower)
     if posed.count() > tuning.inequalities:
         found = f"{posed.count()} inequalities"
@@ -225,16 +226,20 @@ def gain_from(
     return made
 
 
-def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, bool]:
-    """Largest attained norm of the models at the points, where, at which frequency, and whether one is unstable."""
-    lower, at, frequency = 0.0, {}, float("nan")
+def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
+    """Largest attained norm of the models at the points, where, at which frequency; and the member without a norm."""
+    lower, at, frequency, doubt = 0.0, {}, float("nan"), ""
     for values, one in model.nodes():
         norm = hinf_norm(one)
         if not np.isfinite(norm.upper):
-            return np.inf, values, norm.frequency, True
+            place = ", ".join(f"{name} = {number(value)}" for name, value in values.items())
+            doubt = f"the frozen model at {place}: {norm.reason}"
+            if np.isinf(norm.lower):
+                poles = one.poles()
+                return np.inf, values, abs(float(poles[np.argmax(poles.real)].imag)), f"{doubt}, and no bound exists"
         if norm.lower >= lower:
             lower, at, frequency = norm.lower, values, norm.frequency
-    return lower, at, frequency, False
+    return lower, at, frequency, doubt
 
 
 def _basis(P: Array, before: Array) -> Array:
