@@ -13,6 +13,8 @@ _PUBLIC = {
     # models
     "StateSpaceModel": "statespace",
     "Signal": "statespace",
+    "ss": "realisations",
+    "tf": "realisations",
     "descriptor": "dynamics.descriptor_elimination",
     "Record": "record",
     "load": "storage",

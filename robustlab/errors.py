@@ -39,6 +39,7 @@ __all__ = [
     "UnitMismatch",
     "UsageError",
     "did_you_mean",
+    "is_function",
     "plain_text",
     "told_as",
     "unknown_name",
@@ -269,6 +270,11 @@ def _or_none(fits: Callable[[object], bool]) -> Callable[[object], bool]:
     return lambda value: value is None or fits(value)
 
 
+def is_function(thing: object) -> bool:
+    """Whether a thing is a function: a model can be called, ``G(s)``, and is none."""
+    return callable(thing) and not hasattr(thing, "operator_rank")
+
+
 def _is_number(value: object) -> bool:
     if isinstance(value, (str, bytes)) or getattr(value, "ndim", 0):
         return False
@@ -331,7 +337,7 @@ _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
         lambda value: isinstance(value, Iterable) and all(isinstance(name, str) for name in _looked_at(value)),
     ),
     "Mapping[": ("names with their values, {...}", lambda value: isinstance(value, Mapping)),
-    "Callable[": ("a function", callable),
+    "Callable[": ("a function", is_function),
     "Sequence[Block]": (
         "a list of blocks",
         lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in _looked_at(value)),

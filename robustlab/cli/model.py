@@ -488,12 +488,4 @@ def _signal_lines(model: rl.StateSpaceModel | Any) -> list[str]:
 def _matrix_lines(model: rl.StateSpaceModel) -> list[str]:
     if max(model.n_states, model.n_inputs, model.n_outputs) > SHOWN_STATES:
         return [f"  matrices larger than {SHOWN_STATES}: --json prints them"]
-    lines = []
-    for name in "ABCD":
-        matrix = getattr(model, name)
-        if not matrix.size:
-            lines.append(f"  {name}: {matrix.shape[0]} x {matrix.shape[1]}")
-            continue
-        cells = [tuple(f"{x:.6g}" for x in row) for row in matrix.tolist()]
-        lines += [f"  {name + ':' if i == 0 else '  '} {row}" for i, row in enumerate(table(cells).splitlines())]
-    return lines
+    return str(model).splitlines()[1:]

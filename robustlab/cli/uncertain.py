@@ -401,7 +401,7 @@ def sample(
 
     Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input u=42 --t-end 0.1
     """
-    from robustlab.worst_case_analysis.ensemble import default_clock
+    from robustlab.dynamics.simulation import default_clock
 
     model = load_uncertain(file)
     clock = response.times(model)

@@ -154,16 +154,31 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
             return frequency_response(self.H, w)
+        try:
+            return self._solved(1j * w)
+        except np.linalg.LinAlgError:
+            at_pole = "a frequency hits a pole exactly"
+            raise NoTrustworthyNumber("frequency_response", at_pole, None, "leave that frequency out") from None
+
+    def values_at(self, s: ComplexArray) -> ComplexArray:
+        """The transfer matrix at complex numbers (n,), shape (n, n_y, n_u): what ``G(s)`` answers."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = self._solved(s)
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
+        if not np.isfinite(found).all():
+            raise NoTrustworthyNumber("G(s)", "exp(s tau) overflows", "a real part below 700 / tau")
+        return found
+
+    def _solved(self, s: ComplexArray) -> ComplexArray:
+        """The same; numpy's LinAlgError at a pole."""
         inner, B, C, D = self.at_once()
-        found = np.empty((len(w), *D.shape), dtype=complex)
-        step = max(1, CHUNK // len(inner) ** 2)
-        for first in range(0, len(w), step):
-            part = w[first : first + step]
-            try:
-                solved = np.linalg.solve(self.turned(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
-            except np.linalg.LinAlgError:
-                at_pole = "a frequency hits a pole exactly"
-                raise NoTrustworthyNumber("frequency_response", at_pole, None, "leave that frequency out") from None
+        found = np.empty((len(s), *D.shape), dtype=complex)
+        step = max(1, CHUNK // max(len(inner), 1) ** 2)
+        for first in range(0, len(s), step):
+            part = s[first : first + step]
+            solved = np.linalg.solve(self.turned(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
             found[first : first + step] = D + C @ solved
         return found
 
@@ -179,11 +194,11 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         B, C = np.vstack([H.B, H.D[:k]])[:, k:], np.hstack([H.C, H.D[:, :k]])[k:]
         return inner / scale[:, None] * scale, B / scale[:, None], C * scale, H.D[k:, k:]
 
-    def turned(self, matrix: Array, omega: Array) -> ComplexArray:
-        """A matrix over the unknowns of `at_once`, plus s and the delays' leads on its diagonal at each frequency."""
-        s, place = 1j * omega[:, None], np.arange(len(matrix))
-        found = np.broadcast_to(matrix, (len(omega), *matrix.shape)).astype(np.complex128)
-        found[:, place, place] += np.hstack([np.repeat(s, self.H.n_states, axis=1), np.exp(s * self.delays)])
+    def turned(self, matrix: Array, s: ComplexArray) -> ComplexArray:
+        """A matrix over the unknowns of `at_once`, plus s and the delays' leads on its diagonal, for each s (n,)."""
+        column, place = s[:, None], np.arange(len(matrix))
+        found = np.broadcast_to(matrix, (len(s), *matrix.shape)).astype(np.complex128)
+        found[:, place, place] += np.hstack([np.repeat(column, self.H.n_states, axis=1), np.exp(column * self.delays)])
         return found
 
     def undelayed(self) -> StateSpaceModel:
@@ -313,6 +328,9 @@ class DelayedModel(TransferMatrix, Shown, Traced):
     def _sum(self, first: Any, second: Any, sign: int) -> DelayedModel:
         return self.carried(parallel, first, second, sign=sign)
 
+    def _loop(self, forward: Any, back: Any, sign: int) -> DelayedModel:
+        return self.carried(feedback, forward, back, sign=sign)
+
     def _identity(self) -> DelayedModel:
         if self.n_inputs != self.n_outputs:
             raise InputError("power", f"a model of {self.n_outputs} x {self.n_inputs}", "a square model")
@@ -330,10 +348,6 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             What passes without delay has no inverse: that of the whole would look ahead.
         """
         return self.carried(inverse, self)
-
-    def feedback(self, other: Any = 1.0, sign: int = -1) -> DelayedModel:
-        """``y = self e, e = r + sign other y``; the other may be a model, a delayed one, a matrix or a number."""
-        return self.carried(feedback, self, other, sign=sign)
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> DelayedModel:
         """The same model with the named inputs and outputs only, in that order; states and delays are kept."""
@@ -360,6 +374,12 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             ("states", str(self.H.n_states)),
             ("delays", listed(number(float(t), "s") for t in self.delays) or "none"),
         ]
+
+    def _numbers(self) -> list[str]:
+        told = [
+            f"delays: {', '.join(number(float(t)) for t in self.delays)} s, from the first outputs to the first inputs"
+        ]
+        return [*(told if len(self.delays) else []), *self.H._numbers()]
 
     def __repr__(self) -> str:
         n = self.H.n_states
