@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray, Array, is_rank_deficient
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, named_arguments
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, matrix_lines, number, short, with_units
@@ -88,6 +88,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     states: tuple[Signal, ...]
     operating_point: OperatingPoint | None
 
+    @named_arguments
     def __init__(
         self,
         A: ArrayLike,
@@ -306,17 +307,10 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         """As a ``control.StateSpace`` (units are lost: python-control has none)."""
         import control
 
-        system = control.StateSpace(
-            self.A.copy(),
-            self.B.copy(),
-            self.C.copy(),
-            self.D.copy(),
-            self.dt,
-            inputs=list(self.input_names),
-            outputs=list(self.output_names),
-            states=list(self.state_names),
-            remove_useless_states=False,
-        )
+        names = {"inputs": self.input_names, "outputs": self.output_names, "states": self.state_names}
+        sides = {side: list(known) for side, known in names.items()}
+        matrices = (getattr(self, name).copy() for name in "ABCD")
+        system = control.StateSpace(*matrices, self.dt, **sides, remove_useless_states=False)
         return cast("control.StateSpace", system)
 
     def to_json(self) -> dict[str, object]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import is_rank_deficient
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
 from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -61,6 +61,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     blocks: tuple[Block, ...]
     operating_point: OperatingPoint | None
 
+    @named_arguments
     def __init__(self, M: StateSpaceModel, blocks: Any, operating_point: OperatingPoint | None = None) -> None:
         model = as_model(M, "UncertainModel: M")
         checked = as_blocks(blocks)
