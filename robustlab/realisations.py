@@ -95,6 +95,7 @@ def tf(
     return StateSpaceModel(A, B, C, D, dt, inputs, outputs, where="tf")
 
 
+@told_as("ss")
 def ss(
     A: Any,
     B: ArrayLike | None = None,
