@@ -6,6 +6,7 @@ import shlex
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from robustlab.cli.console import note
 from robustlab.cli.groups import TYPED
 from robustlab.cli.options import names
 from robustlab.errors import InputError, RobustlabError
@@ -39,7 +40,24 @@ def read_beside(
         names = ", ".join(record.outputs) or "none"
         missing = InputError(file, f"no output of the model among {names}", ", ".join(s.name for s in outputs))
         raise _proposed(missing, system, options, file, group)
+    if tell and options.outputs is None:
+        _tell_strangers(record, outputs, file)
     return record
+
+
+def _tell_strangers(record: Record, outputs: Sequence[Signal], file: str) -> None:
+    """A note on columns that are no output of the model, but by their names and units seem to be one."""
+    from robustlab.identification.record_check.column_mapping import propose_columns
+
+    known = {s.name for s in outputs}
+    lacking = [s for s in outputs if s.name not in record.outputs]
+    if not lacking or known >= set(record.outputs):
+        return
+    found = propose_columns(record, (), lacking, {*record.inputs, *known})
+    if found.outputs and not found.undecided:
+        every = ",".join([*(name for name in record.outputs if name in known), *found.texts("outputs")])
+        strangers = ", ".join(found.outputs.values())
+        note(f"{file}: {strangers}: no output of the model, and left out; --outputs {shlex.quote(every)} takes it")
 
 
 def _signals(system: Any) -> tuple[Sequence[Signal], Sequence[Signal]]:

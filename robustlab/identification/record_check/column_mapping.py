@@ -58,8 +58,9 @@ class ColumnMapping:
         return tuple(name if name == column else f"{name}={column}" for name, column in mapping.items())
 
     def lines(self) -> list[str]:
-        """The proposal in words."""
-        told = [f"{name} = {column}: {self.reasons[name]}" for name, column in {**self.inputs, **self.outputs}.items()]
+        """The proposal in words; of a column with the signal's own name there is nothing to say."""
+        both = {**self.inputs, **self.outputs}
+        told = [f"{name} = {column}: {self.reasons[name]}" for name, column in both.items() if name != column]
         told += [f"undecided: {line}" for line in self.undecided]
         return [*told, f"left over: {', '.join(self.left)}"] if self.left else told
 
