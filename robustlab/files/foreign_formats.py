@@ -44,13 +44,13 @@ _PICKLE = Foreign(
     _CODE,
     ".parquet",
     (
-        "import pandas; d = pandas.read_pickle({file!r})  # runs what is in it: for files of your own alone",
+        "import pandas; d = pandas.read_pickle({file!r})  # runs what is in it: only files of your own",
         "d.to_parquet({made!r})",
     ),
 )
 _JOBLIB = _PICKLE._replace(
     lines=(
-        "import joblib; d = joblib.load({file!r})  # runs what is in it: for files of your own alone",
+        "import joblib; d = joblib.load({file!r})  # runs what is in it: only files of your own",
         _PICKLE.lines[1],
     )
 )
