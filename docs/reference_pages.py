@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import robustlab as rl
+from robustlab.recipe.keys import keys_of
 
 ROOT = Path(__file__).parents[1]
 SCHEMA = ROOT / "recipes" / "recipe.schema.json"
@@ -230,58 +231,10 @@ def recipe_page() -> str:
 
 def _keys(part: dict[str, Any], parts: dict[str, Any]) -> str:
     """A list of the keys of a table: what each takes, its default, what it means; tables within it below it."""
-    text = ""
-    for name, key in part["properties"].items():
-        if name == "do":
-            continue
-        default = key.get("default")
-        words = [_kind(key, parts)]
-        if name in part.get("required", []):
-            words.append("**needed**")
-        elif default not in (None, "", [], {}):
-            words.append(f"default ``{json.dumps(default, ensure_ascii=False)}``")
-        text += f"``{name}`` : {', '.join(words)}\n   {plain(_meaning(key)) or '..'}\n\n"
-    return text
-
-
-def _meaning(key: dict[str, Any]) -> str:
-    """What a key means; said of it, or of what it holds."""
-    inner = [*key.get("anyOf", []), *([key["items"]] if "items" in key else [])]
-    return key.get("description") or next((found for part in inner if (found := _meaning(part))), "")
-
-
-def _kind(key: dict[str, Any], parts: dict[str, Any]) -> str:
-    """What a key takes, in words."""
-    if "$ref" in key:
-        part = parts[key["$ref"].rpartition("/")[2]]
-        return "table of " + ", ".join(f"``{name}``" for name in part["properties"])
-    if choices := key.get("anyOf") or key.get("oneOf"):
-        return " or ".join(_kind(choice, parts) for choice in choices if choice.get("type") != "null")
-    if "const" in key:
-        return f"``{json.dumps(key['const'])}``"
-    if "enum" in key:
-        return "one of " + ", ".join(f"``{json.dumps(value)}``" for value in key["enum"])
-    if "patternProperties" in key:
-        return "a table ``[step.NAME]`` for each step"
-    if key["type"] == "array":
-        return f"list of {_count(key)}({_kind(key['items'], parts)})"
-    if key["type"] == "object":
-        return f"table: name = {_kind(key['additionalProperties'], parts)}"
-    return {"number": "number", "integer": "whole number", "string": "text", "boolean": "``true`` or ``false``"}[
-        key["type"]
-    ] + _limits(key)
-
-
-def _count(key: dict[str, Any]) -> str:
-    low, high = key.get("minItems"), key.get("maxItems")
-    return f"{low} " if low == high is not None else f"{low} or more " if low else ""
-
-
-def _limits(key: dict[str, Any]) -> str:
-    """The bounds of a number."""
-    words = {"exclusiveMinimum": "above", "minimum": "from", "maximum": "to", "exclusiveMaximum": "below"}
-    said = [f"{word} {key[name]:g}" for name, word in words.items() if name in key]
-    return " " + " ".join(said) if said else ""
+    return "".join(
+        f"``{key.name}`` : {', '.join([key.takes, *key.needed_or_default()])}\n   {plain(key.meaning) or '..'}\n\n"
+        for key in keys_of(part, parts)
+    )
 
 
 if __name__ == "__main__":

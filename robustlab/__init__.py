@@ -13,6 +13,8 @@ _PUBLIC = {
     # models
     "StateSpaceModel": "statespace",
     "Signal": "statespace",
+    "ss": "realisations",
+    "tf": "realisations",
     "descriptor": "dynamics.descriptor_elimination",
     "Record": "record",
     "load": "storage",
@@ -175,7 +177,11 @@ def __getattr__(name: str) -> Any:
         return robustlab_version()
     if name in _PUBLIC:
         return getattr(import_module(f"robustlab.{_PUBLIC[name]}"), name)
-    raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
+    if name.startswith("_"):  # asked for by Python itself
+        raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
+    from robustlab.coming_from import unknown_public_name
+
+    raise AttributeError(unknown_public_name(name, _PUBLIC))
 
 
 def __dir__() -> list[str]:

@@ -60,6 +60,8 @@ from robustlab.norms import h2_norm as h2_norm
 from robustlab.norms import hinf_norm as hinf_norm
 from robustlab.norms import linf_norm as linf_norm
 from robustlab.norms import passivity as passivity
+from robustlab.realisations import ss as ss
+from robustlab.realisations import tf as tf
 from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
@@ -146,6 +148,8 @@ __version__: str
 __all__ = [
     "StateSpaceModel",
     "Signal",
+    "ss",
+    "tf",
     "descriptor",
     "Record",
     "load",

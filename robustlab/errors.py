@@ -39,7 +39,11 @@ __all__ = [
     "UnitMismatch",
     "UsageError",
     "did_you_mean",
+    "is_function",
+    "keywords_of",
+    "named_arguments",
     "plain_text",
+    "refuse_unknown",
     "told_as",
     "unknown_name",
 ]
@@ -224,9 +228,11 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         given, kinds = _arguments(function)
+        known = keywords_of(function)
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            refuse_unknown(getattr(function, "__name__", name), kwargs, known)
             for key, value in (*zip(given, args, strict=False), *kwargs.items()):
                 expected, fits = kinds.get(key, ("", None))
                 if fits is not None and not fits(value):
@@ -240,6 +246,46 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return call
 
     return decorate
+
+
+def keywords_of(function: Callable[..., object]) -> tuple[str, ...] | None:
+    """Names of the arguments that may be given by name; None where any may."""
+    parameters = signature(function).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return None
+    return tuple(p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
+
+
+def refuse_unknown(where: str, given: Iterable[str], known: Sequence[str] | None) -> None:
+    """Raise a TypeError, as Python does, for an argument that a function does not have; it names those that there are.
+
+    Examples
+    --------
+    >>> refuse_unknown("hinf", {"gama_rel": 1.0}, ("P", "gamma_rel"))
+    Traceback (most recent call last):
+        ...
+    TypeError: hinf has no argument 'gama_rel': did you mean gamma_rel? It takes P, gamma_rel
+    """
+    unknown = None if known is None else next((key for key in given if key not in known), None)
+    if unknown is not None:
+        hint = did_you_mean(unknown, tuple(known or ()))
+        told = f"{where} has no argument {unknown!r}{f': {hint}' if hint else ';'} It takes {', '.join(known or ())}"
+        raise TypeError(told.replace("; It", "; it"))
+
+
+def named_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator of an ``__init__`` that is called often: the same for it, looked at only once Python has refused."""
+    known = tuple(name for name in keywords_of(function) or () if name != "self")
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            refuse_unknown(type(args[0]).__name__, kwargs, known)
+            raise
+
+    return call
 
 
 def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tuple[str, Callable[[object], bool]]]]:
@@ -267,6 +313,11 @@ def _meant(annotation: str, function: Callable[..., object]) -> str:
 
 def _or_none(fits: Callable[[object], bool]) -> Callable[[object], bool]:
     return lambda value: value is None or fits(value)
+
+
+def is_function(thing: object) -> bool:
+    """Whether a thing is a function: a model can be called, ``G(s)``, and is none."""
+    return callable(thing) and not hasattr(thing, "operator_rank")
 
 
 def _is_number(value: object) -> bool:
@@ -331,7 +382,7 @@ _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
         lambda value: isinstance(value, Iterable) and all(isinstance(name, str) for name in _looked_at(value)),
     ),
     "Mapping[": ("names with their values, {...}", lambda value: isinstance(value, Mapping)),
-    "Callable[": ("a function", callable),
+    "Callable[": ("a function", is_function),
     "Sequence[Block]": (
         "a list of blocks",
         lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in _looked_at(value)),

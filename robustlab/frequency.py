@@ -93,22 +93,52 @@ def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
     """
     response = np.empty((len(omega), *model.D.shape), dtype=complex)
     response[:] = model.D
-    n, where = model.n_states, np.flatnonzero(np.isfinite(omega))
-    if n == 0:
-        return response
+    where = np.flatnonzero(np.isfinite(omega))
     point = np.exp(1j * omega[where] * model.dt) if model.is_discrete else 1j * omega[where]
+    try:
+        response[where] = _solved(model, point)
+    except np.linalg.LinAlgError:
+        raise NoTrustworthyNumber(
+            "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
+        ) from None
+    return response
+
+
+def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:
+    """The transfer matrix at finite complex numbers, shape (n, n_y, n_u); numpy's LinAlgError at a pole."""
+    found = np.empty((len(point), *model.D.shape), dtype=complex)
+    found[:] = model.D
+    n = model.n_states
+    if n == 0:
+        return found
     eye, B = np.eye(n), model.B.astype(complex)
     step = max(1, CHUNK // (n * n))
     for first in range(0, len(point), step):
         s = point[first : first + step]
-        try:
-            x = np.linalg.solve(s[:, None, None] * eye - model.A, B[None])
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber(
-                "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
-            ) from None
-        response[where[first : first + step]] += model.C @ x
-    return response
+        found[first : first + step] += model.C @ np.linalg.solve(s[:, None, None] * eye - model.A, B[None])
+    return found
+
+
+def value_at(model: Any, s: ArrayLike) -> ComplexArray:
+    """What ``G(s)`` answers, see `robustlab.operators.Behaviour`."""
+    point = np.asarray(s)
+    if point.ndim > 1 or point.dtype.kind not in "cfiu" or not np.isfinite(point).all():
+        raise InputError("G(s)", f"s = {s!r}", "a finite complex number, or a row of them", "G(1j * omega)")
+    given = np.atleast_1d(point).astype(np.complex128)
+    exact = getattr(model, "values_at", None)  # of a model that is more than its state space
+    found = exact(given) if exact is not None else _values(as_model(model, "G(s)"), given)
+    return found if point.ndim else found[0]
+
+
+def _values(model: StateSpaceModel, s: ComplexArray) -> ComplexArray:
+    given = moderated(model, "G(s)")
+    if given.rate and not model.is_discrete:
+        with np.errstate(over="ignore", under="ignore"):
+            s = np.ldexp(s.view(np.float64), -given.rate).view(np.complex128)
+    try:
+        return _as_given(_solved(given.model, s), given)
+    except np.linalg.LinAlgError:
+        raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
 
 
 def response_within(

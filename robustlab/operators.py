@@ -1,12 +1,20 @@
-"""Arithmetic of transfer matrices, written as one writes it: ``2 * G``, ``G + H``, ``G @ K``, ``G ** -1``."""
+"""What one writes of models of any kind: ``G(1j)``, ``G.feedback()``, ``2 * G``, ``G + H``, ``G @ K``, ``G ** -1``."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, ClassVar, Self, TypeVar, cast
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 
 from robustlab.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
+    from robustlab.record import Record
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -14,7 +22,145 @@ F = TypeVar("F", bound=Callable[..., Any])
 LARGEST_POWER = 100
 
 
-class TransferMatrix:
+class _ToControl:
+    """A method ``__call__`` that python-control's ss() does not take for the right-hand side of a nonlinear system.
+
+    ``control.ss(G)`` asks whether G can be called before it asks what G is, and would return an empty system.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+
+    def __get__(self, model: Any, kind: type | None = None) -> Any:
+        if model is None:
+            return self.function
+        if sys._getframe(1).f_globals.get("__name__") == "control.statesp":
+            found = f"control.ss takes no {type(model).__name__}"
+            raise TypeError(f"{found}\nhint: G.to_control() is G as a control.StateSpace")
+        return self.function.__get__(model, kind)
+
+
+def _not_for_control(function: F) -> F:
+    return cast("F", _ToControl(function))
+
+
+class Behaviour:
+    """Base of all kinds of models: the questions that one asks of any of them.
+
+    The functions that answer stand in the rooms above, and look at what they are given: of a set of models they take
+    the nominal one, and what a kind has no answer to is refused with the way to one.
+    """
+
+    operator_rank: ClassVar[int] = 0  # the operand of the higher rank carries out the operation
+    no_model: ClassVar[str] = ""  # of a kind that is no state-space model: what to do instead
+
+    def _yields(self, other: Any) -> bool:
+        return getattr(other, "operator_rank", 0) > self.operator_rank
+
+    def _numbers(self) -> list[str]:
+        """What ``print`` writes below the repr: the model's matrices, or what stands for them."""
+        return []
+
+    def __str__(self) -> str:
+        return "\n".join([repr(self), *(f"  {line}" for line in self._numbers())])
+
+    def _loop(self, forward: Any, back: Any, sign: int | None) -> Any:
+        found = f"{type(forward).__name__} has no loops"
+        raise InputError("feedback", found, "a model, or a set of models", self.no_model)
+
+    def feedback(self, other: Any = 1.0, sign: int | None = None) -> Self:
+        """The closed loop from r to y for ``y = self e, e = r + sign other y``, with the signals of this model.
+
+        Parameters
+        ----------
+        other
+            A model of any kind, a matrix, or a number (for as many inputs as outputs).
+        sign
+            -1: negative feedback, ``e = r - other y``; 1: positive. Left out: a controller that comes from a design is
+            closed as it says of itself, anything else with negative feedback.
+
+        Returns
+        -------
+        Self
+            A model of the kind of the two that says more: of a model and a set of models it is a set.
+
+        Raises
+        ------
+        InputError
+            Sizes, sample times or units that do not fit; a sign that contradicts the controller; a kind that has no
+            loops.
+        NoTrustworthyNumber
+            The loop is not well posed.
+        """
+        return (other if self._yields(other) else self)._loop(self, other, sign)
+
+    @_not_for_control
+    def __call__(self, s: ArrayLike) -> NDArray[np.complex128]:
+        r"""The transfer matrix at complex numbers: ``G(2j)`` is the response at 2 rad/s.
+
+        Parameters
+        ----------
+        s
+            In rad/s, one number or shape (n,); of a discrete model numbers z, :math:`e^{j \omega dt}` at a frequency.
+
+        Returns
+        -------
+        ndarray
+            Complex, shape (n_y, n_u), or (n, n_y, n_u).
+
+        Raises
+        ------
+        InputError
+            Numbers that are not finite; frequency data at others than their own frequencies.
+        NoTrustworthyNumber
+            A number is a pole.
+        """
+        return import_module("robustlab.frequency").value_at(self, s)
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles in rad/s (in the z plane of a discrete model), shape (n_x,); of a set those of the nominal model.
+
+        Raises
+        ------
+        InputError
+            A kind without a state-space model, such as one with exact delays.
+        """
+        return import_module("robustlab.statespace").as_model(self, "poles").poles()
+
+    def zeros(self) -> NDArray[np.complex128]:
+        """Finite invariant zeros, shape (n_z,), in the same plane; `robustlab.zeros` tells their kinds and directions.
+
+        Raises
+        ------
+        InputError
+            As `poles`.
+        """
+        return import_module("robustlab.invariant_zeros").zeros(self).values
+
+    def step(self, t_end: float | None = None, input: str | None = None) -> Record:
+        """Response to a unit step on one input, from rest.
+
+        Parameters
+        ----------
+        t_end
+            End in s; eight time constants of the slowest decay where left out.
+        input
+            Name of the input; the only one where left out.
+
+        Returns
+        -------
+        Record
+            401 samples, or those of a discrete model: the inputs, and all outputs.
+
+        Raises
+        ------
+        InputError
+            An unstable model without ``t_end``, several inputs without ``input``, a kind that has no such response.
+        """
+        return import_module("robustlab.dynamics.simulation").step_response(self, t_end, input)
+
+
+class TransferMatrix(Behaviour):
     """Base of models and of sets of them: operators on what their class says of products, sums and inverses.
 
     ``G * H`` is ``G @ H``, the product of the transfer matrices in which H comes first in the signal's way, as
@@ -23,7 +169,6 @@ class TransferMatrix:
     size of the other.
     """
 
-    operator_rank: ClassVar[int] = 0  # the operand of the higher rank carries out the operation
     __array_ufunc__ = None  # numpy arrays on the left leave the operation to us
 
     def _product(self, second: Any, first: Any) -> Any:
@@ -38,9 +183,6 @@ class TransferMatrix:
     def inverse(self) -> Self:
         """The inverse of a square transfer matrix."""
         raise NotImplementedError
-
-    def _yields(self, other: Any) -> bool:
-        return getattr(other, "operator_rank", 0) > self.operator_rank
 
     def __matmul__(self, other: Any) -> Self:
         """``self @ other``: the product of the transfer matrices; ``other`` comes first in the signal's way."""

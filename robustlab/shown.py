@@ -15,7 +15,7 @@ from html import escape
 from importlib import import_module
 from typing import Any
 
-from robustlab.errors import plain_text
+from robustlab.errors import is_function, plain_text
 
 Facts = list[tuple[str, str]]  # label, text
 
@@ -80,6 +80,22 @@ class Shown:
         """
         # By its name: the room that draws stands above all rooms whose objects it draws.
         return import_module("robustlab.report.drawings").draw(self, kind, ax, options)
+
+
+class Tuning:
+    """Base of the dataclasses of numbers that choose speed and accuracy: those alone are shown that were changed.
+
+    They are defaults of public functions, whose help would else begin with a hundred numbers.
+    """
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        cls.__repr__ = Tuning.__repr__
+
+    def __repr__(self) -> str:
+        given = fields(self) if is_dataclass(self) else ()
+        changed = [f"{f.name}={getattr(self, f.name)!r}" for f in given if getattr(self, f.name) != f.default]
+        return f"{type(self).__name__}({', '.join(changed)})"
 
 
 def heading(shown: Any) -> str:
@@ -195,7 +211,7 @@ def in_words(value: Any) -> str:
     >>> in_words(True), in_words([1, 2, 3]), in_words({"a": 1.0, "b": 2.0}), in_words(range(100))
     ('yes', '1, 2, 3', 'a = 1, b = 2', '100 entries')
     """
-    if value is None or callable(value):
+    if value is None or is_function(value):
         return ""
     if isinstance(value, Enum):
         return str(value.value)
@@ -217,6 +233,23 @@ def in_words(value: Any) -> str:
         short = len(value) <= SHOWN and all(isinstance(v, (str, int, float, complex)) for v in value)
         return ", ".join(map(in_words, value)) if short else f"{len(value)} entries"
     return type(value).__name__
+
+
+def matrix_lines(name: str, rows: Sequence[Sequence[complex]], width: int, most: int = 12) -> list[str]:
+    r"""A matrix of ``width`` columns with its name before it, six digits; of a large one its size.
+
+    Examples
+    --------
+    >>> print("\n".join(matrix_lines("A", [[0.0, 1.0], [-2.0, -0.25]], 2)))
+    A:  0   1
+       -2  -0.25
+    """
+    if not rows or not width or max(len(rows), width) > most:
+        return [f"{name}: {len(rows)} x {width}"]
+    cells = [[text if text.startswith("-") else f" {text}" for text in (f"{x:.6g}" for x in row)] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells]
+    return [f"{f'{name}: ' if k == 0 else ' ' * (len(name) + 2)}{line}".rstrip() for k, line in enumerate(lines)]
 
 
 def _shape(shape: tuple[int, ...]) -> str:

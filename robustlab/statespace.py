@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray, Array, is_rank_deficient
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, named_arguments
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, number, short, with_units
+from robustlab.shown import Facts, Shown, matrix_lines, number, short, with_units
 from robustlab.signals import (
     COMPLEX,
     Signal,
@@ -89,6 +90,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     states: tuple[Signal, ...]
     operating_point: OperatingPoint | None
 
+    @named_arguments
     def __init__(
         self,
         A: ArrayLike,
@@ -257,6 +259,10 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     def _sum(self, first: Any, second: Any, sign: int) -> StateSpaceModel:
         return parallel(first, second, sign)
 
+    def _loop(self, forward: Any, back: Any, sign: int | None) -> StateSpaceModel:
+        around, closed, _ = import_module("robustlab.closing").fed_back(forward, back, sign)
+        return feedback(forward, around, closed)
+
     def _identity(self) -> StateSpaceModel:
         if self.n_inputs != self.n_outputs:
             raise InputError("power", f"a model of {self.n_outputs} x {self.n_inputs}", "a square model")
@@ -304,17 +310,10 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         """As a ``control.StateSpace`` (units are lost: python-control has none)."""
         import control
 
-        system = control.StateSpace(
-            self.A.copy(),
-            self.B.copy(),
-            self.C.copy(),
-            self.D.copy(),
-            self.dt,
-            inputs=list(self.input_names),
-            outputs=list(self.output_names),
-            states=list(self.state_names),
-            remove_useless_states=False,
-        )
+        names = {"inputs": self.input_names, "outputs": self.output_names, "states": self.state_names}
+        sides = {side: list(known) for side, known in names.items()}
+        matrices = (getattr(self, name).copy() for name in "ABCD")
+        system = control.StateSpace(*matrices, self.dt, **sides, remove_useless_states=False)
         return cast("control.StateSpace", system)
 
     def to_json(self) -> dict[str, object]:
@@ -337,6 +336,10 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
             ("poles", f"{where}: {kind}" if self.n_states else ""),
         ]
 
+    def _numbers(self) -> list[str]:
+        given = {name: getattr(self, name) for name in "ABCD"}
+        return [line for name, m in given.items() for line in matrix_lines(name, m.tolist(), m.shape[1])]
+
     def __repr__(self) -> str:
         time = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
         ins, outs = (short(names) for names in (self.input_names, self.output_names))
@@ -344,7 +347,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
 
 
 def as_model(system: Any, where: str = "model") -> StateSpaceModel:
-    """``system`` as a StateSpaceModel: our own type, anything with ``.to_model()``, or a python-control object."""
+    """``system`` as a StateSpaceModel: our own type, anything with ``.to_model()``, or an object of python-control."""
     if isinstance(system, StateSpaceModel):
         return system
     to_model = getattr(system, "to_model", None)
@@ -463,23 +466,32 @@ def inverse(model: Any) -> StateSpaceModel:
     )
 
 
-def feedback(plant: StateSpaceModel, controller: StateSpaceModel, sign: int = -1) -> StateSpaceModel:
+def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:
     """Closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, in the names of ``plant``.
 
-    Raises InputError: sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular).
+    Raises InputError: sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular);
+    UnitMismatch: signals that meet carry different units.
     """
-    dt = _common_dt((plant, controller), "feedback")
-    if controller.n_inputs != plant.n_outputs or controller.n_outputs != plant.n_inputs:
+    if sign not in (1, -1):
+        raise InputError("feedback", f"sign {sign!r}", "1 or -1")
+    g = _operand(plant, "feedback")
+    if is_number(controller):
+        if g.n_inputs != g.n_outputs:
+            found = f"the number {controller} around {g.n_outputs} x {g.n_inputs} channels"
+            raise InputError("feedback", found, "a matrix or a model")
+        controller = float(controller) * np.eye(g.n_inputs)
+    k = _operand(controller, "feedback")
+    dt = _common_dt((g, k), "feedback")
+    if k.n_inputs != g.n_outputs or k.n_outputs != g.n_inputs:
         raise InputError(
             "feedback",
-            f"controller is {controller.n_outputs} x {controller.n_inputs}",
-            f"{plant.n_inputs} x {plant.n_outputs} for a plant of {plant.n_outputs} x {plant.n_inputs}",
+            f"controller is {k.n_outputs} x {k.n_inputs}",
+            f"{g.n_inputs} x {g.n_outputs} for a plant of {g.n_outputs} x {g.n_inputs}",
         )
-    twice = np.hstack([plant.B, plant.B]), np.vstack([plant.C, plant.C]), np.tile(plant.D, (2, 2))
-    stacked = StateSpaceModel(plant.A, *twice, dt)
-    signed = StateSpaceModel(controller.A, controller.B, sign * controller.C, sign * controller.D, dt)
-    loop = lower_lft(stacked, signed)
-    return loop.renamed(plant.inputs, plant.outputs)
+    same_units("feedback", [*zip(g.outputs, k.inputs, strict=True), *zip(k.outputs, g.inputs, strict=True)])
+    twice = np.hstack([g.B, g.B]), np.vstack([g.C, g.C]), np.tile(g.D, (2, 2))
+    signed = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, dt)
+    return lower_lft(StateSpaceModel(g.A, *twice, dt), signed).renamed(g.inputs, g.outputs)
 
 
 def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 from robustlab.campaign.evaluation import Evaluator, Failure, Outcome, Piece, Rows, Workers
 from robustlab.campaign.store import Store
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.shown import Tuning
 
 # What is promised: so many samples may be lost, and a sample has so many workers before it is.
 MAX_LOST_SHARE = 0.01
@@ -24,7 +25,7 @@ MAX_ATTEMPTS = 2
 
 
 @dataclass(frozen=True)
-class DispatchTuning:
+class DispatchTuning(Tuning):
     """How the work is cut; the samples do not depend on it."""
 
     # s of work in a piece: long against the time to send and store it, short against what a killed run may lose.

@@ -98,7 +98,7 @@ def run(
     A sample that crashes or hangs is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
     confirmed.
 
-    Example: robustlab campaign run motor.h5 --output omega --input u=42 --t-end 0.1 -n 100000 --store motor.sqlite
+    Example: robustlab campaign run motor.h5 --outputs omega --input-value u=42 --t-end 0.1 -n 100000 --store m.sqlite
     """
     from robustlab.campaign import CampaignSettings, run_campaign
 

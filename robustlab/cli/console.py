@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 SCHEMA = "robustlab.result/1"
+FIGURE = "Figures to write, SVG and PNG: NAME, one of several NAME-...; or FOLDER/."
 
 
 class _Aside:
@@ -75,22 +76,36 @@ def require_trust(status: rl.Status) -> None:
         raise typer.Exit(NoTrustworthyNumber.exit_code)
 
 
-def save_figures(figures: Mapping[str, Figure], folder: str | Path, prefix: str = "") -> list[str]:
-    """Write each figure as SVG and PNG into a folder; the paths."""
+def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
+    """Folder and name, without ending, of a figure where ``--figure`` says ``path``.
+
+    In a folder, one that is there or ends in a slash, it has its own ``name``; else it is called as the path says, with
+    the ``suffix`` of one of several.
+    """
+    target = Path(path)
+    if path.endswith(("/", os.sep)) or target.is_dir():
+        return target, name
+    if not target.stem:
+        raise InputError("--figure", repr(path), "a name, for example design.svg, or a folder")
+    return target.parent, (target.stem if target.suffix.lower() in (".svg", ".png") else target.name) + suffix
+
+
+def save_figures(figures: Mapping[str, Figure], path: str, prefix: str = "") -> list[str]:
+    """Write each figure as SVG and PNG where ``--figure`` says, in a folder with the prefix; the paths."""
     from robustlab.report.figures import save_figure
 
-    drawn = figures.items()
-    return [str(path) for name, figure in drawn for path in save_figure(figure, folder, prefix + name)]
+    made: list[str] = []
+    for name, figure in figures.items():
+        place = figure_place(path, prefix + name, f"-{name}" if len(figures) > 1 else "")
+        made += map(str, save_figure(figure, *place))
+    return made
 
 
 def save_drawing(figure: Figure, path: str, suffix: str = "") -> None:
-    """Write a figure as SVG and PNG beside each other, named as ``path`` with a suffix, with a note for each."""
+    """Write a figure as SVG and PNG where ``--figure`` says, one of several with its suffix; with a note for each."""
     from robustlab.report.figures import save_figure
 
-    target = Path(path)
-    if not target.stem:
-        raise InputError("--figure", repr(path), "a name, for example design.svg")
-    for made in save_figure(figure, target.parent, target.stem + suffix):
+    for made in save_figure(figure, *figure_place(path, suffix.lstrip("-") or "figure", suffix)):
         note(f"written: {made}")
 
 

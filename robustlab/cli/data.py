@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import SCHEMA, emit, note, require_trust, save_figures, table
+from robustlab.cli.columns import read_beside
+from robustlab.cli.console import FIGURE, SCHEMA, emit, note, require_trust, save_figures, table
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
     EffortOptions,
@@ -58,7 +59,7 @@ DataArgument = Annotated[
     str, typer.Argument(help="Record: HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="DATA")
 ]
 SettingsOption = Annotated[list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.")]
-FiguresOption = Annotated[str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).")]
+FigureOption = Annotated[str | None, typer.Option("--figure", help=FIGURE)]
 
 
 # --- option groups ---------------------------------------------------------------------------------------------------
@@ -101,7 +102,7 @@ class DiscoveryFiles:
     ``next-experiment.csv`` where one is proposed.
     """
 
-    figures: FiguresOption = None
+    figure: FigureOption = None
     model_out: Annotated[str | None, typer.Option(help="HDF5 file for the updated plant.")] = None
     out: Annotated[
         str | None, typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.")
@@ -118,10 +119,10 @@ class DiscoveryFiles:
         """
         provenance = _provenance("data discover", sources, code)
         files: list[str] = []
-        if self.figures:
+        if self.figure:
             from robustlab.report.discovery import discovery_figures
 
-            files += save_figures(discovery_figures(found), self.figures)
+            files += save_figures(discovery_figures(found), self.figure)
         if self.model_out:
             files.append(_save_plant(found, Path(self.model_out), provenance))
         if self.out:
@@ -147,7 +148,6 @@ class ExplanationOptions:
         str | None,
         typer.Option(
             help="What the bound is of: peak or rms (frequency domain: rms).",
-            metavar="NORM",
             autocompletion=one_of("peak", "rms"),
         ),
     ] = None
@@ -155,7 +155,6 @@ class ExplanationOptions:
         str,
         typer.Option(
             help="Complex and full blocks are: time-invariant or time-varying.",
-            metavar="KIND",
             autocompletion=one_of("time-invariant", "time-varying"),
         ),
     ] = "time-invariant"
@@ -164,7 +163,7 @@ class ExplanationOptions:
     per_block: Annotated[bool, typer.Option("--per-block", help="Also the smallest scaling of each block alone.")] = (
         False
     )
-    cover: Annotated[
+    envelope: Annotated[
         int | None,
         typer.Option(
             help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.", min=0
@@ -205,8 +204,10 @@ def check(
     if settings and not model:
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
     system = plant_or_model(model, settings or []) if model else None
-    inputs = options.inputs or (",".join(_input_names(system)) if system is not None else None)
-    record = options.read(file, inputs, tell=False)
+    if system is None:
+        record = options.read(file, options.inputs, tell=False)
+    else:
+        record = read_beside(system, options, file, tell=False)
     found = check_record(record)
     clock_line = f"{record.n} samples, {record.duration:.6g} s, dt {record.dt:.6g} s, " + (
         "uniform" if record.is_uniform else "not uniform"
@@ -252,7 +253,7 @@ def compare(
     settings: SettingsOption = None,
     options: ModelRecordOptions,
     windows: WindowOptions,
-    figures: FiguresOption = None,
+    figure: FigureOption = None,
     progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
@@ -266,17 +267,16 @@ def compare(
 
     system = plant_or_model(model, settings or [])
     repeat = windows.repeat or []
-    inputs = options.inputs or ",".join(_input_names(system))
-    first, *others = (options.read(file, inputs) for file in (data, *repeat))
+    first, *others = (read_beside(system, options, file) for file in (data, *repeat))
     with progress.shown("data compare"):
         found = rl.compare(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
-    if figures:
+    if figure:
         from robustlab.report.comparison_figures import comparison_figures
 
         if not isinstance(found, Comparison):
-            raise UsageError("--figures", f"a free run of {found.simulated.name}", "none: it has no windows to draw")
-        files += save_figures(comparison_figures(found), figures)
+            raise UsageError("--figure", f"a free run of {found.simulated.name}", "none: it has no windows to draw")
+        files += save_figures(comparison_figures(found), figure)
     files += _keep(found, output.out, "data compare", (model, data, *repeat), code_of(system))
     _tell(files)
     emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), output.as_json)
@@ -312,10 +312,9 @@ def discover(
     from robustlab.dynamics.plant_file import code_of
 
     system = plant_or_model(model, settings or [])
-    inputs = options.inputs or ",".join(_input_names(system))
 
     def records(files: list[str] | None) -> list[rl.Record]:
-        return [options.read(file, inputs, group) for file, group in map(_file_and_group, files or [])]
+        return [read_beside(system, options, file, group) for file, group in map(_file_and_group, files or [])]
 
     with progress.shown("data discover", lines=True, budgets=False) as report:
         found = rl.discover(
@@ -357,7 +356,7 @@ def validate(
     asked: ExplanationOptions,
     effort: EffortOptions,
     options: UncertainRecordOptions,
-    figures: FiguresOption = None,
+    figure: FigureOption = None,
     progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
@@ -369,7 +368,7 @@ def validate(
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
     model, code = uncertain_or_plant(uncertain)
-    record = options.read(data, ",".join(s.name for s in model.inputs))
+    record = read_beside(model, options, data)
     units = {s.name: s.unit for s in model.outputs}
     words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
     with progress.shown("data validate", lines=True) as report:
@@ -383,15 +382,15 @@ def validate(
             **words,
             **vars(effort),
         )
-    members = asked.cover
+    members = asked.envelope
     if members is None:
         members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0
     envelope = _envelope(model, record, members, found) if members else None
     files: list[str] = []
-    if figures:
+    if figure:
         from robustlab.report.set_figures import validation_figures
 
-        files += save_figures(validation_figures(found), figures, "validation-")
+        files += save_figures(validation_figures(found), figure, "validation-")
     files += _keep(found, output.out, "data validate", (uncertain, data), code)
     _tell(files)
     result: dict[str, Any] = {**found.to_json(series=False), "files": files}
@@ -413,13 +412,6 @@ def _file_and_group(text: str) -> tuple[str, str | None]:
     """``FILE#GROUP``; a file whose own name has a # is taken as it is."""
     file, mark, group = text.rpartition("#")
     return (file, group) if mark and not Path(text).exists() else (text, None)
-
-
-def _input_names(system: Any) -> list[str]:
-    from robustlab.dynamics import Plant
-    from robustlab.statespace import as_model
-
-    return [s.name for s in (system if isinstance(system, Plant) else as_model(system)).inputs]
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

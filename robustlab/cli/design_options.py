@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+from robustlab.cli.console import FIGURE, emit, note, require_trust, save_drawing, table
 from robustlab.cli.offers import one_of
 from robustlab.cli.options import JsonOption, OutOption, OutputOptions, frequencies, load_model, names
 from robustlab.cli.progress import ProgressOptions
@@ -27,14 +27,16 @@ class ChannelOptions:
 
     n_meas: Annotated[int | None, typer.Option(help="Number of measurements (the last outputs).")] = None
     n_con: Annotated[int | None, typer.Option(help="Number of controls (the last inputs).")] = None
-    measurements: Annotated[str | None, typer.Option(help="Measured outputs by name: a,b.")] = None
-    controls: Annotated[str | None, typer.Option(help="Control inputs by name: a,b.")] = None
+    measurements: Annotated[str | None, typer.Option(help="Measured outputs by name.")] = None
+    controls: Annotated[str | None, typer.Option(help="Control inputs by name.")] = None
     disturbances: Annotated[
-        str | None, typer.Option(help="With names: the inputs w; all that are no controls where left out.")
+        str | None,
+        typer.Option("--disturbance-inputs", help="With names: the inputs w; all that are no controls where left out."),
     ] = None
-    performance: Annotated[str | None, typer.Option(help="With names: the outputs z; all outputs where left out.")] = (
-        None
-    )
+    performance: Annotated[
+        str | None,
+        typer.Option("--performance-outputs", help="With names: the outputs z; all outputs where left out."),
+    ] = None
 
     def check(self, command: str) -> None:
         """Refuse channels that are not given, or given twice."""
@@ -45,7 +47,9 @@ class ChannelOptions:
             expected = "either --n-meas and --n-con, or --measurements and --controls"
             raise UsageError(command, "channels are not given", expected)
         if counted and (self.disturbances or self.performance):
-            raise UsageError(command, "--disturbances or --performance", "--measurements and --controls by name, too")
+            raise UsageError(
+                command, "--disturbance-inputs or --performance-outputs", "--measurements and --controls by name, too"
+            )
 
     def plant(self, command: str, file: str, nominal: bool = False) -> GeneralizedPlant:
         """The generalised plant of a file."""
@@ -67,11 +71,9 @@ class LoopChannelOptions:
     """Which inputs and outputs of a plant its controller is connected to."""
 
     measurements: Annotated[
-        str | None, typer.Option(help="Measured outputs by name, a,b; the last outputs where left out.")
+        str | None, typer.Option(help="Measured outputs by name; the last ones where left out.")
     ] = None
-    controls: Annotated[
-        str | None, typer.Option(help="Control inputs by name, a,b; the last inputs where left out.")
-    ] = None
+    controls: Annotated[str | None, typer.Option(help="Control inputs by name; the last ones where left out.")] = None
 
     def plant(self, file: str, K: Any) -> GeneralizedPlant:
         """The generalised plant of the file: by names, or with as many channels at the end as the controller has."""
@@ -89,8 +91,8 @@ class LoopChannelOptions:
 class SignalOptions:
     """Which control inputs and outputs of a plain model are used."""
 
-    inputs: Annotated[str | None, typer.Option(help="Control inputs of the model to use: a,b.")] = None
-    outputs: Annotated[str | None, typer.Option(help="Outputs of the model to control: a,b.")] = None
+    inputs: Annotated[str | None, typer.Option(help="Control inputs of the model to use.")] = None
+    outputs: Annotated[str | None, typer.Option(help="Outputs of the model to control.")] = None
 
     def model(self, file: str) -> rl.StateSpaceModel:
         """The model in a file with these signals."""
@@ -106,7 +108,7 @@ class DesignOutput(ProgressOptions):
     """What becomes of a design, and whether its search is told step by step."""
 
     out: OutOption = None
-    figure: Annotated[str | None, typer.Option(help="Figures to write: NAME and NAME-..., each as SVG and PNG.")] = None
+    figure: Annotated[str | None, typer.Option(help=FIGURE)] = None
     verbose: Annotated[bool, typer.Option("--verbose", help="A line on stderr for each step of the search.")] = False
     as_json: JsonOption = False
 
@@ -149,7 +151,10 @@ class GaussianOptions:
         str | None, typer.Option(help="constant, the frequency of a sinusoid in rad/s, or the file of a filter.")
     ] = None
     at: Annotated[
-        str, typer.Option(help="Where it adds: input or output.", autocompletion=one_of("input", "output"))
+        str,
+        typer.Option(
+            "--disturbance-at", help="Where it adds: input or output.", autocompletion=one_of("input", "output")
+        ),
     ] = "input"
     channels: Annotated[str | None, typer.Option(help="On which of them: a,b; all.")] = None
     disturbance_noise: Annotated[str, typer.Option(help="Intensity of its noise.")] = "1"
@@ -172,7 +177,7 @@ class GaussianOptions:
             "output" if self.at == "output" else "input",
         )
         if self.at != at:
-            raise UsageError("--at", repr(self.at), "input or output")
+            raise UsageError("--disturbance-at", repr(self.at), "input or output")
         return rl.lqg(
             model, *weights, disturbance=given, at=at, channels=named[0], disturbance_noise=noise, regulated=named[1]
         )
@@ -228,8 +233,8 @@ def limit_of(text: str) -> Any:
     known = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
     word, _, value = text.partition("=")
     if word.strip() not in known:
-        raise UsageError("--limit", repr(text), f"one of {', '.join(known)}, each =NUMBER")
-    return known[word.strip()](_number(f"--limit {word}", value))
+        raise UsageError("--pole-limit", repr(text), f"one of {', '.join(known)}, each =NUMBER")
+    return known[word.strip()](_number(f"--pole-limit {word}", value))
 
 
 def weight_of(option: str, text: str | None, make: Any) -> Any:

@@ -5,23 +5,30 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from robustlab.cli.vocabulary import told
+
 # Command -> (module that holds its `app`, one line of help).
 GROUPS = {
-    "plant": ("robustlab.cli.plant", "Start a plant of your own in a file; show a plant."),
+    "plant": ("robustlab.cli.plant", "List plants, show one; start one of your own in a file."),
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
     "uncertain": ("robustlab.cli.uncertain", "Build, show and sample uncertain models."),
     "worst-case": ("robustlab.cli.worst_case", "Search the worst member of an uncertain model."),
     "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
     "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
     "iqc": ("robustlab.cli.iqc", "Proved gain with nonlinear and time-varying blocks."),
+    "effects": ("robustlab.cli.effects", "List the effects that a model may lack."),
     "synth": ("robustlab.cli.synth", "Design a controller and verify its loop."),
     "lpv": ("robustlab.cli.lpv", "Gain scheduling: LPV models, gains, controllers."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
     "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
-    "recipe": ("robustlab.cli.recipe", "Check a recipe, print its schema, start a new one."),
+    "recipe": ("robustlab.cli.recipe", "Check a recipe, list the kinds of steps, start a new one."),
     "report": ("robustlab.cli.report", "Write the report of a finished run again; compare two runs."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
+
+
+# What was typed behind ``robustlab``, for commands that answer with the same command and more; set in `main`.
+TYPED: list[str] = []
 
 
 def parser(name: str) -> Any:
@@ -30,4 +37,4 @@ def parser(name: str) -> Any:
 
     app = import_module(GROUPS[name][0]).app
     app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
-    return get_command(app)
+    return told(get_command(app))

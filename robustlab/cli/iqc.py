@@ -19,7 +19,7 @@ app = typer.Typer(
     help="Proved gain with nonlinear and time-varying blocks.", no_args_is_help=True, add_completion=False
 )
 
-OrderOption = Annotated[int, typer.Option(help="Order of the multipliers' filters, 0..8.")]
+OrderOption = Annotated[int, typer.Option("--filter-order", help="Order of the multipliers' filters, 0..8.")]
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class BlockOptions:
             "odd-slope:LOW:HIGH; repeatable."
         ),
     ] = None
-    inputs: Annotated[str | None, typer.Option(help="Inputs to keep: a,b.")] = None
-    outputs: Annotated[str | None, typer.Option(help="Outputs to keep: a,b.")] = None
+    inputs: Annotated[str | None, typer.Option(help="Inputs to keep.")] = None
+    outputs: Annotated[str | None, typer.Option(help="Outputs to keep.")] = None
     stability: Annotated[bool, typer.Option("--stability", help="The margin of stability instead of the gain.")] = False
 
 
@@ -133,7 +133,7 @@ def anti_windup(
     controller: Annotated[str, typer.Argument(help="Controller u = K y: HDF5 or .mat file.")],
     limits: Annotated[
         list[str] | None,
-        typer.Option("--limit", help="Limits of a control signal, NAME=LOW:HIGH; repeatable. Left out: -1:1."),
+        typer.Option("--saturation", help="Limits of a control signal, u=-10:10; repeatable. Left out: -1:1."),
     ] = None,
     reach: Annotated[
         float,
@@ -141,7 +141,9 @@ def anti_windup(
             help="Bound of the demanded signal as a multiple of its limit; needed where the plant is not stable."
         ),
     ] = math.inf,
-    direct: Annotated[bool, typer.Option("--direct", help="Correct the outputs too, an algebraic loop.")] = False,
+    direct: Annotated[
+        bool, typer.Option("--correct-outputs", help="Correct the outputs too, an algebraic loop.")
+    ] = False,
     dt: Annotated[
         float | None, typer.Option(help="With --code: sample time in s of the controller that is written.")
     ] = None,
@@ -152,13 +154,13 @@ def anti_windup(
 ) -> None:
     """Static anti-windup gain of least proved L2 gain, beside back-calculation and none.
 
-    Example: robustlab iqc anti-windup motor.h5 pi.h5 --limit u=-10:10 --out windup.h5
+    Example: robustlab iqc anti-windup motor.h5 pi.h5 --saturation u=-10:10 --out windup.h5
     """
     K = load_model(controller)
-    given = ends("--limit", limits)
+    given = ends("--saturation", limits)
     unknown = [name for name in given if name not in K.output_names]
     if unknown:
-        raise UsageError(f"--limit {unknown[0]}", "no such control signal", f"one of {', '.join(K.output_names)}")
+        raise UsageError(f"--saturation {unknown[0]}", "no such control signal", f"one of {', '.join(K.output_names)}")
     pairs = [given.get(name, (-1.0, 1.0)) for name in K.output_names]
     if (code is None) != (dt is None):
         raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")

@@ -35,7 +35,8 @@ class SchedulingOptions:
     """How an uncertain model becomes an LPV model."""
 
     points: Annotated[
-        list[str] | None, typer.Option(help="Points of a parameter, NAME=5; 2 where left out; repeatable.")
+        list[str] | None,
+        typer.Option("--grid", help="Number of points of a parameter, k=5; 2 where left out; repeatable."),
     ] = None
     rates: Annotated[
         list[str] | None,
@@ -48,17 +49,17 @@ class SchedulingOptions:
         """The LPV model in a file, or of the uncertain one there."""
         found: Any = rl.load(file)
         rates = assignments("--rate", self.rates)
-        given = assignments("--points", self.points)
+        given = assignments("--grid", self.points)
         for name, value in given.items():
             if not value.is_integer():  # nan and inf are none
-                raise UsageError(f"--points {name}={value:g}", "no whole number", "2 or more")
+                raise UsageError(f"--grid {name}={value:g}", "no whole number", "2 or more")
         counts = {name: int(value) for name, value in given.items()}
         if isinstance(found, rl.UncertainModel):
             return rl.lpv_model(found, counts, rates)
         if not isinstance(found, rl.LPVModel):
             raise InputError(file, f"a {type(found).__name__}", "an LPV or an uncertain model")
         if counts:
-            raise UsageError("--points", f"{file} has its points", "an uncertain model's file")
+            raise UsageError("--grid", f"{file} has its points", "an uncertain model's file")
         return found.with_rates(**rates)
 
 
@@ -67,7 +68,7 @@ class SchedulingOptions:
 def build(*, file: FileArgument, scheduling: SchedulingOptions, output: OutputOptions) -> None:
     """LPV model of an uncertain one: its real parameters become measured ones; what it is between the points is proved.
 
-    Example: robustlab lpv build spring.h5 --points k=5 --rate k=0.5 --out lpv.h5
+    Example: robustlab lpv build spring.h5 --grid k=5 --rate k=0.5 --out lpv.h5
     """
     found = scheduling.model(file)
     rows = [*found.facts(), *output.keep_made("lpv build", found, [file])]

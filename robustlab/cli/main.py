@@ -10,8 +10,10 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
-from robustlab.cli.groups import GROUPS, parser
+from robustlab.cli.groups import GROUPS, TYPED, parser
+from robustlab.cli.vocabulary import of_today
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
@@ -82,13 +84,38 @@ def run(arguments: Sequence[str]) -> int:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     command = parser(name)
+    rest, renamed = of_today(name, rest)
+    for remark in renamed:
+        print(f"note: {remark}", file=sys.stderr)
+    TYPED[:] = [name, *rest]
 
     # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.
     def called() -> int | None:
         with command.make_context(f"robustlab {name}", rest) as context:
             return command.invoke(context)
 
-    return answer(called)
+    try:
+        return answer(called)
+    except Exception as error:
+        if type(error).__name__ == "MissingParameter":  # the parser's; the class is click's, or typer's own copy of it
+            _tell_what_is_missing(error)
+        raise
+
+
+def _tell_what_is_missing(error: Any) -> None:
+    """Raise a UsageError with the names that may stand in the place of a missing argument, where there are any."""
+    from robustlab.cli.offers import listed
+    from robustlab.errors import UsageError
+
+    if error.param is None or error.ctx is None:
+        return
+    rows = listed(item.value for item in error.param.shell_complete(error.ctx, ""))
+    if rows:
+        width = max(len(name) for name, _ in rows)
+        missing = f"{error.param.metavar or error.param.name.upper()} is missing"
+        lines = tuple(f"  {name:<{width}}  {line}".rstrip() for name, line in rows)
+        command = error.ctx.command_path
+        raise UsageError(command, missing, "a file, or one of these", f"{command} --help", lines) from None
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import table
-from robustlab.cli.options import assignments
+from robustlab.cli.options import assignments, names
 from robustlab.errors import InputError, UsageError
 
 SHOWN_BLOCKS = 40
@@ -19,7 +19,7 @@ SHOWN_BLOCKS = 40
 UncertainArgument = Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="FILE")]
 InputOption = Annotated[
     list[str] | None,
-    typer.Option("--input", help="Constant input, u=42 or u=42V; may be repeated. A unit step where left out."),
+    typer.Option("--input-value", help="Constant input, u=42 or u=42V; repeatable. A unit step where left out."),
 ]
 EndOption = Annotated[float | None, typer.Option("--t-end", help="End time in s; from the nominal poles if left out.")]
 PointsOption = Annotated[int, typer.Option("--points", help="Number of times, where --t-end is given.")]
@@ -29,13 +29,13 @@ PointsOption = Annotated[int, typer.Option("--points", help="Number of times, wh
 class ResponseOptions:
     """What drives a response, and its times."""
 
-    inputs: InputOption = None
+    values: InputOption = None
     t_end: EndOption = None
     points: PointsOption = 401
 
     def driven(self, model: rl.UncertainModel) -> dict[str, float] | None:
         """Constant inputs by name; None for the default."""
-        return assignments("--input", self.inputs, {s.name: s.unit for s in model.inputs}) or None
+        return assignments("--input-value", self.values, {s.name: s.unit for s in model.inputs}) or None
 
     def times(self, model: rl.UncertainModel) -> Any:
         """Times from 0 on, every sample of a discrete model; None where no end was given."""
@@ -55,19 +55,38 @@ class ResponseOptions:
 class MetricOptions:
     """What of a member a metric looks at."""
 
-    output: Annotated[str | None, typer.Option(help="Output to look at.")] = None
-    from_input: Annotated[
-        str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
+    outputs: Annotated[str | None, typer.Option(help="The one output to look at.")] = None
+    inputs: Annotated[
+        str | None, typer.Option(help="For norms and controllability: the one input to look from; all if left out.")
     ] = None
-    inputs: InputOption = None
+    values: InputOption = None
     t_end: EndOption = None
     points: PointsOption = 401
-    band: Annotated[float, typer.Option(help="Share of the final value that counts as settled.")] = 0.02
+    band: Annotated[float, typer.Option("--settling-band", help="Share of the final value that counts as settled.")] = (
+        0.02
+    )
+
+    @property
+    def output(self) -> str | None:
+        """The output that is named."""
+        return _only("--outputs", self.outputs)
+
+    @property
+    def from_input(self) -> str | None:
+        """The input that is named."""
+        return _only("--inputs", self.inputs)
 
     @property
     def response(self) -> ResponseOptions:
         """The part of a metric of a response."""
-        return ResponseOptions(self.inputs, self.t_end, self.points)
+        return ResponseOptions(self.values, self.t_end, self.points)
+
+
+def _only(option: str, text: str | None) -> str | None:
+    found = names(text or "")
+    if len(found) > 1:
+        raise UsageError(option, f"{len(found)} names", "one: a metric looks at one signal of each side")
+    return found[0] if found else None
 
 
 def load_uncertain(file: str) -> rl.UncertainModel:

@@ -22,6 +22,7 @@ from robustlab.cli.options import (
     ends,
     grouped,
     load_model,
+    names,
     plant_settings,
     six_numbers,
 )
@@ -316,18 +317,19 @@ def zeros(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fal
 def connect(
     *,
     files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],
-    inputs: Annotated[list[str] | None, typer.Option("--input", help="Signal from outside; repeatable.")] = None,
-    outputs: Annotated[list[str] | None, typer.Option("--output", help="Signal to show; repeatable.")] = None,
+    inputs: Annotated[str | None, typer.Option(help="Signals from outside.")] = None,
+    outputs: Annotated[str | None, typer.Option(help="Signals to show.")] = None,
     sums: Annotated[list[str] | None, typer.Option("--sum", help='Summing junction: "e = r - y"; repeatable.')] = None,
     output: OutputOptions,
 ) -> None:
     """Wire models by the names of their signals: an output feeds every input of the same name.
 
-    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --input r --output omega --out loop.h5
+    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --inputs r --outputs omega --out loop.h5
     """
     from robustlab.uncertainty.named_wiring import connected
 
-    found = connected([rl.load(file) for file in files], files, inputs or [], outputs or [], sums or [])
+    outside, seen = names(inputs or ""), names(outputs or "")
+    found = connected([rl.load(file) for file in files], files, outside, seen, sums or [])
     rows = [*found.facts(), *output.keep_made("model connect", found, files)]
     emit("model connect", {"model": found}, table(rows), output.as_json)
 
@@ -370,7 +372,7 @@ def reduce(
     *,
     file: ModelArgument,
     order: Annotated[int | None, typer.Option(help="States of the result.")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="In place of --order: largest error, as it is told.")] = None,
+    max_error: Annotated[float | None, typer.Option(help="In place of --order: largest error, as it is told.")] = None,
     how: ReductionOptions,
     output: OutputOptions,
 ) -> None:
@@ -379,9 +381,9 @@ def reduce(
     Modes that are not stable are kept, or reduced too with --method coprime.
     Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
 
-    Example: robustlab model reduce plant.h5 --tolerance 0.01 --out small.h5
+    Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
     """
-    found = rl.reduce_model(load_model(file), order, tolerance=tolerance, **how.arguments())
+    found = rl.reduce_model(load_model(file), order, tolerance=max_error, **how.arguments())
     files = [f for f in (file, how.input_weight, how.output_weight) if f is not None]
     output.finish_made("model reduce", found, found.model, files)
 
@@ -488,12 +490,4 @@ def _signal_lines(model: rl.StateSpaceModel | Any) -> list[str]:
 def _matrix_lines(model: rl.StateSpaceModel) -> list[str]:
     if max(model.n_states, model.n_inputs, model.n_outputs) > SHOWN_STATES:
         return [f"  matrices larger than {SHOWN_STATES}: --json prints them"]
-    lines = []
-    for name in "ABCD":
-        matrix = getattr(model, name)
-        if not matrix.size:
-            lines.append(f"  {name}: {matrix.shape[0]} x {matrix.shape[1]}")
-            continue
-        cells = [tuple(f"{x:.6g}" for x in row) for row in matrix.tolist()]
-        lines += [f"  {name + ':' if i == 0 else '  '} {row}" for i, row in enumerate(table(cells).splitlines())]
-    return lines
+    return str(model).splitlines()[1:]

@@ -14,10 +14,15 @@ from pathlib import Path
 Offer = Callable[[str], list[str]]
 
 # Words of choices whose modules load numpy; a test holds them to those modules.
-PLANTS = (
-    "dc-motor", "brushless-motor", "servo-axis", "mass-spring-damper", "two-mass", "linear-actuator",
-    "stewart-platform",
-)  # fmt: skip
+PLANTS = {  # with a line on each
+    "dc-motor": "permanent-magnet DC motor of a published data sheet, linear",
+    "brushless-motor": "brushless DC motor from data-sheet values, with its drive, linear",
+    "servo-axis": "prismatic axis of the published EMPS benchmark, linear",
+    "mass-spring-damper": "chain of masses, springs and dampers, as many as are given, linear",
+    "two-mass": "motor and load on a flexible shaft, linear",
+    "linear-actuator": "DC motor with a belt that drives a cart, linear",
+    "stewart-platform": "platform on six legs, nonlinear; presets thesis and physical, with motors or without",
+}
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
     "controllability", "hankel",
@@ -51,6 +56,15 @@ def recipe_or_file(incomplete: str) -> list[str]:
     from robustlab.recipe.shipped import shipped_recipes
 
     return _names_and_files(shipped_recipes(), (".toml",), incomplete)
+
+
+def listed(offered: Iterable[str]) -> list[tuple[str, str]]:
+    """What stands for a missing argument, each with a line on it where it comes with robustlab."""
+    from robustlab.recipe.shipped import shipped_titles
+
+    names = list(offered)
+    lines = {**PLANTS, **(shipped_titles() if not PLANTS.keys() & set(names) else {})}
+    return [(name, lines.get(name, "")) for name in names]
 
 
 def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete: str) -> list[str]:

@@ -32,7 +32,6 @@ TimeLimitOption = Annotated[
     float | None,
     typer.Option(
         "--time-limit",
-        "--timeout",
         help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
     ),
 ]
@@ -41,14 +40,14 @@ DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.")]
 PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
 ]
-BandOption = Annotated[str | None, typer.Option("--band", help="LOW,HIGH in rad/s: the peak between these alone.")]
+BandOption = Annotated[str | None, typer.Option("--band", help="Frequencies in rad/s: the peak between these alone.")]
 RecipeArgument = Annotated[
     str,
     typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
 ]
 ChangesOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="A.B=V", help="Change a value: a top-level key or STEP.KEY. May be repeated."),
+    typer.Option("--set", help="Change a value: a top-level key or STEP.KEY; repeatable."),
 ]
 
 
@@ -290,13 +289,16 @@ class TableOptions:
         return units
 
 
+COLUMN = "u=voltage takes the column voltage as u."
+
+
 @dataclass(frozen=True)
 class RecordOptions(TableOptions):
     """How the file of a record is to be read."""
 
     group: Annotated[str | None, typer.Option(help="HDF5 group, MATLAB struct or topic of a bag.")] = None
-    inputs: Annotated[str | None, typer.Option(help="Inputs: u or u,w; u=SIGNAL renames.")] = None
-    outputs: Annotated[str | None, typer.Option(help="Names of the outputs: q or q,v.")] = None
+    inputs: Annotated[str | None, typer.Option(help=f"Inputs: u or u,w. {COLUMN}")] = None
+    outputs: Annotated[str | None, typer.Option(help="Outputs likewise, q,i=current; all others if left out.")] = None
     dt: Annotated[float | None, typer.Option(help="Sample time in s.")] = None
     clock: Annotated[str | None, typer.Option(help="Signal with the times; of a bag: stamp or log.")] = None
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
@@ -322,19 +324,13 @@ class RecordOptions(TableOptions):
 class ModelRecordOptions(RecordOptions):
     """The same beside a model, which knows its inputs."""
 
-    inputs: Annotated[
-        str | None, typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.")
-    ] = None
-    outputs: Annotated[
-        str | None, typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.")
-    ] = None
+    inputs: Annotated[str | None, typer.Option(help=f"Inputs; the model's if left out. {COLUMN}")] = None
 
 
 @dataclass(frozen=True)
 class UncertainRecordOptions(RecordOptions):
-    """The same beside an uncertain model, whose inputs the record must have; gaps are refused."""
+    """The same beside an uncertain model; gaps are refused."""
 
-    inputs: None = None
-    outputs: Annotated[str | None, typer.Option("--outputs", "--output", help="Names of the outputs.")] = None
+    inputs: Annotated[str | None, typer.Option(help=f"Inputs; the model's if left out. {COLUMN}")] = None
     clock: Annotated[str | None, typer.Option(help="Signal with the times.")] = None
     allow_gaps: bool = False

@@ -1,4 +1,4 @@
-"""``robustlab plant``: start a plant of your own, show one; and how all commands read the plant that they are given."""
+"""``robustlab plant``: list plants, show one, start one of your own; and how all commands read a plant."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit, note, result_alone, table
 from robustlab.cli.members import named
-from robustlab.cli.offers import plant_or_file
+from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption, assignments, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
 
-app = typer.Typer(help="Start a plant of your own in a file; show a plant.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(
+    help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False
+)
 
 
 # --- what other commands read ----------------------------------------------------------------------------------------
@@ -30,6 +32,7 @@ def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
         result_alone()
         return rl.plant(name, **parameters)
     if not is_plant_file(name):
+        _require_known(name)
         return rl.plant(name, **parameters)
     made = load_plant(name)
     return made.with_parameters(**parameters) if parameters else made
@@ -45,7 +48,25 @@ def plant_or_model(name: str, settings: list[str]) -> Any:
     if settings:
         known = f"one of {', '.join(plant_names())}, or path/to/file.py:name"
         raise UsageError(f"--set {settings[0]}", f"{name} is no plant", known, did_you_mean(name, plant_names()))
+    if not Path(name).suffix:
+        _require_known(name)
     return rl.load(name)
+
+
+def _require_known(name: str) -> None:
+    """Refuse a name of neither a plant nor a file, with the nearest one of all plants and of the files beside it."""
+    from robustlab.dynamics import plant_names
+
+    path = Path(name)
+    try:
+        if name in plant_names() or path.exists():
+            return
+        files = [str(file) for file in path.parent.iterdir()] if path.parent.is_dir() else []
+    except (OSError, ValueError):  # a name too long, a NUL in it, a folder that may not be read
+        files = []
+    known = f"one of {', '.join(plant_names())}, a file, path/to/file.py:name or path/to/machine.fmu"
+    hint = did_you_mean(name, [*plant_names(), *files]) or "robustlab plant list"
+    raise InputError(name, "no such plant, and no such file", known, hint)
 
 
 def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
@@ -75,6 +96,25 @@ def made_of(name: str, thing: Any) -> dict[str, str]:
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
+
+
+@app.command("list")
+def list_plants(as_json: JsonOption = False) -> None:
+    """List the plants that come with robustlab, with their inputs and outputs.
+
+    Example: robustlab plant list
+    """
+    made = {name: rl.plant(name) for name in PLANTS}
+    rows = [
+        (name, ", ".join(named(p.inputs)), ", ".join(named(p.outputs)), PLANTS[name])
+        for name, p in made.items()
+    ]  # fmt: skip
+    plants = [
+        {"name": name, "what": PLANTS[name], **{side: [list(s) for s in getattr(p, side)] for side in SIDES[:2]}}
+        for name, p in made.items()
+    ]
+    rows = [(name, _few(ins), _few(outs), what) for name, ins, outs, what in rows]
+    emit("plant list", {"plants": plants}, table(rows, ("plant", "inputs", "outputs", "")), as_json)
 
 
 @app.command()
@@ -143,6 +183,7 @@ def show(
 # --- printing --------------------------------------------------------------------------------------------------------
 
 SIDES = ("inputs", "outputs", "states")
+FEW = 36  # characters of a plant's signals in a list
 ROUNDING = 1e-9  # a pole of this share of the largest is at zero
 
 
@@ -210,6 +251,10 @@ class _Rest:
     def _vectors(self) -> list[tuple[str, str, Any]]:
         assert self.trim is not None
         return [("x", "states", self.trim.x), ("u", "inputs", self.trim.u), ("y", "outputs", self.trim.y)]
+
+
+def _few(text: str) -> str:
+    return text if len(text) <= FEW else f"{text[: FEW - 4].rstrip(' ,')} ..."
 
 
 def _joints(plant: Any) -> list[dict[str, str]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, save_drawing, table
+from robustlab.cli.console import FIGURE, emit, figure_place, note, save_drawing, table
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
     JsonOption,
@@ -23,7 +23,7 @@ from robustlab.cli.options import (
     numbers,
 )
 from robustlab.cli.plant import plant_or_model
-from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 KINDS = {"bode": "bode_figure", "step": "step_figure", "sigma": "sigma_figure", "pzmap": "pole_figure"}
 CHANNELS = 4  # inputs or outputs in one figure
 
-FigureOption = Annotated[
-    str | None, typer.Option("--figure", "-o", help="Name of the figure, SVG and PNG.  [default: out/FILE-KIND]")
-]
+FigureOption = Annotated[str | None, typer.Option("--figure", "-o", help=f"{FIGURE}  [default: out/FILE-KIND]")]
 
 
 def plot_model(
@@ -45,8 +43,8 @@ def plot_model(
         ),
     ],
     kind: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}.", autocompletion=one_of(*KINDS))] = "bode",
-    inputs: Annotated[str | None, typer.Option("--inputs", "--input", help="Inputs to draw: u or u,w.")] = None,
-    outputs: Annotated[str | None, typer.Option("--outputs", "--output", help="Outputs to draw: q or q,v.")] = None,
+    inputs: Annotated[str | None, typer.Option(help="Inputs to draw.")] = None,
+    outputs: Annotated[str | None, typer.Option(help="Outputs to draw.")] = None,
     n: Annotated[int, typer.Option("-n", "--samples", help="Members of an uncertain model that are drawn.")] = 30,
     seed: SeedOption = 0,
     figure: FigureOption = None,
@@ -83,7 +81,7 @@ def frequency_response(
     ],
     frequency: Annotated[str | None, typer.Option(help="Of a model: rad/s, 1,10. A table has its own.")] = None,
     options: TableOptions,
-    figure: Annotated[str | None, typer.Option(help="Figure to write, SVG and PNG.")] = None,
+    figure: Annotated[str | None, typer.Option(help=FIGURE)] = None,
     output: OutputOptions,
 ) -> None:
     """Frequency response of a model, or a measured one from a table; --out writes frequency data, for mu and margins.
@@ -173,8 +171,6 @@ def _channels(model: Any, inputs: str | None, outputs: str | None) -> Any:
 def _write(drawn: Figure, figure: str | None, file: str, kind: str) -> list[str]:
     from robustlab.report.figures import save_figure
 
-    target = Path(figure) if figure is not None else Path("out") / f"{Path(file.replace(':', '-')).stem}-{kind}"
-    if not target.stem:
-        raise InputError("--figure", repr(figure), "a name, for example design.svg")
-    name = target.stem if target.suffix.lower() in (".svg", ".png") else target.name
-    return [str(path) for path in save_figure(drawn, target.parent, name)]
+    own = f"{Path(file.replace(':', '-')).stem}-{kind}"
+    place = (Path("out"), own) if figure is None else figure_place(figure, own)
+    return [str(path) for path in save_figure(drawn, *place)]

@@ -43,7 +43,6 @@ class ProgressOptions:
         str,
         typer.Option(
             help="auto: a bar on terminals; json: JSON lines on stderr; none.",
-            metavar="MODE",
             autocompletion=one_of(*MODES),
         ),
     ] = "auto"

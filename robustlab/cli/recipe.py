@@ -1,8 +1,9 @@
-"""``robustlab recipe``: check recipes, print their schema, start a new one."""
+"""``robustlab recipe``: check recipes, list the kinds of steps and their keys, print the schema, start a new one."""
 
 from __future__ import annotations
 
 import json
+import re
 from typing import Annotated
 
 import typer
@@ -10,9 +11,11 @@ import typer
 from robustlab.cli.console import emit, table
 from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
-from robustlab.errors import UsageError
+from robustlab.errors import UsageError, did_you_mean
 
-app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(
+    help="Check a recipe, list the kinds of steps, start a new one.", no_args_is_help=True, add_completion=False
+)
 
 
 @app.command()
@@ -33,6 +36,36 @@ def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOp
     text = f"{table(steps, ('step', 'does', 'reads'))}\n\ncan be run; steps: {len(steps)}, requirements: {count}"
     result = {"recipe": str(loaded.path), "steps": [list(step) for step in steps], "requirements": count}
     emit("recipe check", result, text, as_json)
+
+
+@app.command()
+def steps(
+    kind: Annotated[str | None, typer.Argument(help="A kind of step: its keys. All kinds where left out.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the kinds of steps that a recipe may have, or the keys of one.
+
+    Example: robustlab recipe steps record
+    """
+    from robustlab.recipe.keys import keys_of_step
+    from robustlab.recipe.load import KINDS
+
+    what = {word: " ".join((made.__doc__ or "").split("\n\n")[0].split()) for word, made in sorted(KINDS.items())}
+    if kind is None:
+        rows = [(word, KINDS[word].gives, re.split(r"(?<=[a-z)])[.] ", line)[0]) for word, line in what.items()]
+        kinds = [{"do": word, "gives": KINDS[word].gives, "what": line} for word, line in what.items()]
+        emit("recipe steps", {"steps": kinds}, table(rows, ("do =", "gives", "what it does")), as_json)
+        return
+    if kind not in KINDS:
+        hint = did_you_mean(kind, list(KINDS)) or "robustlab recipe steps lists them"
+        raise UsageError(f"recipe steps {kind}", "no such kind of step", f"one of {', '.join(what)}", hint)
+    keys = keys_of_step(kind)
+    rows = [
+        (key.name, "needed" if key.needed else "", key.takes.replace("``", ""), " ".join(key.meaning.split()))
+        for key in keys
+    ]
+    text = f'do = "{kind}": {what[kind]}\n\n{table(rows, ("key", "", "takes", "meaning"))}'
+    emit("recipe steps", {"do": kind, "what": what[kind], "keys": [vars(key) for key in keys]}, text, as_json)
 
 
 @app.command()
@@ -88,7 +121,6 @@ def new(
 def _new_from_data(
     name: str | None, data: str, plant: str | None, clock: str | None, dt: float | None, force: bool, as_json: bool
 ) -> None:
-    import re
     from pathlib import Path
 
     from robustlab.cli.plant import read_plant

@@ -58,7 +58,7 @@ def write(
 def compare(
     run1: Annotated[str, typer.Argument(help="The folder of the earlier run.")],
     run2: Annotated[str, typer.Argument(help="The folder of the later run.")],
-    tolerance: Annotated[float, typer.Option(min=0.0, help="Relative change of a number that counts as none.")] = 0.01,
+    rtol: Annotated[float, typer.Option(min=0.0, help="Relative changes up to this count as none.")] = 0.01,
     as_json: JsonOption = False,
 ) -> None:
     """Requirements and numbers of two runs side by side, what changed, and what got worse.
@@ -74,8 +74,8 @@ def compare(
     from robustlab.recipe.run import read_result
     from robustlab.report.run_comparison import compare_runs
 
-    comparison = compare_runs(read_result(run1), read_result(run2), tolerance)
-    emit("report compare", {"runs": [run1, run2], **comparison.to_json()}, _text(comparison, tolerance), as_json)
+    comparison = compare_runs(read_result(run1), read_result(run2), rtol)
+    emit("report compare", {"runs": [run1, run2], **comparison.to_json()}, _text(comparison, rtol), as_json)
     raise typer.Exit(EXIT_REQUIREMENT_NOT_MET if comparison.worse else EXIT_OK)
 
 

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robustlab.cli.console import emit, note, result_alone, table
-from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument, grouped
+from robustlab.cli.offers import recipe_or_file
+from robustlab.cli.options import ChangesOption, JsonOption, grouped
 from robustlab.cli.progress import ProgressOptions
+from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
     from robustlab.recipe.run import RunResult
@@ -20,7 +22,13 @@ app = typer.Typer(help="Run a recipe: steps, requirements, report.", add_complet
 @grouped
 def run(
     *,
-    recipe: RecipeArgument,
+    recipe: Annotated[
+        str | None,
+        typer.Argument(
+            help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file
+        ),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="List the recipes that come with robustlab.")] = False,
     changes: ChangesOption = None,
     out: Annotated[
         str | None,
@@ -44,6 +52,9 @@ def run(
     from contextlib import suppress
     from pathlib import Path
 
+    if listed or recipe is None:
+        _tell_recipes(listed, as_json)
+        return
     from robustlab.errors import InputError
     from robustlab.recipe.load import load_recipe, recipe_path, split_overrides
     from robustlab.recipe.run import default_folder, outdate, read_result, replaced, run_recipe
@@ -77,6 +88,18 @@ def run(
         note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)
+
+
+def _tell_recipes(asked: bool, as_json: bool) -> None:
+    """The recipes that come with robustlab: as the result, or as what is missing."""
+    from robustlab.recipe.shipped import shipped_titles
+
+    titles = shipped_titles()
+    if not asked:
+        lines = tuple(f"  {line}" for line in table(list(titles.items())).splitlines())
+        hint = "robustlab run first-light"
+        raise UsageError("robustlab run", "RECIPE is missing", "a recipe file, or one of these", hint, lines)
+    emit("run", {"recipes": titles}, table(list(titles.items()), ("recipe", "title")), as_json)
 
 
 def _text(result: RunResult) -> str:

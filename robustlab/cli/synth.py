@@ -49,16 +49,18 @@ IntegralOption = Annotated[
         "--integral", help="Output that is to follow, with the weight on its integrated error: NAME=VALUE; repeatable."
     ),
 ]
-StateOption = Annotated[list[str] | None, typer.Option("--state", help="Weight on a state: NAME=VALUE; repeatable.")]
+StateOption = Annotated[
+    list[str] | None, typer.Option("--state-weight", help="Weight on a state, omega=100; repeatable.")
+]
 ControlOption = Annotated[
-    list[str] | None, typer.Option("--control", help="Weight on a control: NAME=VALUE; repeatable. Else 1.")
+    list[str] | None, typer.Option("--control-weight", help="Weight on a control, u=0.1; repeatable. Else 1.")
 ]
 ProcessOption = Annotated[
     list[str] | None,
-    typer.Option("--process", help="Intensity of the noise on a state or input: NAME=VALUE; repeatable."),
+    typer.Option("--process-noise", help="Intensity of the noise on a state or input, u=0.04; repeatable."),
 ]
 MeasurementOption = Annotated[
-    list[str] | None, typer.Option("--measurement", help="The same of each output: NAME=VALUE; repeatable.")
+    list[str] | None, typer.Option("--measurement-noise", help="The same of each output; repeatable.")
 ]
 
 
@@ -70,16 +72,18 @@ def lqr(
 
     Exit code 4: no gain could be vouched for.
 
-    Example: robustlab synth lqr motor.h5 --state omega=100 --control u=0.1 --out k.h5
+    Example: robustlab synth lqr motor.h5 --state-weight omega=100 --control-weight u=0.1 --out k.h5
     """
     from robustlab.synthesis.h2.named_weights import integral_weights
     from robustlab.synthesis.h2.state_feedback import gain_controller
 
-    weights = assignments("--state", state)
+    weights = assignments("--state-weight", state)
     if not weights:
-        raise UsageError("synth lqr", "no state", "--state NAME=VALUE: which state is to be small, and its weight")
+        raise UsageError(
+            "synth lqr", "no state", "--state-weight NAME=VALUE: which state is to be small, and its weight"
+        )
     model = load_model(file)
-    found = rl.lqr(model, *integral_weights(model, {}, weights, assignments("--control", control)))
+    found = rl.lqr(model, *integral_weights(model, {}, weights, assignments("--control-weight", control)))
     output.finish_made("synth lqr", found, gain_controller(model, found), [file])
 
 
@@ -96,7 +100,7 @@ def lqi(
 
     All states are measured. Exit code 4: no controller could be vouched for.
 
-    Example: robustlab synth lqi motor.h5 --integral omega=100 --control u=0.1 --out k.h5
+    Example: robustlab synth lqi motor.h5 --integral omega=100 --control-weight u=0.1 --out k.h5
     """
     from robustlab.synthesis.h2.named_weights import integral_weights
 
@@ -104,7 +108,9 @@ def lqi(
     if not followed:
         raise UsageError("synth lqi", "no output", "--integral NAME=VALUE: which output follows, and its weight")
     model = load_model(file)
-    Q, R = integral_weights(model, followed, assignments("--state", state), assignments("--control", control))
+    Q, R = integral_weights(
+        model, followed, assignments("--state-weight", state), assignments("--control-weight", control)
+    )
     found = rl.lqi(model, Q, R, outputs=list(followed))
     output.finish_made("synth lqi", found, found.controller, [file])
 
@@ -117,13 +123,13 @@ def kalman(
 
     White noise; of a discrete model the numbers are variances. Exit code 4: no filter could be vouched for.
 
-    Example: robustlab synth kalman motor.h5 --process u=0.04 --measurement omega=1e-4 --out filter.h5
+    Example: robustlab synth kalman motor.h5 --process-noise u=0.04 --measurement-noise omega=1e-4 --out filter.h5
     """
     from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
 
     model = load_model(file)
-    W = process_noise(model, assignments("--process", process), "--process")
-    V = diagonal_weight(assignments("--measurement", measurement), model.output_names, "--measurement")
+    W = process_noise(model, assignments("--process-noise", process), "--process-noise")
+    V = diagonal_weight(assignments("--measurement-noise", measurement), model.output_names, "--measurement-noise")
     found = rl.kalman(model, W, V)
     output.finish_made("synth kalman", found, found.estimator, [file])
 
@@ -347,7 +353,8 @@ def tune(
     ] = None,
     hard: Annotated[list[str] | None, typer.Option(help='Must be met: "margin:disk=0.8,at=input".')] = None,
     limit: Annotated[
-        list[str] | None, typer.Option(help="Always kept: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s).")
+        list[str] | None,
+        typer.Option("--pole-limit", help="Always kept: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s)."),
     ] = None,
     signals: SignalOptions,
     starts: Annotated[int, typer.Option(help="Number of random starts.")] = 3,

@@ -83,7 +83,7 @@ def d2d(*, file: StoredModelArgument, dt: DtOption, method: HoldOption = "zoh", 
 
 
 ModelArgument = Annotated[str, typer.Argument(help="Model file, name of a plant, or file.py:name.", metavar="MODEL")]
-OrderOption = Annotated[int, typer.Option("--order", help="Order of the Padé approximations.")]
+PadeOption = Annotated[int, typer.Option("--pade", help="Order of the Padé approximations.")]
 
 
 @grouped
@@ -91,9 +91,11 @@ def delay_model(
     *,
     file: ModelArgument,
     inputs: Annotated[
-        list[str] | None, typer.Option("--input", help="Delay of an input in s, NAME=0.01; repeatable.")
+        list[str] | None, typer.Option("--input-delay", help="Delay of an input in s, u=0.01; repeatable.")
     ] = None,
-    outputs: Annotated[list[str] | None, typer.Option("--output", help="Delay of an output in s; repeatable.")] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option("--output-delay", help="Delay of an output in s; repeatable.")
+    ] = None,
     pade: Annotated[
         int | None, typer.Option(help="Write a rational model of this order in the place of exact delays.")
     ] = None,
@@ -101,11 +103,13 @@ def delay_model(
 ) -> None:
     """Exact delays at the inputs and outputs of a model; of a discrete one as states.
 
-    Example: robustlab model delay motor.h5 --input u=0.01 --out late.h5
+    Example: robustlab model delay motor.h5 --input-delay u=0.01 --out late.h5
     """
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
-    sides = (assignments(option, texts, units) for option, texts in (("--input", inputs), ("--output", outputs)))
+    sides = (
+        assignments(option, texts, units) for option, texts in (("--input-delay", inputs), ("--output-delay", outputs))
+    )
     found: Any = rl.with_delays(model, *sides)
     if pade is not None:
         if not isinstance(found, rl.DelayedModel):
@@ -121,12 +125,12 @@ def cover_delays(
     file: ModelArgument,
     inputs: Annotated[
         list[str] | None,
-        typer.Option("--input", help="Delay of an input in s, NAME=0.01, or its range, NAME=0.01:0.03; repeatable."),
+        typer.Option("--input-delay", help="Delay of an input in s, u=0.01, or its range, u=0.01:0.03; repeatable."),
     ] = None,
     outputs: Annotated[
-        list[str] | None, typer.Option("--output", help="Delay of an output in s, or its range; repeatable.")
+        list[str] | None, typer.Option("--output-delay", help="Delay of an output in s, or its range; repeatable.")
     ] = None,
-    order: OrderOption = 3,
+    pade: PadeOption = 3,
     weight_order: Annotated[int, typer.Option(help="Order of the weight of their error.")] = 3,
     output: OutputOptions,
 ) -> None:
@@ -134,16 +138,16 @@ def cover_delays(
 
     MODEL may be uncertain, or have exact delays already. What is proved of the set is proved of the model.
 
-    Example: robustlab uncertain delays motor.h5 --input u=0.005:0.015 --out set.h5
+    Example: robustlab uncertain delays motor.h5 --input-delay u=0.005:0.015 --out set.h5
     """
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
     sides: list[dict[str, Any]] = []
-    for option, texts in (("--input", inputs), ("--output", outputs)):
+    for option, texts in (("--input-delay", inputs), ("--output-delay", outputs)):
         whole = [text for text in texts or [] if ":" not in text.rpartition("=")[2]]
         ranged = [text for text in texts or [] if text not in whole]
         sides.append({**assignments(option, whole, units), **ends(option, ranged, units)})
-    found = rl.uncertain_delays(model, *sides, order=order, weight_order=weight_order)
+    found = rl.uncertain_delays(model, *sides, order=pade, weight_order=weight_order)
     rows = [
         ("set", repr(found)),
         *((block.name, block.origin) for block in found.blocks),
@@ -157,7 +161,7 @@ def neglected_weight(
     *,
     delay: Annotated[float | None, typer.Option(help="Longest delay in s that is left out.")] = None,
     lag: Annotated[float | None, typer.Option(help="Longest time constant in s that is left out.")] = None,
-    order: Annotated[int, typer.Option(help="Of the weight for a delay: 1 or 3.")] = 1,
+    weight_order: Annotated[int, typer.Option(help="Order of the weight for a delay: 1 or 3.")] = 1,
     output: OutputOptions,
 ) -> None:
     """The weight of the relative error of a model that leaves out a delay or a lag, proved for all frequencies.
@@ -168,7 +172,7 @@ def neglected_weight(
 
     if (delay is None) == (lag is None):
         raise UsageError("uncertain neglected", "--delay and --lag" if lag is not None else "neither", "one of them")
-    found = rl.neglected_delay(delay, order) if delay is not None else rl.neglected_lag(float(lag or 0.0))
+    found = rl.neglected_delay(delay, weight_order) if delay is not None else rl.neglected_lag(float(lag or 0.0))
     proof = PROOFS["delay" if delay is not None else "lag"]
     rows = [("weight", repr(found)), ("status", str(rl.Status.CERTIFIED)), ("proof", proof)]
     rows += output.keep_made("uncertain neglected", found, [])

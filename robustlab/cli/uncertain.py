@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, save_figures, table
+from robustlab.cli.console import FIGURE, emit, note, require_trust, save_figures, table
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.offers import COVERS, one_of, plant_or_file
 from robustlab.cli.options import (
@@ -66,7 +66,7 @@ class TwoModels:
             autocompletion=one_of("elements", "columns", "rows", "matrices", "single"),
         ),
     ] = "elements"
-    noise: Annotated[
+    rtol: Annotated[
         float | None, typer.Option(help="Relative differences up to this are noise; none where left out.")
     ] = None
 
@@ -81,9 +81,9 @@ class TwoModels:
             first, second = load_pair(self.nominal)
         else:
             first, second = (load_model(path) for path in (self.nominal, self.perturbed))
-        model = rl.elementwise(first, second, self.structure, self.noise)
+        model = rl.elementwise(first, second, self.structure, self.rtol)
         files = {path: file_sha256(path) for path in (self.nominal, self.perturbed) if path is not None}
-        said = f"structure {self.structure}" + (f", noise {self.noise:g}" if self.noise else "")
+        said = f"structure {self.structure}" + (f", noise {self.rtol:g}" if self.rtol else "")
         return model, endpoint_residual(model, second), Provenance.now("uncertain build", files, note=said)
 
 
@@ -189,11 +189,15 @@ class CoverOptions:
             autocompletion=one_of(*COVERS),
         ),
     ] = "elements"
-    order: Annotated[int, typer.Option(help="Largest order of the cover's weight.")] = 4
+    weight_order: Annotated[int, typer.Option(help="Largest order of the cover's weight.")] = 4
     directions: Annotated[int | None, typer.Option(help="Number of directions of the forms pca and ellipsoid.")] = None
     controller: Annotated[
         str | None,
-        typer.Option(help="File of a controller, closed as it says: the cover's worst gain is that of its loop."),
+        typer.Option(
+            "--controller",
+            "-k",
+            help="File of a controller, closed as it says: the cover's worst gain is that of its loop.",
+        ),
     ] = None
 
     def build(
@@ -213,7 +217,7 @@ class CoverOptions:
             loop = lambda g: g.feedback(around, sign)  # noqa: E731
         options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
         found = rl.cover(
-            models, self.form, directions=self.directions, order=self.order, loop=loop, progress=report,
+            models, self.form, directions=self.directions, order=self.weight_order, loop=loop, progress=report,
             **options, **vars(effort),
         )  # fmt: skip
         used = {path: file_sha256(path) for path in [*files, *([self.controller] if self.controller else [])]}
@@ -299,7 +303,7 @@ def build(
     plant, outputs = ranges.plant, ranges.outputs.split(",") if ranges.outputs else None
     if covered.cover is not None:
         with progress.shown("uncertain build") as report:
-            made = covered.build(models.noise, effort, report)
+            made = covered.build(models.rtol, effort, report)
         _tell_cover(*made, output)
         return
     if found.discovery is not None:
@@ -400,14 +404,14 @@ def sample(
     seed: SeedOption = 0,
     vertices: Annotated[str, typer.Option(help="Vertices to add: a number, or all.")] = "0",
     response: ResponseOptions,
-    figure: Annotated[str | None, typer.Option(help="Folder for the envelope as SVG and PNG.")] = None,
+    figure: Annotated[str | None, typer.Option(help=f"The envelope. {FIGURE}")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
 
-    Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input u=42 --t-end 0.1
+    Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input-value u=42 --t-end 0.1
     """
-    from robustlab.worst_case_analysis.ensemble import default_clock
+    from robustlab.dynamics.simulation import default_clock
 
     model = load_uncertain(file)
     clock = response.times(model)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, save_figures, table
+from robustlab.cli.console import FIGURE, emit, note, require_trust, save_figures, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
 from robustlab.cli.offers import METRICS, one_of
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
@@ -63,7 +63,7 @@ def worst_case(
     search: SearchOptions,
     judged: LimitOptions,
     workers: Annotated[int, typer.Option(help="Threads; the answer does not depend on them.")] = 1,
-    figure: Annotated[str | None, typer.Option(help="With --limit: folder for figures.")] = None,
+    figure: Annotated[str | None, typer.Option(help=f"With --limit: {FIGURE}")] = None,
     progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
@@ -71,7 +71,7 @@ def worst_case(
 
     With --limit the probability that random members violate it, with Clopper-Pearson bounds and what matters for it.
 
-    Example: robustlab worst-case uncertain.h5 --metric peak-deviation --output omega --input u=42 --t-end 0.1
+    Example: robustlab worst-case uncertain.h5 --metric peak-deviation --outputs omega --input-value u=42 --t-end 0.1
     """
     from robustlab import worst_case_analysis
 
@@ -109,16 +109,16 @@ def _keep(out: str | None, found: Any, file: str, seed: int) -> None:
         rl.save(out, found, Provenance.now("worst-case", {file: file_sha256(file)}, seed))
 
 
-def _report_violation(file: str, found: Any, folder: str | None, as_json: bool) -> None:
+def _report_violation(file: str, found: Any, figure: str | None, as_json: bool) -> None:
     """Print the probability, draw it, and end with the exit code that says whether it was shown."""
     result: dict[str, Any] = {"file": file, **found.to_json()}
-    if folder is not None:
+    if figure is not None:
         from robustlab.report.robustness_figures import distribution_figure, influence_figure
 
         figures = {"distribution": distribution_figure(found)}
         if found.influence is not None:
             figures["influence"] = influence_figure(found.influence, found.metric)
-        result["figures"] = save_figures(figures, folder)
+        result["figures"] = save_figures(figures, figure)
     for remark in found.notes:
         note(remark)
     emit("worst-case", result, _violation_text(found), as_json)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
@@ -13,6 +13,9 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
 from robustlab.dynamics.plant_file import plant_from_file, plant_reference, unit_reference
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
 __all__ = [
     "Descriptor",
@@ -44,7 +47,19 @@ _PLANTS = {
 }
 
 
-def plant(name: str, **parameters: Any) -> Any:
+# What an editor completes after ``rl.plant(...).``; a test holds the names to the table.
+LinearName = Literal[
+    "dc-motor", "brushless-motor", "servo-axis", "mass-spring-damper", "two-mass", "linear-actuator"
+]  # fmt: skip
+
+
+@overload
+def plant(name: LinearName, **parameters: Any) -> LinearPlant: ...
+@overload
+def plant(name: Literal["stewart-platform"], **parameters: Any) -> StewartPlatform: ...
+@overload
+def plant(name: str, **parameters: Any) -> Plant: ...
+def plant(name: str, **parameters: Any) -> Plant:
     """The named plant with its published parameters, or with the given ones in their places.
 
     Parameters

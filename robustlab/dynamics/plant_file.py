@@ -26,7 +26,15 @@ from typing import Any
 import numpy as np
 
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
+from robustlab.errors import (
+    DependencyMissing,
+    EnvironmentFault,
+    InputError,
+    RobustlabError,
+    UsageError,
+    did_you_mean,
+    is_function,
+)
 from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
@@ -220,7 +228,7 @@ def _made(target: Any, given: dict[str, Any], shown: str) -> Plant:
     """The plant that an object of the file is, or returns."""
     made = target
     if not isinstance(target, Plant):
-        if not callable(target):
+        if not is_function(target):
             raise InputError(shown, f"a {type(target).__name__}", "a plant, or a function that returns one")
         asked = _arguments(target)
         takes_all = any(p.kind is Parameter.VAR_KEYWORD for p in asked.values())

@@ -18,6 +18,7 @@ from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 Hold = Literal["zoh", "foh"]
+LOOK = 3  # order of the rational delays whose poles say how long to look
 
 
 @told_as("simulate")
@@ -111,6 +112,52 @@ def simulate(
         y = x @ model.C.T + force @ model.D.T
     _check_finite(np.hstack([x, y]), clock, title)
     return recorded(model, clock, force, y, title)
+
+
+def default_clock(
+    model: StateSpaceModel, where: str, n: int = 401, hint: str = "pass t=numpy.linspace(0, t_end, n)"
+) -> Array:
+    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
+
+    Raises InputError: the model is unstable: how long to look is the user's to say.
+    """
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / model.dt
+    size = float(np.abs(poles).max(initial=0.0))
+    rate = poles.real[np.abs(poles) > 1e-9 * size]
+    if (rate > 1e-9 * size).any():
+        raise InputError(where, "the nominal model is unstable and no times are given", "t", hint)
+    decay = -rate[rate < -1e-9 * size]
+    duration = 8.0 / float(decay.min()) if len(decay) else (8.0 * 2 * np.pi / size if size else 1.0)
+    if model.is_discrete:
+        n, step = max(2, min(round(duration / model.dt) + 1, 5000)), model.dt
+    else:
+        step = duration / (n - 1)
+    return real_array("t", step * np.arange(n), 1, where)
+
+
+def step_response(model: Any, t_end: float | None, input_name: str | None) -> Record:
+    """What ``G.step()`` answers, see `robustlab.operators.Behaviour`."""
+    given = model if isinstance(model, DelayedModel) else as_model(model, "step")
+    names = given.input_names
+    if input_name is None and len(names) != 1:
+        hint = f'G.step(input="{names[0]}")' if names else None
+        raise InputError("step", f"inputs {', '.join(names) or 'none'}", "the name of the one that steps", hint)
+    if input_name is not None and input_name not in names:
+        raise unknown_name(f"step: input {input_name!r}", "no such input", str(input_name), names)
+    rational = given.pade(LOOK) if isinstance(given, DelayedModel) else given
+    if t_end is None:
+        clock = default_clock(rational, "step", hint="say how long to look, in s: G.step(t_end=1.0)")
+    elif isinstance(t_end, bool) or not isinstance(t_end, (int, float, np.number)) or not 0 < t_end < np.inf:
+        raise InputError("step: t_end", f"{t_end!r}", "a positive time in s")
+    elif given.is_discrete:
+        clock = given.dt * np.arange(max(round(t_end / given.dt), 1) + 1)
+    else:
+        clock = np.linspace(0.0, t_end, 401)
+    return simulate(
+        given, clock, {name: np.full(len(clock), float(name == (input_name or names[0]))) for name in names}
+    )
 
 
 def _start(model: StateSpaceModel, x0: Any) -> Array:

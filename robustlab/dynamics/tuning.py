@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robustlab.shown import Tuning
+
 
 @dataclass(frozen=True)
-class DynamicsTuning:
+class DynamicsTuning(Tuning):
     """Each with its meaning, and what a larger one does."""
 
     # --- clocks and inputs -------------------------------------------------------------------------------------------

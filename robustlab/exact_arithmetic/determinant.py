@@ -135,11 +135,11 @@ def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
     M, first = np.zeros((n + k, n + k)), 0
     M[n:, n:] = J
     for model, into, onto, sign in blocks:
-        states = np.arange(first, first + model.n_states)
-        M[np.ix_(states, states)] = model.A
-        M[np.ix_(states, n + into)] = model.B
-        M[np.ix_(n + onto, states)] = sign * model.C
-        M[np.ix_(n + onto, n + into)] += sign * model.D
+        states = slice(first, first + model.n_states)
+        M[states, states] = model.A
+        M[states, n + into] = model.B
+        M[n + onto, states] = sign * model.C
+        M[(n + onto)[:, None], n + into] += sign * model.D
         first += model.n_states
     return M, n
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from robustlab.errors import InputError, did_you_mean
+from robustlab.files.foreign_formats import REFUSED, refusal, told
 
 MIB = 1 << 20
 Content = Literal["hdf5", "matlab5", "parquet", "mcap", "text"]
@@ -19,18 +20,6 @@ BINARY_SUFFIXES = {
     ".mat": "a MATLAB file of version 5 or 7.3",
     ".parquet": "a Parquet file",
     ".mcap": "an MCAP file",
-}
-_CODE = "such files can carry code that runs when they are read"
-_PICKLES = "arrays of objects in such files are pickles, which can carry code"
-_TAGS = "YAML tags can carry code, and it reads 1e-3 as text"
-REFUSED_SUFFIXES = {
-    ".pkl": _CODE,
-    ".pickle": _CODE,
-    ".joblib": _CODE,
-    ".npy": _PICKLES,
-    ".npz": _PICKLES,
-    ".yaml": _TAGS,
-    ".yml": _TAGS,
 }
 _FORMATS = "HDF5, MATLAB (.mat), Parquet, MCAP or text (.csv, .txt)"
 
@@ -123,8 +112,9 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
     path = Path(path)
     where = str(path)
     head = require_file(path, limits)
-    if path.suffix.lower() in REFUSED_SUFFIXES:
-        raise InputError(where, f"{path.suffix} files are refused: {REFUSED_SUFFIXES[path.suffix.lower()]}", _FORMATS)
+    refused = refusal(path, _FORMATS)
+    if refused is not None:
+        raise refused
     if _is_hdf5(path, head):
         return "hdf5"
     if head[126:128] in (b"IM", b"MI") and (head[124:126] in (b"\x00\x01", b"\x01\x00")):
@@ -143,7 +133,9 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
             where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS
         )
     if head.startswith(b"\x93NUMPY") or (head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")):
-        raise InputError(where, f"a pickle or npy file is refused: {_CODE}", _FORMATS)
+        by_content = REFUSED[".npy" if head.startswith(b"\x93NUMPY") else ".pkl"]
+        found = f"a pickle or npy file is refused: {by_content.why}"
+        raise InputError(where, found, _FORMATS, *told(path, by_content))
     if b"\x00" in head:
         word = "UTF-16 text" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "unknown binary format"
         raise InputError(where, f"{word} (first bytes {head[:4].hex(' ')})", _FORMATS + " as UTF-8")

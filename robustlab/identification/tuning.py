@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robustlab.shown import Tuning
+
 __all__ = ["AS_LARGE", "NamingTuning", "TUNING"]
 
 AS_LARGE = 5e-3  # share by which errors differ that are called as large
 
 
 @dataclass(frozen=True)
-class NamingTuning:
+class NamingTuning(Tuning):
     """Numbers that choose speed and accuracy of `robustlab.discover`."""
 
     # --- windows

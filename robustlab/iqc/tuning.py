@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 __all__ = ["TUNING", "IqcTuning"]
 
 
 @dataclass(frozen=True)
-class IqcTuning:
+class IqcTuning(Tuning):
     """Tuning of this wing; no number here decides whether a bound holds.
 
     Work is counted in units of about a microsecond (`robustlab.budget`).

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class MuTuning:
+class MuTuning(Tuning):
     """Tuning of this wing; no number here decides whether a bound holds, but those that say when a Delta attains one.
 
     Work is counted in units of about a microsecond (`robustlab.budget`), shares are of it.

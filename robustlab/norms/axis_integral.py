@@ -25,6 +25,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import response_within
 from robustlab.modal_response import ModalResponse
+from robustlab.shown import Tuning
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["AxisIntegral", "AxisTuning", "axis_integral", "mean_square_gain", "panel_ends"]
@@ -52,7 +53,7 @@ CHUNK = 500_000
 
 
 @dataclass(frozen=True)
-class AxisTuning:
+class AxisTuning(Tuning):
     """How finely the axis is cut."""
 
     # Next to a pole at a distance r from the axis, panels end at r, r times this, r times its square ...

@@ -20,6 +20,7 @@ from robustlab.frequency import solved_response
 from robustlab.matrix_equations import balanced_eigenvalues, lapack
 from robustlab.modal_response import ModalResponse, largest_gain
 from robustlab.norms.axis_integral import AxisTuning, panel_ends
+from robustlab.shown import Tuning
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["TUNING", "Band", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
@@ -38,7 +39,7 @@ COVER = AxisTuning(growth=3.0)
 
 
 @dataclass(frozen=True)
-class NormTuning:
+class NormTuning(Tuning):
     """How hard the H-infinity norm is looked for; what is proved does not depend on it."""
 
     # Levels before the bracket is given up as INACCURATE: most models need two or three.

@@ -121,7 +121,9 @@ def _fault(error: Any, data: dict[str, Any]) -> str:
     match error["type"]:
         case "extra_forbidden":
             known = _known_keys(error["loc"])
-            return f"{key}: unknown key{_suggestion(loc[-1], known)}"
+            of = f"a step that does {error['loc'][2]} takes" if is_step else "there are"
+            listed = f"; {of} {', '.join(known)}" if known else ""
+            return f"{key}: unknown key{_suggestion(loc[-1], known)}{listed}"
         case "missing":
             return f"{key}: missing"
         case "union_tag_not_found":
@@ -150,7 +152,7 @@ def _suggestion(name: str, known: list[str]) -> str:
 def _known_keys(loc: tuple[Any, ...]) -> list[str]:
     """Keys that are allowed beside the unknown one."""
     if loc[0] == "step" and len(loc) == 4:
-        return list(KINDS[loc[2]].model_fields)
+        return [name for name in KINDS[loc[2]].model_fields if name != "do"]
     if loc[0] == "require":
         return list(Requirement.model_fields)
     return [field.alias or name for name, field in Recipe.model_fields.items()] if len(loc) == 1 else []
@@ -352,7 +354,8 @@ def recipe_path(given: str) -> Path:
     if given in shipped_recipes():
         return shipped_folder() / f"{given}.toml"
     names = shipped_recipes()
-    hint = did_you_mean(given, names) or "robustlab recipe new NAME starts a recipe of your own"
+    files = sorted(file.name for file in Path().glob("*.toml"))
+    hint = did_you_mean(given, [*names, *files]) or "robustlab run --list, or robustlab recipe new NAME for your own"
     raise InputError(
         given, "neither a file nor a recipe that comes with robustlab", f"a path, or one of {', '.join(names)}", hint
     )

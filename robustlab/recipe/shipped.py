@@ -17,3 +17,11 @@ def shipped_folder() -> Path:
 def shipped_recipes() -> list[str]:
     """Names of the recipes that come with robustlab."""
     return sorted(path.stem for path in shipped_folder().glob("*.toml"))
+
+
+def shipped_titles() -> dict[str, str]:
+    """Name -> title of the recipes that come with robustlab."""
+    import tomllib
+
+    files = {name: shipped_folder() / f"{name}.toml" for name in shipped_recipes()}
+    return {name: str(tomllib.loads(file.read_text(encoding="utf-8")).get("title", "")) for name, file in files.items()}

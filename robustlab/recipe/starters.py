@@ -12,8 +12,8 @@ from typing import Any
 
 from robustlab.errors import EnvironmentFault, InputError, UsageError, plain_text
 from robustlab.files.atomic import atomic_write
+from robustlab.identification.record_check.column_mapping import columns_of, propose_columns
 from robustlab.record import Record
-from robustlab.units import factor_between, same_unit
 
 STARTER = """\
 # A robustlab recipe: steps, run in the order written, and requirements that decide the exit code.
@@ -84,84 +84,37 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
     ``clock``, ``dt``: as for `robustlab.Record.read`, where the user says them.
     Raises InputError: what the reader refuses; no clock; a plant's input or all its outputs without a channel.
     """
-    clock_given, guessed = clock, []
-    if clock is None and dt is None:
-        clock = _guessed_clock(path)
-        if clock is not None:
-            guessed.append(f"{clock} rises from sample to sample: taken for the time, in s where no unit is stated")
-    found = Record.read(path, clock=clock, dt=dt)
-    names = [name for name in (*found.inputs, *found.outputs) if name != clock]
+    guessed: list[str] = []
+    found, guess = columns_of(lambda c, step: Record.read(path, clock=c or clock, dt=step), dt)
+    if guess is not None:
+        guessed.append(f"{guess} rises from sample to sample: taken for the time, in s where no unit is stated")
+    names = [name for name in (*found.inputs, *found.outputs) if name not in (clock, guess)]
     if plant is None:
         ins, outs = _guessed_sides(found, names)
         guessed.append(f"inputs are {', '.join(ins)}, by name and unit")
-        wanted: dict[str, str] = {}
+        texts, units, stated = (ins, outs), {}, {name: found.unit(name) for name in (*ins, *outs)}
     else:
-        ins, outs, more = _of_plant(path, found, names, plant)
-        guessed += more
-        wanted = {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
-    texts = [[name if name == signal else f"{name}={signal}" for name, signal in side.items()] for side in (ins, outs)]
-    both = {**ins, **outs}
-    stated = {name: found.unit(signal) for name, signal in both.items()}
-    units = {name: unit for name, unit in stated.items() if unit and wanted.get(name) and unit != wanted[name]}
-    units = {name: unit for name, unit in units.items() if not same_unit(unit, wanted[name])}
-    record = Record.read(path, None, texts[0], texts[1], dt, clock=clock, units=units or None)
-    kept = clock if clock_given is None else clock_given
+        mapping = propose_columns(found, plant.inputs, plant.outputs, {clock, guess})
+        guessed += mapping.lines()
+        if mapping.missing or not mapping.outputs:
+            missing = ", ".join(mapping.missing) or ", ".join(s.name for s in plant.outputs)
+            raise InputError(
+                path, f"no channel for {missing} of {plant.name}; there are {', '.join(names)}",
+                "a column of that name, in its unit, or of a name that says what it is",
+                "write the recipe without --plant, and name the channels in it: inputs = [\"u=COLUMN\"]",
+            )  # fmt: skip
+        texts, units = (mapping.texts("inputs"), mapping.texts("outputs")), dict(mapping.units)
+        stated = {name: found.unit(column) for name, column in {**mapping.inputs, **mapping.outputs}.items()}
+    record = Record.read(path, None, *texts, dt, clock=guess or clock, units=units or None)
     unstated = tuple(name for name, unit in stated.items() if not unit)
-    return Channels(record, tuple(texts[0]), tuple(texts[1]), kept, units, unstated, tuple(guessed))
+    return Channels(record, *texts, guess or clock, units, unstated, tuple(guessed))
 
 
-def _guessed_clock(path: str) -> str | None:
-    """A channel that can only be the time, where the file has none under a usual name; None where it has."""
-    try:
-        Record.read(path)
-        return None
-    except InputError as error:
-        if "no clock" not in error.found:
-            raise
-        refused = error
-    numbers = Record.read(path, dt=1.0)
-    rising = [name for name, y in numbers.outputs.items() if len(y) > 1 and (y[1:] > y[:-1]).all()]
-    named = [name for name in rising if re.match(r"t(ime|imestamp)?([ _.\-\[(].*)?$|.*time", name, re.IGNORECASE)]
-    if len(named or rising) != 1:
-        raise refused
-    return (named or rising)[0]
-
-
-def _guessed_sides(found: Record, names: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
+def _guessed_sides(found: Record, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     ins = [name for name in names if INPUT_NAME.fullmatch(name)] or [n for n in names if found.unit(n) in INPUT_UNITS]
     if not ins or len(ins) == len(names):
         ins = list(names[:1])
-    return {name: name for name in ins}, {name: name for name in names if name not in ins}
-
-
-def _of_plant(
-    path: str, found: Record, names: Sequence[str], plant: Any
-) -> tuple[dict[str, str], dict[str, str], list[str]]:
-    """The plant's signals -> channels: the same name, or the only channel left with a unit of the same kind."""
-    taken: dict[str, str] = {}
-    for same in (str, str.casefold):
-        for signal in (*plant.inputs, *plant.outputs):
-            near = [name for name in names if same(name) == same(signal.name) and name not in taken.values()]
-            if signal.name not in taken and len(near) == 1:
-                taken[signal.name] = near[0]
-    guessed = []
-    for signal in (*plant.inputs, *plant.outputs):
-        if signal.name in taken or not signal.unit:
-            continue
-        left = [name for name in names if name not in taken.values()]
-        near = [name for name in left if found.unit(name) and factor_between(found.unit(name), signal.unit) is not None]
-        if len(near) == 1:
-            taken[signal.name] = near[0]
-            guessed.append(f"{signal.name} is {near[0]}: the only channel left in a unit of {signal.unit}")
-    ins, outs = ({s.name: taken[s.name] for s in side if s.name in taken} for side in (plant.inputs, plant.outputs))
-    missing = [s.name for s in plant.inputs if s.name not in ins] or ([] if outs else [s.name for s in plant.outputs])
-    if missing:
-        raise InputError(
-            path, f"no channel for {', '.join(missing)} of {plant.name}; there are {', '.join(names)}",
-            "a column of that name, or one column in its unit",
-            "write the recipe without --plant, and name the channels in it: inputs = [\"u=COLUMN\"]",
-        )  # fmt: skip
-    return ins, outs, guessed
+    return tuple(ins), tuple(name for name in names if name not in ins)
 
 
 # --- texts -----------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.delays import DelayedModel
-from robustlab.dynamics import simulate
+from robustlab.dynamics.simulation import LOOK, default_clock, simulate
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.invariant_zeros import transmission_zeros
@@ -34,13 +34,11 @@ from robustlab.report.figures import (
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
-from robustlab.worst_case_analysis.ensemble import default_clock
 from robustlab.worst_case_analysis.sampling import Samples
 
 MEMBERS, ALL_VERTICES, VERTICES = 30, 5, 32  # members drawn; vertices besides: all of up to 5 blocks, else so many
 MOST = 4  # outputs or inputs side by side
 POINTS = 500
-PADE = 3  # order of the rational delays that say where to look
 
 
 @dataclass(frozen=True)
@@ -212,7 +210,7 @@ def _frequencies(model: StateSpaceModel | DelayedModel, omega: ArrayLike | None)
 
 def _rational(model: StateSpaceModel | DelayedModel) -> StateSpaceModel:
     """Whose poles say where to look; what is drawn is exact."""
-    return model.pade(PADE) if isinstance(model, DelayedModel) else model
+    return model.pade(LOOK) if isinstance(model, DelayedModel) else model
 
 
 def _step(model: StateSpaceModel | DelayedModel, t: Array, name: str) -> Array:

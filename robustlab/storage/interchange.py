@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robustlab.errors import InputError, UsageError
+from robustlab.errors import InputError, UsageError, told_as
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
@@ -83,6 +83,7 @@ class Loaded:
                 thing.traced(origin)
 
 
+@told_as("load")
 def load(
     path: str | Path,
     *,
@@ -286,6 +287,7 @@ def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
 # --- saving ----------------------------------------------------------------------------------------------------------
 
 
+@told_as("save")
 def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Path:
     """Write an object atomically: ``.h5`` or ``.hdf5`` as format 1, ``.mat`` as MATLAB version 5 (models, controllers).
 

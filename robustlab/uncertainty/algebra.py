@@ -99,6 +99,7 @@ def upper(M: Any, K: Any) -> UncertainModel:
     return star(k, m, len(k.outputs), len(k.inputs))
 
 
+@told_as("beside")
 @carried_by_rank
 def beside(*systems: Any) -> UncertainModel:
     """``[G1, G2, ...]``: outputs added, inputs side by side (horizontal concatenation).
@@ -131,6 +132,7 @@ def beside(*systems: Any) -> UncertainModel:
     return interconnected(parts, wiring, [s for part in parts for s in part.inputs], parts[0].outputs, "beside")
 
 
+@told_as("stacked")
 @carried_by_rank
 def stacked(*systems: Any) -> UncertainModel:
     """``[G1; G2; ...]``: the same inputs, outputs below one another (vertical concatenation).

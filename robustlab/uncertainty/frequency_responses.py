@@ -24,16 +24,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments, told_as
 from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, listed, number, short, with_units
+from robustlab.shown import SHOWN, Facts, Shown, listed, matrix_lines, number, short, with_units
 from robustlab.signals import Signal, SignalLike, is_constant, picked, real_array, signals
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, block_slices, structure_size
 from robustlab.uncertainty.lft import UncertainModel, feedback, parallel, product
 from robustlab.uncertainty.upper_lft import ILL_POSED, closed_response
+
+SAME = 1e-12  # frequencies this close, relative, are one
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -76,6 +78,7 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
 
+    @named_arguments
     def __init__(
         self,
         omega: ArrayLike,
@@ -162,6 +165,16 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
 
         return _closed(self.M, delta_matrix(self.blocks, delta), self.omega, "response")
 
+    def values_at(self, s: ComplexArray) -> ComplexArray:
+        """The nominal responses at s = j omega, for frequencies of the data, shape (n, n_y, n_u): for ``G(s)``."""
+        places = np.abs(self.omega[None] - s.imag[:, None]).argmin(axis=1)
+        off = (s.real != 0) | (np.abs(self.omega[places] - s.imag) > SAME * self.omega[places])
+        if off.any():
+            k = int(np.flatnonzero(off)[0])
+            expected = f"1j * omega of the data, the nearest of them {self.omega[places[k]]:.6g} rad/s"
+            raise InputError("G(s)", f"s = {s[k]:.6g}", expected, "nothing is known between the frequencies")
+        return self.nominal[places]
+
     # --- algebra: carried out on sets, each response a block of its own ----------------------------------------------
 
     operator_rank = 3  # data and a model make data
@@ -212,15 +225,14 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
     def _sum(self, first: Any, second: Any, sign: int) -> UncertainFrequencyData:
         return self.carried(parallel, first, second, sign=sign)
 
+    def _loop(self, forward: Any, back: Any, sign: int | None) -> UncertainFrequencyData:
+        return self.carried(feedback, forward, back, sign=sign)
+
     def _identity(self) -> UncertainFrequencyData:
         if len(self.inputs) != len(self.outputs):
             raise InputError("power", f"data of {len(self.outputs)} x {len(self.inputs)}", "a square response")
         one = np.broadcast_to(np.eye(len(self.inputs)), self.nominal.shape)
         return UncertainFrequencyData(self.omega, one, (), self.inputs, self.outputs)
-
-    def feedback(self, other: Any = 1.0, sign: int | None = None) -> UncertainFrequencyData:
-        """``y = self e, e = r + sign other y``; the other may be data, a model of any kind, a matrix or a number."""
-        return self.carried(feedback, self, other, sign=sign)
 
     def inverse(self) -> UncertainFrequencyData:
         """The responses from outputs to inputs.
@@ -267,6 +279,11 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
     def to_json(self) -> dict[str, Any]:
         """Frequencies, responses and blocks."""
         return {"omega": self.omega, "M": self.M, "blocks": [b.to_json() for b in self.blocks]}
+
+    def _numbers(self) -> list[str]:
+        first = zip(self.omega[:SHOWN].tolist(), self.nominal[:SHOWN].tolist(), strict=True)
+        lines = [line for w, G in first for line in matrix_lines(f"{w:.6g} rad/s", G, len(self.inputs))]
+        return [*lines, *([f"and {len(self.omega) - SHOWN} frequencies more"] if len(self.omega) > SHOWN else [])]
 
     def __repr__(self) -> str:
         (q, p), n = self.delta_shape, len(self.omega)

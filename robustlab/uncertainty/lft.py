@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import is_rank_deficient
 from robustlab.closing import fed_back
 from robustlab.closing import wired as wired_controller
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
 from robustlab.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -73,6 +73,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     blocks: tuple[Block, ...]
     operating_point: OperatingPoint | None
 
+    @named_arguments
     def __init__(self, M: StateSpaceModel, blocks: Any, operating_point: OperatingPoint | None = None) -> None:
         model = as_model(M, "UncertainModel: M")
         checked = as_blocks(blocks)
@@ -221,6 +222,9 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def _sum(self, first: Any, second: Any, sign: int) -> UncertainModel:
         return parallel(first, second, sign)
 
+    def _loop(self, forward: Any, back: Any, sign: int | None) -> UncertainModel:
+        return feedback(forward, back, sign)
+
     def _identity(self) -> UncertainModel:
         return as_uncertain(self.nominal**0)
 
@@ -232,10 +236,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def inverse(self) -> UncertainModel:
         """The set of the inverses; see `robustlab.uncertainty.lft.inverse`."""
         return inverse(self)
-
-    def feedback(self, other: Any = 1.0, sign: int | None = None) -> UncertainModel:
-        """``y = self e, e = r + sign other y``; see `robustlab.uncertainty.lft.feedback`."""
-        return feedback(self, other, sign)
 
     def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
         """The set with a stable weight in the channels of each named block; block names are kept.
@@ -345,21 +345,27 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
     def facts(self) -> Facts:
         """Signals with units, states, and what is uncertain."""
-        ranges = [
-            f"{b.name} {number(b.parameter.low)} .. {number(b.parameter.high, b.parameter.unit)}"
-            if b.parameter
-            else b.name
-            for b in self.blocks
-        ]
         return [
             ("time", f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"),
             ("inputs", with_units(self.inputs)),
             ("outputs", with_units(self.outputs)),
             ("states", str(self.M.n_states)),
-            (f"{len(self.blocks)} blocks", listed(ranges) or "no uncertainty"),
+            (f"{len(self.blocks)} blocks", self._ranges() or "no uncertainty"),
             ("Delta", " x ".join(map(str, self.delta_shape))),
             ("held by samples only", listed(self.sampled)),
         ]
+
+    def _ranges(self) -> str:
+        """The blocks, with what they stand for."""
+        return listed(
+            f"{b.name} {number(b.parameter.low)} .. {number(b.parameter.high, b.parameter.unit)}"
+            if b.parameter
+            else b.name
+            for b in self.blocks
+        )
+
+    def _numbers(self) -> list[str]:
+        return [f"blocks: {self._ranges() or 'none'}", "at Delta = 0:", *self.nominal._numbers()]
 
     def __repr__(self) -> str:
         kinds = [type(b).__name__ for b in self.blocks]

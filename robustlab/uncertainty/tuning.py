@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robustlab.shown import Tuning
+
 
 @dataclass(frozen=True)
-class UncertaintyTuning:
+class UncertaintyTuning(Tuning):
     """Numbers that choose between speed and sharpness; more work at larger counts and smaller steps."""
 
     # --- well_posedness

@@ -19,7 +19,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.magnitude import is_moderate, refuse_overflow
-from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
@@ -101,29 +101,6 @@ def _column(where: str, value: Any, n: int) -> Array:
     if len(column) != n:
         raise InputError(where, f"u has {len(column)} samples", f"{n} to match t")
     return column
-
-
-def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
-    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
-
-    Raises InputError: the model is unstable: how long to look is the user's to say.
-    """
-    poles = model.poles()
-    if model.is_discrete:
-        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / model.dt
-    size = float(np.abs(poles).max(initial=0.0))
-    rate = poles.real[np.abs(poles) > 1e-9 * size]
-    if (rate > 1e-9 * size).any():
-        raise InputError(
-            where, "the nominal model is unstable and no times are given", "t", "pass t=numpy.linspace(0, t_end, n)"
-        )
-    decay = -rate[rate < -1e-9 * size]
-    duration = 8.0 / float(decay.min()) if len(decay) else (8.0 * 2 * np.pi / size if size else 1.0)
-    if model.is_discrete:
-        n, step = max(2, min(round(duration / model.dt) + 1, 5000)), model.dt
-    else:
-        step = duration / (n - 1)
-    return real_array("t", step * np.arange(n), 1, where)
 
 
 # --- members ----------------------------------------------------------------------------------------------------------

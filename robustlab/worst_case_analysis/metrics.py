@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
+from robustlab.dynamics.simulation import default_clock
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean, is_function
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, default_clock, delta_stack, excitation
+from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, delta_stack, excitation
 from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, need_real
 from robustlab.worst_case_analysis.model_metrics import (
     Damping,
@@ -116,7 +117,7 @@ def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = 
         raise InputError(where, type(uncertain).__name__, "an UncertainModel")
     metric = request.metric
     if not isinstance(metric, str):
-        if not callable(metric):
+        if not is_function(metric):
             raise UsageError(where, f"metric {metric!r}", "the name of a metric, or a function of a model")
         return UserMetric(uncertain, metric, request.name)
     if metric not in METRICS:
@@ -138,7 +139,7 @@ def _of_a_response(uncertain: UncertainModel, request: MetricRequest, where: str
     names = [s.name for s in uncertain.outputs]
     output = request.output
     if output is None and len(names) != 1:
-        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}, or --output {names[0]}"
+        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}, or --outputs {names[0]}"
         raise UsageError(where, f"{len(names)} outputs and none named", expected, hint)
     u: Any = {request.input: 1.0} if request.u is None and request.input is not None else request.u
     clock = default_clock(uncertain.nominal, where) if request.t is None else request.t

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class WorstCaseTuning:
+class WorstCaseTuning(Tuning):
     """Tuning of this wing; what is found is attained by a Delta whatever these numbers are.
 
     Work is counted in units of about a microsecond (`robustlab.budget`), shares are of it.

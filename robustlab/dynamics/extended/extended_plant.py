@@ -31,7 +31,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
 from robustlab.dynamics.tuning import TUNING
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
@@ -217,6 +217,7 @@ class ExtendedPlant(ExtendedEquations):
         return UncertainModel(drop_unconnected(kept), whole.blocks)
 
 
+@told_as("with_effects")
 def with_effects(
     plant: AnyPlant | StateSpaceModel,
     effects: Mapping[str, Mapping[str, Any]] | Iterable[AttachedEffect] | AttachedEffect,

@@ -250,10 +250,9 @@ class _Fit:
 
     def _settled(self, places: Sequence[Place], offsets: Array) -> _Fitted:
         """Additions of all pieces, the outputs weighed by what is left of them."""
-        weight = 1.0 / self.noise
-        for _ in range(ROUNDS):
-            fitted = self._fitted(places, weight, offsets)
-            weight = 1.0 / np.maximum(self.noise, fitted.rms)
+        fitted = self._fitted(places, 1.0 / self.noise, offsets)
+        for _ in range(ROUNDS - 1):
+            fitted = self._fitted(places, 1.0 / np.maximum(self.noise, fitted.rms), offsets)
         return fitted
 
     def _fitted(self, places: Sequence[Place], weight: Array, offsets: Array) -> _Fitted:
@@ -375,6 +374,7 @@ def sorted_addition(
 
     ``errors``: output -> rms without and with the addition, noise, and offset.
     """
+    error, left, noise, offsets = errors
     length = int(edges[1] - edges[0]) if len(edges) > 1 else 0
     middle = 0.5 * (t[edges[:-1]] + t[edges[1:] - 1])
     seconds = length * float(t[-1] - t[0]) / (len(t) - 1)
@@ -387,7 +387,8 @@ def sorted_addition(
         speed = pieces.mean(axis=1)
     (forward, forward_std), (backward, backward_std) = ends
     return Addition(
-        place, unit, seconds, middle, speed, value, std, forward, backward, forward_std, backward_std, *errors,
+        place, unit, seconds, middle, speed, value, std, forward, backward, forward_std, backward_std,
+        error, left, noise, offsets,
         motion.speed_source if speed is not None else "", together,
     )  # fmt: skip
 

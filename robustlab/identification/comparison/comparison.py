@@ -17,7 +17,7 @@ from robustlab.budget import one_thread
 from robustlab.dynamics.fmu.fmu_plant import FmuCoSimulation
 from robustlab.dynamics.fmu.fmu_plant import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-from robustlab.errors import NoTrustworthyNumber, UsageError
+from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
 from robustlab.identification.comparison.additions import additions
 from robustlab.identification.comparison.along_motion import compare_along
 from robustlab.identification.comparison.best_linear_approximation import (
@@ -62,6 +62,7 @@ LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
 
 @one_thread()
+@told_as("compare")
 def compare(
     plant: Any,
     record: Record,

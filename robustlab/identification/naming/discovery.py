@@ -28,7 +28,7 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.candidates import (
     FEWEST_PERIODS,
     candidates,
@@ -210,6 +210,7 @@ def _duration(seconds: float) -> str:
 
 
 @one_thread()
+@told_as("discover")
 def discover(
     plant: Any,
     records: Record | Sequence[Record],

@@ -12,12 +12,13 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.budget import MILLION, Budget
+from robustlab.shown import Tuning
 
 __all__ = ["Search", "TUNING", "ValidationTuning"]
 
 
 @dataclass(frozen=True)
-class ValidationTuning:
+class ValidationTuning(Tuning):
     """Numbers that choose speed and accuracy of `robustlab.validate`."""
 
     # What a validation may cost, in units of `robustlab.budget`: about two minutes. More work, tighter bounds.

@@ -20,7 +20,7 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, is_function, told_as
 from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
@@ -396,7 +396,7 @@ def _closing(loop: Loop | None) -> Loop:
     """What is made of a model, checked."""
     if loop is None:
         return lambda g: g
-    if not callable(loop):
+    if not is_function(loop):
         raise InputError("cover: loop", f"{loop!r}", "a function of a model")
 
     def made(g: UncertainModel) -> UncertainModel:

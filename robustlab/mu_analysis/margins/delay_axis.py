@@ -147,7 +147,7 @@ class DelayAxis:
         return size or 1.0 / float(self.delays.max(initial=1.0))
 
     def _matrix(self, omega: Array) -> ComplexArray:
-        return self.model.turned(-self.inner, omega)
+        return self.model.turned(-self.inner, 1j * omega)
 
 
 class Measured(NamedTuple):

@@ -176,8 +176,8 @@ class CompareStep(Step):
     )
 
     def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.identification.comparison.additions import Addition
         from robustlab.identification.comparison.comparison_result import Comparison, OutputGap
-        from robustlab.identification.comparison.localisation import InputDisturbance
 
         inputs, outputs = _compared(ahead, self.of, self.record)
         left = leaves_of(Comparison, *NOT_LEFT)
@@ -189,9 +189,10 @@ class CompareStep(Step):
             name: leaves_of(OutputGap, **dict.fromkeys(sizes, unit), **percent, peak_time="s")
             for name, unit in outputs.items()
         }
-        left["disturbance"] = {
-            name: leaves_of(InputDisturbance, forward=unit, backward=unit, seconds="s") for name, unit in inputs.items()
-        }
+        added = leaves_of(Addition, seconds="s", shares=dict.fromkeys(outputs, float), explained_share=float)
+        of_input = ("forward", "backward", "forward_std", "backward_std")
+        left["disturbance"] = {name: added | dict.fromkeys(of_input, unit) for name, unit in inputs.items()}
+        left["disturbance"] |= dict.fromkeys(("torque at *", "force at *", "*, together"), added)
         left["worst"] = {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)}
         left |= {"worst_window": {name: ["s"] for name in outputs}, "window": "s"}
         left |= dict.fromkeys(("percent_of", "residual_reference"), str)

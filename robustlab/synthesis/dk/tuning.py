@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class DKTuning:
+class DKTuning(Tuning):
     """Tuning of `dk`; no number here decides whether a bound holds, only how small it gets and when.
 
     Work is counted in units of about a microsecond (`robustlab.budget`), shares are of it.

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class FixedTuning:
+class FixedTuning(Tuning):
     """Controllers of fixed structure."""
 
     # Work of a design at effort 1.

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 __all__ = ["TUNING", "H2Tuning"]
 
 
 @dataclass(frozen=True)
-class H2Tuning:
+class H2Tuning(Tuning):
     """H2 designs, and H2 designs under an H-infinity bound."""
 
     # Work of a design at effort 1.

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class HinfTuning:
+class HinfTuning(Tuning):
     """H-infinity designs; lengths of tuples are numbers of trials, "scaled" means a plant scaled to order one."""
 
     # Work of a design at effort 1; few plants need a tenth. More: longer searches on hard plants.

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robustlab.shown import Tuning
+
 
 @dataclass(frozen=True)
-class NonsmoothTuning:
+class NonsmoothTuning(Tuning):
     """Nonsmooth optimisation of loops; "scaled" means in variables without units, of order one."""
 
     # --- BFGS

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class ProblemTuning:
+class ProblemTuning(Tuning):
     """Checks of a finished loop, and bounds of what any loop can do."""
 
     # --- the second voice: P and K evaluated separately

@@ -9,7 +9,7 @@ Any two positive semidefinite matrices may stand in for the Gramians: those of a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -228,7 +228,7 @@ def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
 
     if not len(a):
         return np.zeros(0, dtype=bool)
-    values, left, right = eig(a, left=True, right=True)
+    values, left, right = cast("tuple[AnyArray, AnyArray, AnyArray]", eig(a, left=True, right=True))
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = np.einsum("ji,jk,ki->i", np.abs(left), np.abs(a), np.abs(right)) / np.abs((left.conj() * right).sum(0))
     # Of defective poles, whose bound is infinite, that of the whole matrix.

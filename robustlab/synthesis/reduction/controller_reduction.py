@@ -27,7 +27,7 @@ from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts
+from robustlab.shown import Facts, Tuning
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
@@ -61,7 +61,7 @@ Found = tuple[str, StateSpaceModel, Performance]
 
 
 @dataclass(frozen=True)
-class ReductionTuning:
+class ReductionTuning(Tuning):
     """Numbers that choose how long the search takes and how low it comes; the measures are proved whatever they are."""
 
     work: float = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond

@@ -21,7 +21,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.delays.model import MOST_SAMPLES, DelayedModel
+from robustlab.delays.model import DelayedModel
+from robustlab.delays.signal_delays import MOST_SAMPLES
 from robustlab.errors import InputError
 from robustlab.signals import Signal
 from robustlab.statespace import StateSpaceModel

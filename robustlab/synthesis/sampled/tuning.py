@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.budget import MILLION
+from robustlab.shown import Tuning
 
 
 @dataclass(frozen=True)
-class SampledTuning:
+class SampledTuning(Tuning):
     """Tuning of digital controllers and sampled loops; no number here decides whether a bound holds, only how tight."""
 
     # --- exact maps over an interval (lifting, held_intervals); read from TUNING alone ---

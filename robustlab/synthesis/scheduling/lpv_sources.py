@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, is_function, told_as
 from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel, as_model
@@ -86,7 +86,7 @@ def lpv_model(
     """
     if isinstance(source, UncertainModel):
         return _of_uncertain(source, points or {}, rates, units or {})
-    if not callable(source):
+    if not is_function(source):
         found = type(source).__name__
         raise InputError("lpv_model", f"a {found}", "an UncertainModel or a function of the parameters")
     return _of_function(source, points or {}, rates, units, samples, seed)

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, did_you_mean, named_arguments
+from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, real_array
@@ -73,7 +74,7 @@ class SchedulingParameter:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class LPVModel(Shown, Traced):
+class LPVModel(Behaviour, Shown, Traced):
     r"""A family of continuous state-space models over a box of measured parameters; immutable.
 
     .. math:: M(\rho) = \sum_v \alpha_v(\rho) M_v + E(\rho), \qquad M = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
@@ -111,6 +112,11 @@ class LPVModel(Shown, Traced):
     array([[-2.5]])
     """
 
+    no_model = (
+        "freeze it: .at(...) is the model at one value of every parameter; .simulate(t, u, rho) along a trajectory; "
+        "close a loop before rl.lpv_model makes the family of it"
+    )
+
     parameters: tuple[SchedulingParameter, ...]
     matrices: Array
     n_states: int
@@ -120,6 +126,7 @@ class LPVModel(Shown, Traced):
     deviation: Array
     known: str
 
+    @named_arguments
     def __init__(
         self,
         points: Mapping[str, ArrayLike],

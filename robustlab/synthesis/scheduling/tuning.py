@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robustlab.shown import Tuning
+
 __all__ = ["TUNING", "SchedulingTuning"]
 
 
 @dataclass(frozen=True)
-class SchedulingTuning:
+class SchedulingTuning(Tuning):
     """Defaults of `lpv_gain` and `lpv_hinf`."""
 
     # Work that both may take at effort 1, in the units of `robustlab.budget`.

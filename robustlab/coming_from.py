@@ -1,0 +1,180 @@
+"""What other programs' names are called here: ``rl.wcgain`` is answered with ``rl.worst_case_gain``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from robustlab.errors import did_you_mean
+
+# Answer -> names that it answers; what the pages docs/coming-from say, which a test holds to these tables.
+MATLAB = {
+    "rl.RealScalar, ranges in rl.parametric, (value, tolerance) in rl.plant": "ureal",
+    "rl.ComplexScalar": "ucomplex",
+    "rl.FullBlock": "ucomplexm",
+    "rl.FullBlock, rl.unstructured": "ultidyn",
+    "not there; rl.disk_margin and rl.worst_case_disk_margin answer the question": "umargin",
+    "not there": "udyn genss thiran hinffi hinffc modreal slowfast",
+    "rl.UncertainModel": "uss umat",
+    "rl.frequency_data(...), rl.robust_stability_at": "ufrd",
+    "rl.sample(set, n, seed).models()": "usample",
+    'set.evaluate({"k": 1.0})': "usubs",
+    "set.physical(delta)": "normalized2actual",
+    "not there; set.physical(delta) is the other way": "actual2normalized",
+    "not there; give other ranges": "uscale",
+    "set.M, set.blocks": "lftdata",
+    "set.reduce(), rl.reduction": "simplify",
+    "rl.star": "lft",
+    'rl.connect(..., sums=["e = r - y"])': "sumblk iconnect sysic",
+    "rl.beside, rl.stacked": "append",
+    "G2 @ G1": "series",
+    "G1 + G2": "parallel",
+    "G.feedback(H)": "feedback",
+    'rl.sample(set, n, vertices="all")': "gridureal",
+    "rl.cover, of data rl.overbound for the weight": "ucover",
+    "rl.with_delays, rl.delay": "InputDelay OutputDelay",
+    "rl.delay(tau).pade(n)": "pade",
+    "rl.with_delays of a discrete model": "absorbDelay",
+    "rl.robust_stability": "robstab robuststab",
+    "rl.robust_gain(set, level)": "robgain",
+    "rl.robust_performance": "robustperf",
+    "rl.worst_case_gain": "wcgain",
+    "rl.worst_case_gain(set, omega=...)": "wcsigma",
+    "not there; close the loop, then rl.worst_case_gain": "wcsens",
+    "not there; rl.skew_mu of the matrix": "wcnorm",
+    "rl.disk_margin": "diskmargin loopmargin",
+    "rl.classical_margins": "allmargin margin",
+    "rl.zeros": "tzero",
+    "rl.worst_case_disk_margin": "wcdiskmargin wcmargin",
+    "rl.mu, rl.skew_mu": "mussv",
+    "fields D, G, delta of the result": "mussvextract",
+    "rl.gap, rl.nu_gap": "gapmetric",
+    "rl.coprime_margin": "ncfmargin",
+    "rl.hinf_norm, rl.linf_norm, rl.h2_norm": "norm",
+    "rl.hinf_norm": "hinfnorm",
+    "rl.linf_norm": "getPeakGain",
+    "rl.passivity": "isPassive getPassiveIndex",
+    "rl.loop_functions": "loopsens",
+    "rl.iqc_stability, rl.iqc_gain": "popov quadstab pdlstab quadperf",
+    "not there; branch and bound handles purely real problems": "complexify",
+    "rl.hinf": "hinfsyn",
+    "rl.h2": "h2syn",
+    "rl.lpv_hinf, rl.LPVModel, rl.lpv_model": "hinfgs psys aff2pol",
+    "rl.h2_hinf": "h2hinfsyn",
+    "not there; rl.mixsyn builds it; rl.generalized_plant names the channels of a plant of your own": "augw",
+    "rl.ncf": "ncfsyn",
+    "not there; rl.ncf with shaping weights comes nearest": "loopsyn",
+    "not there; rl.lqg": "ltrsyn",
+    "rl.dk": "musyn dksyn",
+    "arguments of rl.dk": "dkitopt",
+    "rl.fixed_structure": "hinfstruct",
+    "rl.tune": "systune TuningGoal",
+    "rl.discretise_controller": "sdhinfsyn",
+    "rl.sampled_data_norm": "sdhinfnorm",
+    "rl.kalman": "lqe estim",
+    "rl.care": "icare",
+    "rl.dare": "idare",
+    "not there; cvxpy": "lmireg msfsyn feasp mincx",
+    "rl.reduce_model, rl.balanced_truncation": "reduce balancmr balred",
+    'rl.reduce_model(..., method="coprime")': "ncfmr",
+    'rl.reduce_model(..., method="hankel")': "hankelmr",
+    'rl.reduce_model(..., method="stochastic")': "bstmr",
+    "not there; the same models as balancmr: rl.balanced_truncation": "schurmr",
+    "rl.hankel_singular_values": "hankelsv",
+    "rl.overbound": "fitmagfrd",
+    "rl.discretise, rl.discretise_controller": "c2d",
+    "rl.simulate": "lsim initial",
+    'G.step(), G.plot("step")': "step",
+    'not there; G.step() is the record, rl.worst_case(set, "overshoot") the worst of a set': "stepinfo",
+    "not there; rl.simulate with x0= the input's column of B": "impulse",
+    'G.plot("bode")': "bode bodeplot",
+    'G.plot("sigma")': "sigma",
+    'G.plot("pzmap")': "pzmap pzplot",
+    "not there; rl.disk_margin says how near a loop comes to -1": "nyquist nichols rlocus",
+    "rl.frequency_response": "freqresp",
+    "G(1j * w)": "evalfr",
+    "G.poles()": "pole damp",
+    "G.zeros(), rl.zeros": "zero",
+    "G.dc_gain()": "dcgain",
+    "not there; rl.controllability, rl.observability name what is hidden, rl.reduce_model takes it away": "minreal",
+    "rl.ss of python-control's or scipy's": "zpk",
+    "rl.frequency_data": "frd",
+    "G.A, G.B, G.C, G.D": "ssdata",
+    "rl.descriptor": "dss",
+}
+PYTHON_CONTROL = {
+    "rl.ss, rl.StateSpaceModel": "StateSpace",
+    "rl.frequency_data": "frd FrequencyResponseData",
+    "rl.tf": "TransferFunction",
+    "rl.ss of python-control's or scipy's": "zpk",
+    "G2 @ G1": "series",
+    "G1 + G2": "parallel",
+    "G.feedback(H)": "feedback",
+    "rl.beside": "append",
+    "G.poles()": "poles",
+    "G.dc_gain()": "dcgain",
+    'rl.connect(..., sums=["e = r - y"])': "interconnect summing_junction",
+    "rl.delay(tau).pade(n)": "pade",
+    "rl.hinf": "hinfsyn",
+    "rl.h2": "h2syn",
+    "rl.lqr": "dlqr",
+    "rl.place": "acker",
+    "rl.kalman": "lqe dlqe create_estimator_iosystem",
+    "rl.linf_norm, rl.hinf_norm": "linfnorm",
+    "rl.hinf_norm, rl.linf_norm, rl.h2_norm": "system_norm norm",
+    "rl.passivity": "ispassive get_input_ff_index get_output_fb_index",
+    "rl.disk_margin": "disk_margins",
+    "rl.classical_margins": "margin stability_margins",
+    "rl.controllability": "ctrb",
+    "rl.observability": "obsv",
+    "rl.controllability, rl.observability": "gram",
+    "rl.reduce_model": "balanced_reduction model_reduction",
+    "rl.discretise": "sample_system c2d",
+    "rl.simulate": "forced_response initial_response input_output_response",
+    "G.step()": "step_response",
+    'not there; G.step() is the record, rl.worst_case(set, "overshoot") the worst of a set': "step_info",
+    "not there; rl.simulate with x0= the input's column of B": "impulse_response",
+    "G(1j * w)": "evalfr",
+    "not there; rl.controllability, rl.observability name what is hidden, rl.reduce_model takes it away": (
+        "minreal minimal_realization"
+    ),
+    "rl.linearise": "linearize",
+    "rl.trim": "find_operating_point",
+    'G.plot("bode")': "bode_plot bode",
+    'G.plot("sigma")': "singular_values_plot",
+    'G.plot("pzmap")': "pole_zero_plot",
+    "not there; rl.disk_margin says how near a loop comes to -1": "nyquist_plot nyquist",
+    "not there; use python-control": "root_locus_map root_locus describing_function_response flatsys optimal",
+}
+
+PROGRAMS = {"MATLAB": MATLAB, "python-control": PYTHON_CONTROL}
+
+
+def unknown_public_name(name: str, known: Iterable[str]) -> str:
+    """What is said of a name that robustlab does not have: the answer to another program's, or the nearest one.
+
+    Examples
+    --------
+    >>> unknown_public_name("wcgain", ["worst_case_gain"])
+    "robustlab has no 'wcgain'; MATLAB's wcgain is rl.worst_case_gain"
+    >>> unknown_public_name("worst_case_gian", ["worst_case_gain"])
+    "robustlab has no 'worst_case_gian'; did you mean worst_case_gain?"
+    """
+    found = f"robustlab has no {name!r}"
+    if said := _elsewhere(name):
+        return f"{found}; {said}"
+    names = [other for table in PROGRAMS.values() for text in table.values() for other in text.split()]
+    hint = did_you_mean(name, (*known, *names))
+    if hint is None:
+        return found
+    said = _elsewhere(hint.removeprefix("did you mean ").removesuffix("?"))
+    return f"{found}; {hint} {said}".rstrip()
+
+
+def _elsewhere(name: str) -> str:
+    """``MATLAB's wcgain is rl.worst_case_gain``; empty where no program has the name."""
+    answers: dict[str, list[str]] = {}
+    for program, table in PROGRAMS.items():
+        for answer, names in table.items():
+            if name in names.split():
+                answers.setdefault(answer, []).append(f"{program}'s")
+    return "; ".join(f"{' and '.join(whose)} {name} is {answer}" for answer, whose in answers.items())

@@ -1,0 +1,227 @@
+"""Delays of a model's inputs and outputs: exact ones, and sets that hold all delays within a range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.errors import InputError, told_as
+from robustlab.signals import real_array
+from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.uncertainty.interconnection import Wiring
+from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
+
+# Samples of delay of a discrete model; each is a state.
+MOST_SAMPLES = 2000
+# How far from a whole number of samples a discrete delay may be, relative to one sample.
+WHOLE = 1e-9
+
+
+@told_as("delay")
+def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSpaceModel:
+    r"""A pure delay :math:`e^{-s \tau}` in each of n channels.
+
+    Parameters
+    ----------
+    tau
+        In s, 0 or more; one number, or one for each channel.
+    n
+        Number of channels, where tau is one number.
+    dt
+        Sample time in s of a discrete delay; 0 means continuous time.
+
+    Returns
+    -------
+    DelayedModel or StateSpaceModel
+        Exact; a discrete one is a model with a state for each sample of delay.
+
+    Raises
+    ------
+    InputError
+        A delay that is negative or not finite, or in discrete time no whole number of samples.
+
+    Examples
+    --------
+    >>> delay(2.0)(0.25j)[0, 0].round(4)
+    np.complex128(0.8776-0.4794j)
+    >>> delay(0.03, dt=0.01)
+    StateSpaceModel(3 states, [u1] -> [y1], dt=0.01 s)
+    """
+    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
+        raise InputError("delay: n", f"{n!r}", "a whole number of channels, 1 or more")
+    given: Any = [tau] * n if np.ndim(tau) == 0 else tau
+    lengths = real_array("tau", given, 1, "delay")
+    gain = StateSpaceModel([], [], [], np.eye(len(lengths)), dt)
+    return with_delays(gain, inputs=dict(enumerate(lengths.tolist())))
+
+
+@told_as("with_delays")
+def with_delays(
+    G: Any, inputs: Mapping[Any, float] | None = None, outputs: Mapping[Any, float] | None = None
+) -> DelayedModel | StateSpaceModel:
+    r"""The model with exact delays of some of its inputs and outputs.
+
+    Parameters
+    ----------
+    G
+        A StateSpaceModel, a plant, a python-control object or a DelayedModel.
+    inputs, outputs
+        Name or number of a signal -> its delay in s, 0 or more.
+
+    Returns
+    -------
+    DelayedModel or StateSpaceModel
+        For a discrete G a model with a state :math:`z^{-1}` for each sample of delay, else a DelayedModel.
+
+    Raises
+    ------
+    InputError
+        No such signal; a delay that is negative or not finite, or for a discrete G no whole number of samples.
+
+    Examples
+    --------
+    >>> motor = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["omega"])
+    >>> with_delays(motor, inputs={"u": 0.01}, outputs={"omega": 0.02})
+    DelayedModel(1 state, delays of 0.01, 0.02 s, [u] -> [omega])
+    """
+    model = G if isinstance(G, DelayedModel) else as_model(G, "with_delays")
+    before, longest = _ranges("input", inputs, model.input_names, "with_delays")
+    after, latest = _ranges("output", outputs, model.output_names, "with_delays")
+    if (before, after) != (longest, latest):
+        raise InputError("with_delays", "a range of delays", "one length each", "uncertain_delays takes ranges")
+    if isinstance(model, StateSpaceModel) and model.is_discrete:
+        whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
+        return whole.renamed(model.inputs, model.outputs)
+    whole = _bank(after) @ as_delayed(model) @ _bank(before)
+    n = len(whole.delays)
+    ins = [*whole.H.input_names[:n], *model.inputs]
+    return DelayedModel(
+        whole.H.renamed(_apart(ins, n), _apart([*whole.H.output_names[:n], *model.outputs], n)), whole.delays
+    )
+
+
+@told_as("uncertain_delays")
+def uncertain_delays(
+    G: Any,
+    inputs: Mapping[Any, float | Sequence[float]] | None = None,
+    outputs: Mapping[Any, float | Sequence[float]] | None = None,
+    order: int = 3,
+    weight_order: int = 3,
+) -> UncertainModel:
+    r"""An uncertain model, or any other, with delays of its inputs and outputs, exact or within a range, covered.
+
+    What is proved of the result is proved of the model with every such delay; see `DelayedModel.uncertain`. Delays in
+    a range vary each on its own.
+
+    Parameters
+    ----------
+    G
+        An UncertainModel, a StateSpaceModel, a plant or a DelayedModel; continuous.
+    inputs, outputs
+        Name or number of a signal -> its delay in s, or its shortest and its longest delay.
+    order, weight_order
+        Of the approximations and of the weights of their error, as in `DelayedModel.uncertain`.
+
+    Returns
+    -------
+    UncertainModel
+        With the blocks of G, and those of the delays.
+
+    Raises
+    ------
+    InputError
+        No such signal, a delay that is negative or not finite, a range that ends before it begins, a discrete model.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> [b.name for b in uncertain_delays(lag, inputs={0: (0.1, 0.3)}).blocks]
+    ['u1: spread 1 of 0.2 s +- 0.1 s']
+    """
+    model = (
+        G.uncertain(order, weight_order=weight_order)
+        if isinstance(G, DelayedModel)
+        else as_uncertain(G, "uncertain_delays")
+    )
+    if model.dt:
+        raise InputError("uncertain_delays", f"a discrete model, dt = {model.dt:g} s", "a continuous one")
+    banks: list[UncertainModel] = []
+    for side, given, signals in (("input", inputs, model.inputs), ("output", outputs, model.outputs)):
+        low, high = _ranges(side, given, tuple(s.name for s in signals))
+        parts = [
+            _bank([_short(0.5 * (a + b))]).uncertain(order, _short(0.5 * (b - a)), weight_order, f"{s.name}: ")
+            if b
+            else as_uncertain(1.0)
+            for a, b, s in zip(low, high, signals, strict=True)
+        ]
+        n = len(parts)
+        wiring = Wiring(np.zeros((n, n)), np.eye(n), np.eye(n))
+        banks.append(interconnected(parts, wiring, signals, signals, "uncertain_delays"))
+    whole = product(banks[1], product(model, banks[0]))
+    return UncertainModel(whole.M, whole.blocks)
+
+
+# --- ranges and banks -------------------------------------------------------------------------------------------------
+
+
+def _apart(names: Sequence[Any], n: int) -> list[Any]:
+    """Names of the delays' channels that none of the other signals has."""
+    taken = {s if isinstance(s, str) else s[0] for s in names[n:]}
+    made: list[Any] = []
+    for name in names[:n]:
+        while name in taken:
+            name = f"{name}'"
+        taken.add(name)
+        made.append(name)
+    return [*made, *names[n:]]
+
+
+def _ranges(
+    side: str, given: Mapping[Any, Any] | None, names: tuple[str, ...], where: str = "uncertain_delays"
+) -> tuple[list[float], list[float]]:
+    """Shortest and longest delay of each signal; zero where none is given."""
+    low, high = [0.0] * len(names), [0.0] * len(names)
+    for key, value in (given or {}).items():
+        number = isinstance(key, (int, np.integer)) and not isinstance(key, bool)
+        if not (key in names or (number and 0 <= int(key) < len(names))):
+            raise InputError(f"{where}: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
+        ends = tuple(value) if isinstance(value, (tuple, list)) else (value, value)
+        real = all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in ends)
+        if not real or len(ends) != 2 or not 0 <= ends[0] <= ends[1] < np.inf:
+            raise InputError(f"{where}: {side} {key!r}", f"{value!r}", "a delay of 0 s or more, or a range of such")
+        place = int(key) if number else names.index(str(key))
+        low[place], high[place] = float(ends[0]), float(ends[1])
+    return low, high
+
+
+def _short(length: float) -> float:
+    """Without the rounding of its last digits, which the weights cover."""
+    return float(f"{length:.12g}")
+
+
+def _bank(lengths: list[float]) -> DelayedModel:
+    """Delays side by side, one for each channel."""
+    n, eye = len(lengths), np.eye(len(lengths))
+    model = StateSpaceModel([], [], [], np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]]))
+    return DelayedModel(model, lengths)
+
+
+def _shifts(lengths: list[float], dt: float) -> StateSpaceModel:
+    """Rows of states z^-1 side by side, one for each channel."""
+    parts: list[StateSpaceModel] = []
+    for i, length in enumerate(lengths):
+        count = round(length / dt)
+        if abs(length / dt - count) > WHOLE * max(count, 1):
+            found, hint = f"{length:g} s is {length / dt:.6g} samples of {dt:g} s", "delay the continuous model"
+            raise InputError("with_delays", found, "a whole number of samples", hint)
+        if count > MOST_SAMPLES:
+            raise InputError("with_delays", f"{length:g} s is {count} samples", f"at most {MOST_SAMPLES}")
+        row = np.diag(np.ones(max(count - 1, 0)), -1) if count else np.zeros((0, 0))
+        b, c = np.eye(count, 1), np.eye(1, count, count - 1) if count else np.zeros((1, 0))
+        names = [f"delay{i + 1}.{k + 1}" for k in range(count)]
+        parts.append(StateSpaceModel(row, b, c, [[float(count == 0)]], dt, [f"i{i}"], [f"o{i}"], names))
+    return append(*parts)

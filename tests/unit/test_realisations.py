@@ -1,0 +1,158 @@
+"""`rl.tf` and `rl.ss`: judged by the polynomials in exact arithmetic, and by what the objects came from."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import control as ct
+import numpy as np
+import pytest
+import scipy.signal
+from numpy.testing import assert_allclose
+
+import robustlab as rl
+from robustlab.errors import InputError
+
+
+def value(num, den, s):
+    """num(s) / den(s) of the coefficients as they are stored, rounded once at the end."""
+
+    def at(coefficients):
+        re, im = Fraction(0), Fraction(0)
+        x, y = Fraction(complex(s).real), Fraction(complex(s).imag)
+        for c in coefficients:
+            re, im = re * x - im * y + Fraction(float(c)), re * y + im * x
+        return re, im
+
+    (a, b), (c, d) = at(num), at(den)
+    size = c * c + d * d
+    return complex(float((a * c + b * d) / size), float((b * c - a * d) / size))
+
+
+@pytest.mark.parametrize(
+    ("num", "den"),
+    [
+        ([1], [1, 1]),
+        ([2.0, 1.0], [4.0, 3.0]),
+        ([0, 0, 3], [0, 2, 1, 5]),
+        ([1, 0, 0], [1, 0, 0, 0]),
+        (3.0, [1e-6, 1e-3, 1]),
+        ([1, 1e6], [1, 1e3, 1e9, 0]),
+        ([5], 2),
+    ],
+)
+def test_a_transfer_function_has_its_values_and_as_many_states_as_its_denominator(num, den):
+    G = rl.tf(num, den)
+    n, d = (np.trim_zeros(np.atleast_1d(p), "f") for p in (num, den))
+    assert G.n_states == len(d) - 1
+    for s in (0.3 + 2j, -0.7 + 0.1j, 40j, 1e4j):
+        assert_allclose(G(s)[0, 0], value(n, d, s), rtol=1e-12)
+
+
+def test_poles_of_a_product_of_known_roots():
+    roots = [-1, -2, -3, -5, -7, -11]
+    den = [Fraction(1)]
+    for root in roots:
+        den = [a - root * b for a, b in zip([*den, Fraction(0)], [Fraction(0), *den], strict=True)]
+    assert_allclose(np.sort(rl.tf([1], [float(c) for c in den]).poles().real), sorted(roots), rtol=1e-10)
+
+
+def test_states_are_balanced_where_coefficients_are_far_apart():
+    num, den = scipy.signal.butter(8, 1e5, analog=True)  # den from 1 to 1e40
+    G = rl.tf(num, den)
+    assert_allclose(
+        np.sort_complex(G.poles()),
+        np.sort_complex(scipy.signal.butter(8, 1e5, analog=True, output="zpk")[1]),
+        rtol=1e-10,
+    )
+    assert max(np.abs(m).max() for m in (G.A, G.B, G.C)) < 1e6
+    for w in (1e3, 1e5, 1e6):
+        assert_allclose(G(1j * w)[0, 0], value(num, den, 1j * w), rtol=1e-11)
+
+
+def test_a_root_in_both_stays_as_a_hidden_mode():
+    G = rl.tf([1, -1], [1, 1, -2])  # (s - 1) / ((s - 1)(s + 2))
+    assert not G.is_stable()
+    assert rl.zeros(G).kinds == ("output-decoupling",)
+    assert_allclose(G(3j)[0, 0], 1 / (3j + 2), rtol=1e-14)
+
+
+def test_several_channels():
+    num = [[[1], [2, 1]], [[3], [4, 0]], [[0], [5]]]
+    den = [[[1, 1], [1, 1]], [[1, 2], [1, 2]], [[1, 2], [1]]]
+    G = rl.tf(num, den, inputs=["a", "b"], outputs=[("c", "m"), "d", "e"])
+    assert (G.input_names, G.output_names, G.outputs[0].unit) == (("a", "b"), ("c", "d", "e"), "m")
+    s = 0.4 + 1.5j
+    assert_allclose(G(s), [[value(n, d, s) for n, d in zip(*rows, strict=True)] for rows in zip(num, den, strict=True)])
+    assert G.n_states == 2  # rows with one denominator share its state
+    assert rl.tf([[[1], [2]]], [1, 1]).n_states == 1
+    assert rl.tf([[[1]], [[2]]], [1, 1]).n_states == 1
+
+
+def test_a_discrete_one():
+    G = rl.tf([1.0, 0.2], [1.0, -0.5, 0.1], 0.1)
+    assert G.dt == 0.1
+    z = np.exp(0.3j)
+    assert_allclose(G(z)[0, 0], ct.tf([1.0, 0.2], [1.0, -0.5, 0.1], 0.1)(z), rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("num", "den", "text"),
+    [
+        ([1, 0, 0], [1, 1], "num of degree 2 over den of degree 1: improper"),
+        ([1], [0, 0], "den is zero"),
+        ([], [1], "num is empty"),
+        ([1], [1, np.nan], "NaN"),
+        ([1j], [1, 1], "real numbers"),
+        ("s", [1], "real numbers"),
+        ([[1, 2]], [1, 1], "num nested 2 deep"),
+        ([[[1], [2]], [[3]]], [1, 1], "different lengths"),
+        ([[[1], [2]]], [[[1, 1]]], "different lengths"),
+        ([[[1, 0]]], [1], r"\[0\]\[0\]: num of degree 1"),
+        ([1], [1e-300, 1e300], "overflow"),
+    ],
+)
+def test_what_is_no_proper_transfer_function_is_refused(num, den, text):
+    with pytest.raises(InputError, match=text):
+        rl.tf(num, den)
+
+
+def test_ss_takes_matrices():
+    G = rl.ss([[-2.0]], [[1.0]], [[3.0]], [[0.0]], 0.1, inputs=["u"], states=["x"])
+    assert (G.dt, G.input_names, G.state_names, G.C.item()) == (0.1, ("u",), ("x",), 3.0)
+    assert rl.ss([[1.0, 2.0]]).D.tolist() == [[1.0, 2.0]]
+
+
+MADE = {
+    "control.ss": lambda: ct.ss([[-1.0]], [[1.0]], [[2.0]], [[0.5]]),
+    "control.tf": lambda: ct.tf([1, 2], [1, 3, 4]),
+    "control.zpk": lambda: ct.zpk([-2.0], [-1.0, -3.0], 4.0),
+    "scipy ss": lambda: scipy.signal.StateSpace([[-1.0]], [[1.0]], [[2.0]], [[0.5]]),
+    "scipy tf": lambda: scipy.signal.TransferFunction([1, 2], [1, 3, 4]),
+    "scipy zpk": lambda: scipy.signal.ZerosPolesGain([-2.0], [-1.0, -3.0], 4.0),
+}
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_ss_takes_what_another_program_made(name):
+    thing = MADE[name]()
+    wanted = thing(0.5j) if name.startswith("control") else thing.freqresp([0.5])[1][0]
+    assert_allclose(rl.ss(thing)(0.5j)[0, 0], wanted, rtol=1e-12)
+
+
+def test_ss_takes_a_multivariable_transfer_function_of_python_control():
+    given = ct.tf([[[1], [2]], [[1], [1, 0]]], [[[1, 1], [1, 2]], [[1, 3], [1, 1]]])
+    G = rl.ss(given)
+    assert_allclose(G(0.7j), given(0.7j), rtol=1e-12)
+    assert G.input_names == ("u[0]", "u[1]")
+
+
+def test_a_sample_time_is_kept_and_an_unknown_one_is_refused():
+    assert rl.ss(scipy.signal.dlti([1.0], [1.0, -0.5], dt=0.2)).dt == 0.2
+    for thing in (scipy.signal.dlti([1.0], [1.0, -0.5]), ct.tf([1.0], [1.0, -0.5], True)):
+        with pytest.raises(InputError, match="dt=True"):
+            rl.ss(thing)
+    with pytest.raises(InputError, match="its own"):
+        rl.ss(rl.tf([1], [1, 1]), dt=0.1)
+    with pytest.raises(InputError, match="no C, D"):
+        rl.ss([[1.0]], [[1.0]])
