@@ -190,9 +190,9 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     spread, which rises as the error does, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` is used. Without
     a spread :math:`x^{2k} (g^2 / (c_n x^{2n+1})^2 - 1)` falls with x there, as k is at most 2n + 1, and so the end of
     that interval decides; with one, the slope r is what the error has there at most, and 2 is where that is less: W
-    lies above the smaller of r x and g everywhere. Each cell after it uses that the error rises: with x at its beginning
-    and E at its end :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0`. Where the phase has
-    reached :math:`\pi` the error is bounded by 2, and the left side goes on rising.
+    lies above the smaller of r x and g everywhere. Each cell after it uses that the error rises: with x at its
+    beginning and E at its end :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0`. Where the phase has reached
+    :math:`\pi` the error is bounded by 2, and the left side goes on rising.
 
     Raises InputError: a weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
     """

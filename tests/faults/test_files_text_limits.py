@@ -86,7 +86,7 @@ def told_and_taken(call, path):
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the process, /proc")
 def test_a_parser_that_hangs_or_grows_is_ended(tmp_path):
     many_keys = b".".join([b"a"] * 60_000) + b" = 1\n"  # tomllib takes the square of the length
-    with pytest.raises(InputError, match=r"f\.toml: (reader gave no answer|not readable as TOML)"):
+    with pytest.raises(InputError, match=r"f\.toml: (reader gave no answer|not readable as TOML|needs more memory)"):
         read_document("toml", many_keys, "f.toml")
     many_tables = b"[" + b"{}," * 4_000_000 + b"0]"  # 12 MB of text, 0.3 GB of tables: refused, or read in bounds
     (tmp_path / "f.json").write_bytes(many_tables)

@@ -163,7 +163,10 @@ def test_compleib_plants_reach_the_best_known_h2_norm(name):
     D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((n_y, n_u))]])
     plant = StateSpaceModel(m["A"], np.hstack([m["B1"], m["B"]]), np.vstack([m["C1"], m["C"]]), D)
     design = h2(plant, n_y, n_u)
-    assert design.status is Status.CONVERGED
+    # Without penalty and noise of its own NN3 gets a controller pole of 4e8 rad/s: whether the stability of that loop
+    # is proved turns on the last bits of the processor's linear algebra. Where it is not, the result says so.
+    unproved = name == "NN3" and design.reason.startswith("stability rests on ill-conditioned eigenvalues")
+    assert design.status is (Status.INACCURATE if unproved else Status.CONVERGED)
     assert design.gamma <= 1.001 * best
     loop = lower_lft(plant, design.K)
     assert loop.is_stable()

@@ -220,7 +220,7 @@ def test_mixed_operands_and_edge_sizes():
         (lambda k: k + np.eye(2), "equal sizes"),
         (lambda k: algebra.stacked(k, k) + 1.0, "numpy.eye"),
         (lambda k: lft.parallel(k, k, 2), "sign 2"),
-        (lambda k: lft.feedback(k, k, 0), "sign 0"),
+        (lambda k: lft.feedback(k, k, 0), "sign: 0"),
         (lambda k: k.feedback(np.eye(2)), "2 x 2, expected 1 x 1"),
         (lambda k: algebra.stacked(k, k).feedback(1.0), "the number 1.0"),
         (lambda k: algebra.stacked(k, k).inverse(), "a square model"),

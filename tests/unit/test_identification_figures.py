@@ -49,7 +49,7 @@ def test_figures_say_what_they_show(comparison):
     figures = comparison_figures(comparison)
     assert figures["time-q"].axes[0].get_ylabel() == "q [m]"
     assert figures["time-q"].axes[0].get_title(loc="left") == "servo-axis against $run$ <3>"
-    assert figures["speed-q"].axes[1].get_ylabel() == "addition to u [V]"
+    assert figures["speed-q"].axes[1].get_ylabel() == "what is lacking [V]"
     assert figures["speed-q"].axes[0].get_xlabel() == "speed [m/s]"
     band = figures["time-q"].axes[2].patches[0].get_extents()
     assert band.width > 0

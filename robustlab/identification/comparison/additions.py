@@ -319,7 +319,7 @@ class _Solved(NamedTuple):
 
 def _basis(columns: Array) -> Array:
     """An orthonormal basis of what the columns span."""
-    size = np.linalg.norm(columns, axis=0)
+    size = np.abs(columns).max(axis=0, initial=0.0)
     size[size == 0] = 1.0
     left, sigma, _ = np.linalg.svd(columns / size, full_matrices=False)
     return left[:, sigma > RANK_TOLERANCE * max(sigma.max(initial=0.0), 1e-300)]
@@ -330,6 +330,7 @@ def _rank(column: Array, others: Sequence[Array], weight: Array) -> bool:
     one = (column[:, :, 0] * weight).ravel()
     if not others:
         return True
+    one = one / max(np.abs(one).max(initial=0.0), 1e-300)
     basis = _basis(np.column_stack([(h[:, :, 0] * weight).ravel() for h in others]))
     return bool(np.linalg.norm(one - basis @ (basis.T @ one)) > 1e-3 * np.linalg.norm(one))
 
@@ -341,7 +342,8 @@ def sensor_noise(y: Array) -> Array:
 
     for white noise; the median, so that steps do not count. A sensor in steps has at least that of its rounding.
     """
-    spread = np.maximum(np.ptp(y, axis=0), 1e-300)
+    spread, level = np.ptp(y, axis=0), np.abs(y).max(axis=0, initial=0.0)
+    spread = np.where(spread > 1e-300, spread, np.where(level > 1e-300, level, 1.0))  # one that stands tells little
     if len(y) < 8:
         return LEAST_NOISE * spread
     size = np.median(np.abs(np.diff(y, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
