@@ -106,7 +106,7 @@ def test_options_reach_the_search(run, files, answer, real):
     code, text, _ = run(
         "discover", "servo-axis", files / "run7.h5", files / "run8.h5", "--repeat", files / "run8.h5",
         "--set", "M=100", "--tolerance", "M=0.2", "--tolerance", "Fv=0.5", "--exclude", "backlash",
-        "--window", "0.3", "--period", "1.5", "--output", "q",
+        "--window", "0.3", "--period", "1.5", "--outputs", "q",
     )  # fmt: skip
     assert code == 0
     assert text.startswith("servo-axis lacks Coulomb (dry) friction")
@@ -192,7 +192,7 @@ def test_the_updated_plant_is_kept(run, files, tmp_path, answer, real):
 
 def test_figures_alone(run, files, tmp_path, answer, real):
     answer(real)
-    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figures", tmp_path / "f")
+    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", tmp_path / "f")
     assert code == 0
     assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == [
         "force.png",

@@ -54,7 +54,7 @@ def test_result_file_and_figure(model_file, tmp_path, capsys):
 
 
 def test_no_time_ends_in_exit_code_4(model_file, capsys):
-    assert call(model_file, "--timeout", "1e-9") == 4
+    assert call(model_file, "--time-limit", "1e-9") == 4
     captured = capsys.readouterr()
     assert "timeout" in captured.out
     assert "grid only" in captured.out
@@ -84,10 +84,12 @@ def test_missing_file_is_exit_code_3(tmp_path, capsys):
     assert "absent.h5" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", [["--accuracy", "0"], ["--timeout", "-1"], ["--accuracy", "nan"], ["--effort", "0"]])
+@pytest.mark.parametrize(
+    "option", [["--accuracy", "0"], ["--time-limit", "-1"], ["--accuracy", "nan"], ["--effort", "0"]]
+)
 def test_options_out_of_range(model_file, option, capsys):
     assert call(model_file, *option) == 3
-    assert {"--timeout": "time_limit"}.get(option[0], option[0][2:]) in capsys.readouterr().err
+    assert {"--time-limit": "time_limit"}.get(option[0], option[0][2:]) in capsys.readouterr().err
 
 
 def test_worst_gain_with_its_figure(model_file, tmp_path, capsys):

@@ -41,7 +41,7 @@ def test_a_reduced_model_with_its_error(files, capsys):
     assert result["error"]["upper"] <= result["bound"] * (1 + 1e-5)
     gap = rl.load(k).K.dc_gain() - rl.load(out).dc_gain()
     assert abs(gap[0, 0]) <= result["error"]["upper"]
-    assert run(model.app, "reduce", k, "--tolerance", "0.01") == 0
+    assert run(model.app, "reduce", k, "--max-error", "0.01") == 0
     assert "verified upper bound" in capsys.readouterr().out
 
 

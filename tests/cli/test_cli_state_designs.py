@@ -38,29 +38,32 @@ def test_lqi_of_a_lag_in_closed_form(lag, capsys):
 
     A, B, Q, R = np.array([[-1.0, 0], [-1, 0]]), np.array([[1.0], [0]]), np.diag([3.0, 4.0]), np.array([[0.5]])
     X = solve_continuous_are(A, B, Q, R)
-    assert run(synth.app, "lqi", lag, "--integral", "y=4", "--state", "x=3", "--control", "u=0.5", "--json") == 0
+    assert (
+        run(synth.app, "lqi", lag, "--integral", "y=4", "--state-weight", "x=3", "--control-weight", "u=0.5", "--json")
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose([*found["K"][0], *found["K_i"][0]], (B.T @ X)[0] / 0.5, rtol=1e-9)
 
 
 def test_lqr_of_a_lag_in_closed_form(lag, capsys):
     # K = -1 + sqrt(1 + q / r)
-    assert run(synth.app, "lqr", lag, "--state", "x=3", "--out", "k.h5", "--json") == 0
+    assert run(synth.app, "lqr", lag, "--state-weight", "x=3", "--out", "k.h5", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["command"] == "synth lqr"
     np.testing.assert_allclose(found["K"], [[1.0]], rtol=1e-12)
     kept = rl.load("k.h5").K
     assert (kept.input_names, kept.output_names) == (("x",), ("u",))
     np.testing.assert_allclose(kept.D, [[-1.0]], rtol=1e-12)  # u = K x, as every controller
-    assert run(synth.app, "lqr", lag, "--state", "x=2", "--control", "u=0.25", "--json") == 0
+    assert run(synth.app, "lqr", lag, "--state-weight", "x=2", "--control-weight", "u=0.25", "--json") == 0
     np.testing.assert_allclose(json.loads(capsys.readouterr().out)["K"], [[2.0]], rtol=1e-12)
 
 
 def test_kalman_of_a_lag_in_closed_form(lag, capsys):
     # -2 P + w - P^2 / v = 0; the noise on u enters through B = 1, so it is noise on x as well.
     for noise in (["x=3"], ["u=3"], ["u=1", "x=2"]):
-        options = [word for text in noise for word in ("--process", text)]
-        assert run(synth.app, "kalman", lag, *options, "--measurement", "y=1", "--out", "f.h5", "--json") == 0
+        options = [word for text in noise for word in ("--process-noise", text)]
+        assert run(synth.app, "kalman", lag, *options, "--measurement-noise", "y=1", "--out", "f.h5", "--json") == 0
         found = json.loads(capsys.readouterr().out)
         np.testing.assert_allclose(found["L"], [[1.0]], rtol=1e-9)
         np.testing.assert_allclose(found["P"], [[1.0]], rtol=1e-9)
@@ -70,17 +73,17 @@ def test_kalman_of_a_lag_in_closed_form(lag, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["lqr"], 2, "no state, expected --state"),
-        (["lqr", "--state", "q=1"], 3, "weight on state 'q': no such signal"),
-        (["lqr", "--state", "x=1", "--control", "u=0"], 3, "control u costs nothing"),
+        (["lqr"], 2, "no state, expected --state-weight"),
+        (["lqr", "--state-weight", "q=1"], 3, "weight on state 'q': no such signal"),
+        (["lqr", "--state-weight", "x=1", "--control-weight", "u=0"], 3, "control u costs nothing"),
         (["lqi"], 2, "no output, expected --integral"),
         (["lqi", "--integral", "y"], 2, "NAME=VALUE"),
         (["lqi", "--integral", "z=1"], 3, "no such signal"),
-        (["lqi", "--integral", "y=1", "--control", "v=1"], 3, "weight on control 'v': no such signal"),
-        (["lqi", "--integral", "y=1", "--state", "x=-1"], 3, "not negative"),
-        (["lqi", "--integral", "y=1", "--control", "u=0"], 3, "control u costs nothing"),
-        (["kalman", "--process", "x=1"], 3, "measurement"),
-        (["kalman", "--process", "q=1", "--measurement", "y=1"], 3, "one of x, u"),
+        (["lqi", "--integral", "y=1", "--control-weight", "v=1"], 3, "weight on control 'v': no such signal"),
+        (["lqi", "--integral", "y=1", "--state-weight", "x=-1"], 3, "not negative"),
+        (["lqi", "--integral", "y=1", "--control-weight", "u=0"], 3, "control u costs nothing"),
+        (["kalman", "--process-noise", "x=1"], 3, "measurement"),
+        (["kalman", "--process-noise", "q=1", "--measurement-noise", "y=1"], 3, "one of x, u"),
     ],
 )
 def test_what_is_missing_is_named(lag, capsys, arguments, code, message):

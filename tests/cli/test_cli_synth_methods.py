@@ -54,7 +54,7 @@ def loop_of(path, out):
 def test_h2_of_a_scalar_plant_is_the_lqg_value(lag, tmp_path, capsys):
     """X = Y = 1 + sqrt 2; the H2 norm squared is tr(B1' X B1) + tr(F Y F') with F = X."""
     out = tmp_path / "k.h5"
-    named = ["--measurements", "y", "--controls", "u", "--performance", "z,effort"]
+    named = ["--measurements", "y", "--controls", "u", "--performance-outputs", "z,effort"]
     assert run("h2", lag, *named, "--out", out, "--json", "--verbose") == 0
     captured = capsys.readouterr()
     found = json.loads(captured.out)
@@ -92,7 +92,16 @@ def test_fixed_static_gain_of_an_unstable_lag_is_the_lqr_gain(tmp_path, capsys):
 
 def test_dk_takes_the_blocks_of_the_uncertain_file_and_its_bound_holds(uncertain, tmp_path, capsys):
     out = tmp_path / "k.h5"
-    arguments = ["--measurements", "y", "--controls", "u", "--performance", "z,effort", "--disturbances", "w,n"]
+    arguments = [
+        "--measurements",
+        "y",
+        "--controls",
+        "u",
+        "--performance-outputs",
+        "z,effort",
+        "--disturbance-inputs",
+        "w,n",
+    ]
     arguments += ["--effort", "0.1", "--figure", str(tmp_path / "d.svg")]
     assert run("dk", uncertain, *arguments, "--out", out, "--json") == 0
     captured = capsys.readouterr()
@@ -163,8 +172,8 @@ def test_text_says_why_it_stopped_and_what_limits(lag, capsys):
         (["ncf", "P", "--w1", "nowhere.h5"], 3, "nowhere.h5"),
         (["ncf", "P", "--outputs", "yy"], 3, "did you mean"),
         (["h2", "P", "--n-meas", "1", "--n-con", "1", "--out", "nowhere/k.h5"], 5, "no such folder"),
-        (["h2", "P", "--n-meas", "1", "--n-con", "1", "--performance", "z"], 2, "by name, too"),
-        (["h2", "P", "--measurements", "y", "--controls", "u", "--performance", "zz"], 3, "did you mean z"),
+        (["h2", "P", "--n-meas", "1", "--n-con", "1", "--performance-outputs", "z"], 2, "by name, too"),
+        (["h2", "P", "--measurements", "y", "--controls", "u", "--performance-outputs", "zz"], 3, "did you mean z"),
     ],
 )
 def test_wrong_calls(lag, capsys, arguments, code, text):

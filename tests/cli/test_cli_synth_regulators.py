@@ -44,7 +44,7 @@ def test_lqg_with_a_constant_disturbance(lag, tmp_path, capsys):
     assert K.n_states == 3
     same = rl.lqg(LAG, np.diag([1.0, 2.0]), [[0.5]], np.eye(2), np.eye(1), disturbance="constant")
     assert found["gamma"] == pytest.approx(same.gamma, rel=1e-9)
-    assert run("lqg", lag, "--disturbance", "2.0", "--at", "output") == 0
+    assert run("lqg", lag, "--disturbance", "2.0", "--disturbance-at", "output") == 0
     assert "left at 2 rad/s" in capsys.readouterr().out
 
 
@@ -53,7 +53,7 @@ def test_lqg_with_a_constant_disturbance(lag, tmp_path, capsys):
     [
         (["--q", "1,2,3"], 2, "--q: 3 numbers"),
         (["--q", "x"], 2, "'x'"),
-        (["--at", "middle"], 2, "middle"),
+        (["--disturbance-at", "middle"], 2, "middle"),
         (["--r", "0"], 3, "costs nothing"),
         (["--disturbance", "-2"], 3, "frequency -2"),
         (["--disturbance", "nowhere.h5"], 3, "nowhere.h5"),
@@ -121,7 +121,16 @@ def test_dk_with_a_structure(tmp_path, monkeypatch, capsys):
     )  # fmt: skip
     path = tmp_path / "uncertain.h5"
     rl.save(path, rl.UncertainModel(M, [rl.ComplexScalar("gain")]))
-    named = ["--measurements", "y", "--controls", "u", "--disturbances", "w,n", "--performance", "z,effort"]
+    named = [
+        "--measurements",
+        "y",
+        "--controls",
+        "u",
+        "--disturbance-inputs",
+        "w,n",
+        "--performance-outputs",
+        "z,effort",
+    ]
     assert run("dk", path, *named, "--structure", "pi", "--starts", "1", "--out", tmp_path / "k.h5", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["status"] == "certified"
@@ -140,7 +149,7 @@ def test_dk_with_a_structure(tmp_path, monkeypatch, capsys):
 def test_tune_with_goals(lag, tmp_path, monkeypatch, capsys):
     out = tmp_path / "k.h5"
     given = ["--structure", "pi", "--starts", "1", "--goal", "tracking:response_time=1,error=0.02,outputs=y"]
-    given += ["--hard", "margin:disk=0.8,at=input", "--limit", "damping=0.5"]
+    given += ["--hard", "margin:disk=0.8,at=input", "--pole-limit", "damping=0.5"]
     assert run("tune", lag, lag, *given, "--out", out, "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["status"] == "certified"
@@ -168,8 +177,8 @@ def test_a_hard_goal_out_of_reach_is_no_success(tmp_path, capsys):
     [
         (["--goal", "traking:response_time=1"], 3, "did you mean"),
         (["--goal", "tracking:fast"], 2, "key=value"),
-        (["--limit", "damp=1"], 2, "damping"),
-        (["--limit", "damping=1"], 3, "at least one goal"),
+        (["--pole-limit", "damp=1"], 2, "damping"),
+        (["--pole-limit", "damping=1"], 3, "at least one goal"),
     ],
 )
 def test_wrong_goals_are_said(lag, capsys, options, code, text):

@@ -203,7 +203,20 @@ def test_show_of_another_kind(files, capsys):
 
 
 def test_sample_the_motor(motor, capsys, tmp_path):
-    arguments = ["sample", motor, "-n", "20", "--seed", "1", "--vertices", "all", "--input", "u=42", "--t-end", "0.1"]
+    arguments = [
+        "sample",
+        motor,
+        "-n",
+        "20",
+        "--seed",
+        "1",
+        "--vertices",
+        "all",
+        "--input-value",
+        "u=42",
+        "--t-end",
+        "0.1",
+    ]
     code, text, err = call(capsys, *arguments)
     assert (code, err) == (0, "")
     row = next(line for line in text.splitlines() if line.startswith("omega")).split()
@@ -231,7 +244,7 @@ def test_unstable_samples_are_noted(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("options", "code"),
-    [(("--vertices", "some"), 2), (("-n", "0"), 3), (("--t-end", "-1"), 2), (("--input", "v=1"), 3)],
+    [(("--vertices", "some"), 2), (("-n", "0"), 3), (("--t-end", "-1"), 2), (("--input-value", "v=1"), 3)],
 )
 def test_sample_refuses(motor, options, code, capsys):
     found, out, err = call(capsys, "sample", motor, *options)

@@ -27,7 +27,7 @@ def motor(tmp_path_factory):
 
 
 def test_peak_deviation(motor, capsys):
-    code, text, err = call(capsys, motor, "--output", "omega", "--input", "u=42", "--t-end", "0.1")
+    code, text, err = call(capsys, motor, "--outputs", "omega", "--input-value", "u=42", "--t-end", "0.1")
     assert (code, err) == (0, "")
     assert text.startswith("peak-deviation: 9.78578")
     assert "lower bound" in text
@@ -36,7 +36,7 @@ def test_peak_deviation(motor, capsys):
 
 def test_json_and_file(motor, tmp_path, capsys):
     out = str(tmp_path / "worst.h5")
-    code, text, _ = call(capsys, motor, "--metric", "hinf", "--output", "omega", "--json", "--out", out)
+    code, text, _ = call(capsys, motor, "--metric", "hinf", "--outputs", "omega", "--json", "--out", out)
     data = json.loads(text)
     assert code == 0
     assert (data["status"], data["delta"]) == ("converged", {"Kf": -1.0})
@@ -50,7 +50,7 @@ def test_json_and_file(motor, tmp_path, capsys):
     [
         ((), 2, "3 outputs and none named"),
         (("--metric", "peek-deviation"), 2, "did you mean peak-deviation?"),
-        (("--metric", "hinf", "--output", "speed"), 3, "no such signal"),
+        (("--metric", "hinf", "--outputs", "speed"), 3, "no such signal"),
         (("--metric", "hinf"), 4, "not asymptotically stable"),
     ],
 )
@@ -61,7 +61,7 @@ def test_refusals(motor, options, code, text, capsys):
 
 
 def test_time_limit_ends_in_four(motor, capsys):
-    code, text, _ = call(capsys, motor, "--metric", "hinf", "--output", "omega", "--time-limit", "0")
+    code, text, _ = call(capsys, motor, "--metric", "hinf", "--outputs", "omega", "--time-limit", "0")
     assert code == 4
     assert "status: timeout" in text
     assert "not repeatable" in text
@@ -69,7 +69,7 @@ def test_time_limit_ends_in_four(motor, capsys):
 
 def test_probability_of_a_violation(motor, tmp_path, capsys):
     """9.3 rad/s of 9.7858: the slowest friction alone passes it, Kf below about -0.95 of its range."""
-    drive = ("--output", "omega", "--input", "u=42", "--t-end", "0.1", "--seed", "3")
+    drive = ("--outputs", "omega", "--input-value", "u=42", "--t-end", "0.1", "--seed", "3")
     out = str(tmp_path / "p.h5")
     folder = str(tmp_path / "figures")
     code, text, err = call(
@@ -93,7 +93,7 @@ def test_probability_of_a_violation(motor, tmp_path, capsys):
 @pytest.mark.parametrize("metric", ["rms", "settling-time", "h2", "damping", "controllability", "hankel"])
 def test_other_metrics(motor, metric, capsys):
     code, text, _ = call(
-        capsys, motor, "--metric", metric, "--output", "omega", "--from", "u", "--t-end", "0.1", "-n", "8"
+        capsys, motor, "--metric", metric, "--outputs", "omega", "--inputs", "u", "--t-end", "0.1", "-n", "8"
     )
     assert code == 0
     assert text.startswith(f"{metric}: ")
@@ -103,14 +103,14 @@ def test_other_metrics(motor, metric, capsys):
 @pytest.mark.parametrize(
     ("options", "code", "text"),
     [
-        (("--limit", "9 rad", "--output", "omega"), 3, "in rad, expected rad/s"),
-        (("--limit", "nan", "--output", "omega"), 3, "a finite number"),
-        (("--limit", "9", "--output", "omega", "-n", "0"), 3, "samples from 1"),
-        (("--probability", "0.1", "--output", "omega"), 2, "without --limit"),
-        (("--limit", "9", "--output", "omega", "--confidence", "95"), 3, "between 0 and 1"),
+        (("--limit", "9 rad", "--outputs", "omega"), 3, "in rad, expected rad/s"),
+        (("--limit", "nan", "--outputs", "omega"), 3, "a finite number"),
+        (("--limit", "9", "--outputs", "omega", "-n", "0"), 3, "samples from 1"),
+        (("--probability", "0.1", "--outputs", "omega"), 2, "without --limit"),
+        (("--limit", "9", "--outputs", "omega", "--confidence", "95"), 3, "between 0 and 1"),
     ],
 )
 def test_refusals_of_limits(motor, options, code, text, capsys):
-    found, out, err = call(capsys, motor, *options, "--input", "u=42", "--t-end", "0.1")
+    found, out, err = call(capsys, motor, *options, "--input-value", "u=42", "--t-end", "0.1")
     assert (found, out) == (code, "")
     assert text in err

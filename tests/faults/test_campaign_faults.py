@@ -79,7 +79,7 @@ def folder(tmp_path_factory, motor):
     return place
 
 
-TASK = ("--input", "u=42", "--t-end", "0.1", "--points", "51", "--workers", "1")
+TASK = ("--input-value", "u=42", "--t-end", "0.1", "--points", "51", "--workers", "1")
 
 
 def start(folder, *arguments, sabotage=""):

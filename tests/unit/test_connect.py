@@ -149,11 +149,11 @@ def test_files_are_connected_by_the_command(tmp_path):
         command = [sys.executable, "-m", "robustlab.cli.main", "model", "connect", plant, control_, *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=False)
 
-    done = run("--sum", "e = r - y", "--input", "r", "--output", "y", "--out", out)
+    done = run("--sum", "e = r - y", "--inputs", "r", "--outputs", "y", "--out", out)
     assert (done.returncode, done.stderr) == (0, "")
     member = rl.load(out).evaluate({"k": 1.0})
     assert (member.A[0, 0], member.B[0, 0]) == pytest.approx((-2 - 4.5, 4.5))
-    refused = run("--sum", "e = r - x", "--input", "r", "--output", "y")
+    refused = run("--sum", "e = r - x", "--inputs", "r", "--outputs", "y")
     assert refused.returncode == 3
     assert refused.stderr.splitlines()[0].endswith(
         "connect: sum 'e = r - x': input 'x': nobody feeds it, expected an output or a sum of this name, or it among "
