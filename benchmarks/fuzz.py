@@ -43,7 +43,8 @@ import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.errors import RobustlabError
 from robustlab.files.tree import Tree, content_sha256
-from robustlab.recipe.load import find_files, load_recipe
+from robustlab.recipe.check import look_through
+from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import read_result, write_report
 from robustlab.result import Result
 from robustlab.storage import interchange
@@ -99,7 +100,7 @@ def read_report(path: Path, isolate: bool) -> tuple[Any, bool]:
 def read_recipe(path: Path, isolate: bool) -> tuple[Any, bool]:
     """``robustlab recipe check``."""
     loaded = load_recipe(path, isolate=isolate)
-    find_files(loaded)
+    look_through(loaded)
     return loaded, False
 
 

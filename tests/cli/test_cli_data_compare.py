@@ -43,7 +43,7 @@ def test_plant_by_name_and_parameters(run, record_file):
 
 def test_text_figures_and_result_file(run, record_file, tmp_path):
     out_file, folder = tmp_path / "gap.h5", tmp_path / "figures"
-    code, out, err = run("compare", "servo-axis", record_file, "--figure", folder, "--out", out_file)
+    code, out, err = run("compare", "servo-axis", record_file, "--figure", f"{folder}/", "--out", out_file)
     assert code == 0
     assert "free run" in out
     assert "percent of the record's range" in out

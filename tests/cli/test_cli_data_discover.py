@@ -192,7 +192,7 @@ def test_the_updated_plant_is_kept(run, files, tmp_path, answer, real):
 
 def test_figures_alone(run, files, tmp_path, answer, real):
     answer(real)
-    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", tmp_path / "f")
+    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", f"{tmp_path}/f/")
     assert code == 0
     assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == [
         "force.png",

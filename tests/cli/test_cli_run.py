@@ -423,14 +423,15 @@ def test_a_new_recipe_checks_and_runs(recipe, capsys):
 
 
 def test_check_names_steps_and_files(recipe, capsys):
+    keys = "there are that, text, at_least, at_most, within, equals, contains, tolerance, unit"
     assert robustlab("recipe", "check", "small.toml", "--json") == 0
     assert json.loads(capsys.readouterr().out)["steps"][1] == ["set", "uncertain", ""]
     (recipe / "bad.toml").write_text(RECIPE + "x = 1\ny = 2\n")
     assert robustlab("recipe", "check", "bad.toml") == 3
     assert capsys.readouterr().err.splitlines()[:3] == [
         "error: bad.toml: 2 faults",
-        "  require.0.x: unknown key",
-        "  require.0.y: unknown key",
+        f"  require.0.x: unknown key; {keys}",
+        f"  require.0.y: unknown key; {keys}",
     ]
 
 

@@ -221,7 +221,7 @@ def test_sample_the_motor(motor, capsys, tmp_path):
     assert (code, err) == (0, "")
     row = next(line for line in text.splitlines() if line.startswith("omega")).split()
     assert [float(v) for v in row[2:5]] == pytest.approx([779.065, 769.519, 788.851], abs=1e-3)
-    code, text, _ = call(capsys, *arguments, "--json", "--figure", str(tmp_path / "figures"))
+    code, text, _ = call(capsys, *arguments, "--json", "--figure", f"{tmp_path}/figures/")
     data = json.loads(text)
     assert (data["status"], len(data["deltas"]), data["vertices"]) == ("converged", 22, 2)
     assert "sampled" in data["label"]

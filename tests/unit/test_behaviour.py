@@ -87,7 +87,7 @@ def test_a_loop_that_does_not_fit_is_refused():
     with pytest.raises(UnitMismatch):
         G.feedback(rl.tf([1], [1, 1], inputs=[("y", "rad")]))
     two = rl.tf([[[1]], [[2]]], [1, 1])
-    with pytest.raises(InputError, match="2 x 1 channels"):
+    with pytest.raises(InputError, match="for a plant of 2 x 1"):
         two.feedback()
     with pytest.raises(InputError, match="expected 1 x 2"):
         two.feedback(G)

@@ -326,7 +326,7 @@ def test_the_command_line(run, tmp_path):
     rl.save(path, cart_record()[0])
     code, out, _ = run("check", path, "--model", plant)
     assert (code, "fit for naming" in out) == (0, True)
-    files = ("--figure", tmp_path / "figures", "--out", tmp_path / "gap.h5")
+    files = ("--figure", f"{tmp_path}/figures/", "--out", tmp_path / "gap.h5")
     code, out, err = run("compare", plant, path, *files, "--json")
     assert code == 0, err
     result = json.loads(out)

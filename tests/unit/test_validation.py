@@ -197,7 +197,7 @@ def command(capsys, *arguments):
 
 def test_the_command(files, capsys):
     options = (files / "set.h5", files / "run.h5", "--noise", "y=0.1")
-    code, out, _ = command(capsys, *options, "--json", "--figure", files / "f", "--out", files / "v.h5")
+    code, out, _ = command(capsys, *options, "--json", "--figure", f"{files}/f/", "--out", files / "v.h5")
     result = json.loads(out)
     assert (code, result["command"], result["status"]) == (0, "data validate", "certified")
     assert result["upper"] == pytest.approx(0.4, rel=0.01)

@@ -11,8 +11,8 @@ from pathlib import Path
 # The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
 # named here come last.
 ORDER = (
-    "models", "delays", "covers", "worst_case", "robustness", "design", "scheduling", "digital", "control", "records",
-    "validation",
+    "models", "delays", "covers", "worst_case", "robustness", "design", "state_designs", "scheduling", "digital",
+    "control", "records", "validation",
 )  # fmt: skip
 
 _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
