@@ -91,7 +91,7 @@ def test_a_loop_that_does_not_fit_is_refused():
         two.feedback()
     with pytest.raises(InputError, match="expected 1 x 2"):
         two.feedback(G)
-    with pytest.raises(InputError, match="sign 2"):
+    with pytest.raises(InputError, match="sign: 2"):
         G.feedback(1.0, 2)
     with pytest.raises(InputError, match="well posed"):
         rl.tf([1, 1], [1, 2]).feedback(-1.0)

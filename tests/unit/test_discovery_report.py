@@ -527,7 +527,7 @@ def test_a_requirement_on_an_effect_that_was_not_named_is_not_met():
     mistyped = Requirement(text="t", that="naming.effects.coulomb-frction.Fc", at_least=0.0)
     found = judge(mistyped, {"naming": plain(numbers(d))}, {})
     assert (found.met, found.misstated) == (False, True)
-    assert "did you mean coulomb-friction" in found.reason
+    assert "did you mean coulomb-friction" in found.why_not
 
 
 def test_two_effects_of_a_kind_are_told_apart_by_their_place():
