@@ -211,6 +211,19 @@ def test_where_nothing_is_missing_nothing_is_told():
         assert "mean" not in found.summary().splitlines()[-1]
 
 
+def test_a_force_is_told_where_no_piece_moves_throughout_in_one_direction():
+    """It was said to be no mean that differs from zero."""
+    rng, t = np.random.default_rng(3), np.arange(5000) * 1e-3
+    f = 20.0 * np.sin(2 * np.pi * t) + 6.0 * np.sign(np.sin(2 * np.pi * 0.37 * t + 1))
+    x = integrated(lambda x, v: np.array([x[1], v + 2.0 - x[1] - 100.0 * x[0]]), [0.0, 0.0], f, 1e-3, 2)
+    signals = {"q": x[:, 0] + 8e-4 * rng.normal(size=5000), "v": x[:, 1] + 0.6 * rng.normal(size=5000)}
+    found = rl.compare(rl.plant("mass-spring-damper"), rl.Record(t, {"f": f}, signals, {}, "outside"))
+    mean, std = found.located[0].mean
+    assert abs(mean - 2.0) < 4 * std < 0.1
+    assert "mean +2 +- " in found.summary()
+    assert " over all pieces; too few pieces move throughout in one direction" in found.summary()
+
+
 def test_the_stated_errors_hold_the_truth():
     """Nominal parameters, noise alone: the force that hides is within three standard errors in nearly all records."""
     misses = 0

@@ -100,6 +100,11 @@ class Addition(Evidence):
         ratios = [max(self.left[k], n) / max(self.error[k], n) for k, n in self.noise.items()]
         return float(2.0 * np.log(np.maximum(ratios, 1e-300)).sum())
 
+    @property
+    def mean(self) -> tuple[float, float]:
+        """Mean of d over all pieces, whichever way they move, and its standard error; NaN where nothing is known."""
+        return _mean(self.value, self.std, np.ones(len(self.value), dtype=bool))
+
     def to_json(self) -> dict[str, Any]:
         """All fields and the shares."""
         return {**vars(self), "shares": self.shares, "explained_share": self.explained_share}

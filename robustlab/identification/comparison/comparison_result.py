@@ -528,13 +528,25 @@ def _shares(d: Addition) -> str:
 
 
 def _mean_addition(d: Addition) -> str:
-    """The mean additions with their standard errors, each where it is sure to differ from zero."""
+    """The mean additions with their standard errors, where it is sure to differ from zero; what lacks.
+
+    Where no piece moves throughout in one direction, the mean of all.
+    """
+    ways = (d.forward, d.forward_std, "moving forward"), (d.backward, d.backward_std, "backward")
+    sorted_ways = [way for way in ways if np.isfinite(way[1])]
     parts = [
         f"{mean:+.3g} +- {std:.2g} {d.unit}".rstrip() + f" {way}"
-        for mean, std, way in ((d.forward, d.forward_std, "moving forward"), (d.backward, d.backward_std, "backward"))
-        if np.isfinite(mean) and abs(mean) > SURE * std
+        for mean, std, way in sorted_ways or [(*d.mean, "over all pieces")]
+        if abs(mean) > SURE * std
     ]
-    return f"mean {', '.join(parts)}" if parts else "no mean that differs from zero"
+    text = f"mean {', '.join(parts)}" if parts else "no mean that differs from zero"
+    if d.speed is None:
+        return text
+    if not sorted_ways:
+        return f"{text}; too few pieces move throughout in one direction (a shorter window sorts them)"
+    moves = ("forward", d.forward_std, d.speed > 0), ("backward", d.backward_std, d.speed < 0)
+    lacking = [f"too few pieces move {way} throughout" for way, s, there in moves if there.any() and not np.isfinite(s)]
+    return "; ".join([text, *lacking])
 
 
 def _residual_lines(c: Comparison, name: str) -> list[str]:
