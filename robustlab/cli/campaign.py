@@ -164,9 +164,12 @@ def show(store: StoreArgument, bound: BoundOption = None, as_json: JsonOption = 
 
 
 @app.command()
+@grouped
 def replay(
+    *,
     store: StoreArgument,
     index: Annotated[int, typer.Argument(help="Number of the sample.", min=0)],
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Compute one sample again in this process, without time limit: what crashed or hung there does so here.
@@ -175,7 +178,8 @@ def replay(
     """
     from robustlab.campaign import replay_sample
 
-    found = replay_sample(store, index)
+    with progress.shown("campaign replay"):
+        found = replay_sample(store, index)
     lines = [
         f"sample {found.index}: {found.metric} {_valued(found.value, found.unit)}",
         f"in the store: {_valued(found.stored, found.unit) if not isnan(found.stored) else 'no value'}"

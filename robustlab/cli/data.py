@@ -191,6 +191,7 @@ def check(
     ] = None,
     settings: SettingsOption = None,
     options: RecordOptions,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Read a record and say what is in it and what is odd about it.
@@ -204,11 +205,13 @@ def check(
     if settings and not model:
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
     system = plant_or_model(model, settings or []) if model else None
-    if system is None:
-        record = options.read(file, options.inputs, tell=False)
-    else:
-        record = read_beside(system, options, file, tell=False)
-    found = check_record(record)
+    with progress.shown("data check"):
+        if system is None:
+            record = options.read(file, options.inputs, tell=False)
+        else:
+            record = read_beside(system, options, file, tell=False)
+        found = check_record(record)
+        fit = suitability(system, record) if system is not None else None
     clock_line = f"{record.n} samples, {record.duration:.6g} s, dt {record.dt:.6g} s, " + (
         "uniform" if record.is_uniform else "not uniform"
     )
@@ -217,7 +220,6 @@ def check(
     ]
     lines = [f"{record.name}: {clock_line}", table(rows, ("signal", "side", "unit", "least", "greatest", "rms"))]
     lines += [f"remark: {text}" for text in found.remarks]
-    fit = suitability(system, record) if system is not None else None
     if fit is None:
         emit("data check", found.to_json(), "\n".join(lines), as_json)
         return
@@ -233,14 +235,16 @@ def convert(
     source: Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="IN")],
     target: Annotated[str, typer.Argument(help="HDF5 file to write.", metavar="OUT")],
     options: RecordOptions,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Write a record as HDF5, format 1.
 
     Example: robustlab data convert run3.csv run3.h5 --inputs u --outputs q --unit q=rad
     """
-    record = options.read(source, options.inputs)
-    rl.save(target, record, _provenance("data convert", [source]))
+    with progress.shown("data convert"):
+        record = options.read(source, options.inputs)
+        rl.save(target, record, _provenance("data convert", [source]))
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
 
 

@@ -136,7 +136,6 @@ class QuietDesignOutput(DesignOutput):
     """The same of a design that needs no search."""
 
     verbose: bool = False
-    progress: str = "auto"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from robustlab.cli.console import emit, note, require_trust
 from robustlab.cli.margins import ControllerOptions
 from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import EffortOptions, OutputOptions, assignments, ends, grouped, load_model, names, put_once
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError
 
 app = typer.Typer(
@@ -67,6 +68,7 @@ def gain(
     effects: EffectOptions,
     order: OrderOption = 2,
     effort: EffortOptions,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Worst L2 gain, proved for blocks that are nonlinear, vary with time, or are uncertain.
@@ -77,21 +79,22 @@ def gain(
     from robustlab.iqc.nature import natures_in_words
 
     thing = rl.load(file)
-    if isinstance(thing, ExtendedPlant):
-        result: Any = _effects(thing, blocks, effects, order, effort)
-    else:
-        if effects != EffectOptions():
-            raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
-        known = [b.name for b in thing.blocks] if isinstance(thing, rl.UncertainModel) else []
-        given: dict[str, str] = {}
-        for text in blocks.nature or []:
-            put_once(given, "--nature", text, *_pair(text))
-        nature = natures_in_words(given, "--nature", known)
-        options = {"order": order, **vars(effort)}
-        if blocks.stability:
-            result = rl.iqc_stability(thing, nature, **options)
+    with progress.shown("iqc gain"):
+        if isinstance(thing, ExtendedPlant):
+            result: Any = _effects(thing, blocks, effects, order, effort)
         else:
-            result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
+            if effects != EffectOptions():
+                raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
+            known = [b.name for b in thing.blocks] if isinstance(thing, rl.UncertainModel) else []
+            given: dict[str, str] = {}
+            for text in blocks.nature or []:
+                put_once(given, "--nature", text, *_pair(text))
+            nature = natures_in_words(given, "--nature", known)
+            options = {"order": order, **vars(effort)}
+            if blocks.stability:
+                result = rl.iqc_stability(thing, nature, **options)
+            else:
+                result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
     output.finish("iqc gain", result, result.summary())
 
 
@@ -150,6 +153,7 @@ def anti_windup(
     code: Annotated[str | None, typer.Option(help="C file to write: the controller held, with its gain.")] = None,
     order: OrderOption = 2,
     effort: EffortOptions,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Static anti-windup gain of least proved L2 gain, beside back-calculation and none.
@@ -164,7 +168,8 @@ def anti_windup(
     pairs = [given.get(name, (-1.0, 1.0)) for name in K.output_names]
     if (code is None) != (dt is None):
         raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
-    result = rl.anti_windup(load_model(plant), K, pairs, reach, direct, order=order, **vars(effort))
+    with progress.shown("iqc anti-windup"):
+        result = rl.anti_windup(load_model(plant), K, pairs, reach, direct, order=order, **vars(effort))
     output.keep(result)
     text = result.summary()
     if code is not None and dt is not None:

@@ -65,12 +65,15 @@ class SchedulingOptions:
 
 @app.command()
 @grouped
-def build(*, file: FileArgument, scheduling: SchedulingOptions, output: OutputOptions) -> None:
+def build(
+    *, file: FileArgument, scheduling: SchedulingOptions, progress: ProgressOptions, output: OutputOptions
+) -> None:
     """LPV model of an uncertain one: its real parameters become measured ones; what it is between the points is proved.
 
     Example: robustlab lpv build spring.h5 --grid k=5 --rate k=0.5 --out lpv.h5
     """
-    found = scheduling.model(file)
+    with progress.shown("lpv build"):
+        found = scheduling.model(file)
     rows = [*found.facts(), *output.keep_made("lpv build", found, [file])]
     emit("lpv build", found.to_json(), table(rows), output.as_json)
 

@@ -14,6 +14,7 @@ from robustlab.cli.console import table
 from robustlab.cli.members import delta_value, stands_for
 from robustlab.cli.offers import one_of
 from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, frequencies, grouped, load_model
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
@@ -107,6 +108,7 @@ def margins(
     effort: EffortOptions,
     seed: SeedOption = 0,
     transpose: TransposeOption = False,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
@@ -130,33 +132,34 @@ def margins(
     thing, sign = closed.plant, closed.sign
     k = None if closed.K is None else silenced(closed.K, "model margins")
     options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
-    if loop.frequency is not None or isinstance(thing, rl.UncertainFrequencyData):
-        if loop.classical:
-            raise UsageError("--frequency", "with --classical", "the disk margin")
-        points = None if loop.frequency is None else frequencies("--frequency", loop.frequency)
-        result: Any = rl.disk_margin_at(thing, k, points, **options)
-        text = result.summary()
-    elif loop.classical:
-        if isinstance(thing, rl.UncertainModel):
-            expected, hint = "one model", "leave --classical out for its disk margin"
-            raise UsageError("--classical", "an uncertain plant", expected, hint)
-        of_loop = rl.delay_classical_margins if late else rl.classical_margins
-        result = of_loop(thing, k, at=options["at"], sign=sign)
-        text = _classical_text(result)
-    elif late and (options["at"] != "output" or thing.n_outputs > 1):
-        result = rl.delay_disk_margins(thing, k, **options)
-        text = _text(result)
-    elif late:
-        result = rl.delay_disk_margin(
-            thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort
-        )
-        text = result.summary()
-    elif isinstance(thing, rl.UncertainModel):
-        result = rl.worst_case_disk_margin(thing, k, **options, **vars(effort))
-        text = _worst_text(result)
-    else:
-        result = rl.disk_margin(thing, k, **options, **vars(effort))
-        text = _text(result)
+    with progress.shown("model margins"):
+        if loop.frequency is not None or isinstance(thing, rl.UncertainFrequencyData):
+            if loop.classical:
+                raise UsageError("--frequency", "with --classical", "the disk margin")
+            points = None if loop.frequency is None else frequencies("--frequency", loop.frequency)
+            result: Any = rl.disk_margin_at(thing, k, points, **options)
+            text = result.summary()
+        elif loop.classical:
+            if isinstance(thing, rl.UncertainModel):
+                expected, hint = "one model", "leave --classical out for its disk margin"
+                raise UsageError("--classical", "an uncertain plant", expected, hint)
+            of_loop = rl.delay_classical_margins if late else rl.classical_margins
+            result = of_loop(thing, k, at=options["at"], sign=sign)
+            text = _classical_text(result)
+        elif late and (options["at"] != "output" or thing.n_outputs > 1):
+            result = rl.delay_disk_margins(thing, k, **options)
+            text = _text(result)
+        elif late:
+            result = rl.delay_disk_margin(
+                thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort
+            )
+            text = result.summary()
+        elif isinstance(thing, rl.UncertainModel):
+            result = rl.worst_case_disk_margin(thing, k, **options, **vars(effort))
+            text = _worst_text(result)
+        else:
+            result = rl.disk_margin(thing, k, **options, **vars(effort))
+            text = _text(result)
     result = replace(result, loop=closed.said)
     where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
     kind, skew = ("classical", "") if loop.classical else ("disk", f", skew {loop.skew:g}")
@@ -252,13 +255,15 @@ def gap(
     first: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="A")],
     second: Annotated[str, typer.Argument(help="The other file.", metavar="B")],
     transpose: TransposeOption = False,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Distance of two models as feedback sees it, gap and nu-gap metric: 0 equal, 1 nothing in common.
 
     Example: robustlab model gap before.h5 after.h5
     """
-    result = rl.gap(*(load_model(path, transpose) for path in (first, second)))
+    with progress.shown("model gap"):
+        result = rl.gap(*(load_model(path, transpose) for path in (first, second)))
     output.finish("model gap", result, _gap_text(result))
 
 

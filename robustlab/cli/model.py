@@ -28,6 +28,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import frequency_response, plot_model
+from robustlab.cli.progress import ProgressOptions
 from robustlab.cli.timing import d2c, d2d, delay_model, discretise, stability_lines
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
@@ -146,7 +147,7 @@ def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fals
 
 @app.command()
 @grouped
-def check(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
+def check(*, file: FileArgument, options: ReadOptions, progress: ProgressOptions, as_json: JsonOption = False) -> None:
     """Check a file and the model in it: poles, stability, controllability, observability.
 
     Of a model with exact delays: whether it is stable, proved for all frequencies, or refuted by a root.
@@ -156,15 +157,19 @@ def check(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fal
     """
     loaded = options.read(file)
     if isinstance(loaded.object, rl.DelayedModel):
-        told, found = stability_lines(loaded.object)
+        with progress.shown("model check"):
+            told, found = stability_lines(loaded.object)
         head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
         text = "\n".join([f"{file}: {_kind_line(loaded)}", *told])
         emit("model check", {**head, "stability": found}, text, as_json)
         require_trust(found.status)
         return
     lines, result, doubtful = [f"{file}: {_kind_line(loaded)}"], {}, False
-    for name, model in _models(loaded):
-        tests = [rl.controllability(model), rl.observability(model)]
+    with progress.shown("model check"):
+        tested = [
+            (name, model, [rl.controllability(model), rl.observability(model)]) for name, model in _models(loaded)
+        ]
+    for name, model, tests in tested:
         doubtful = doubtful or not all(test.status.trustworthy for test in tests)
         lines += [f"{name}{model!r}", f"  {_stability(model)}"]
         lines += [f"  pole {_complex(pole)}" for pole in sorted(model.poles(), key=lambda p: (-p.real, p.imag))]
@@ -266,6 +271,7 @@ def norm(
     kind: Annotated[str, typer.Option(help="hinf, linf, h2 or passivity.", autocompletion=one_of(*NORMS))] = "hinf",
     band: BandOption = None,
     options: ReadOptions,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """A norm of a model with its evidence: peak gain (hinf; linf of unstable models), white noise (h2), passivity.
@@ -283,7 +289,8 @@ def norm(
     if kind not in functions:
         raise UsageError(f"--kind {kind}", "no such norm", ", ".join(NORMS), did_you_mean(kind, NORMS))
     loaded = options.read(file)
-    found = [(name, functions[kind](model)) for name, model in _models(loaded)]
+    with progress.shown("model norm"):
+        found = [(name, functions[kind](model)) for name, model in _models(loaded)]
     text = "\n".join(f"{name}{value.summary()}" for name, value in found)
     result = {name.rstrip(": ") or "model": value for name, value in found}
     emit("model norm", {"file": file, "kind": kind, **result}, text, as_json)
@@ -293,14 +300,15 @@ def norm(
 
 @app.command()
 @grouped
-def zeros(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
+def zeros(*, file: FileArgument, options: ReadOptions, progress: ProgressOptions, as_json: JsonOption = False) -> None:
     """Finite invariant zeros of a model with their kinds: transmission zeros, and modes that are hidden.
 
     Exit code 4: rounding of the entries decides where a zero is, or there are more than 200 states.
 
     Example: robustlab model zeros motor.h5
     """
-    found = [(name, rl.zeros(model)) for name, model in _models(options.read(file))]
+    with progress.shown("model zeros"):
+        found = [(name, rl.zeros(model)) for name, model in _models(options.read(file))]
     text = "\n".join(
         f"{name}{value.summary()}" + "".join(
             f"\n  zero {_complex(z)}  {kind}" for z, kind in zip(value.values, value.kinds, strict=True)
@@ -374,6 +382,7 @@ def reduce(
     order: Annotated[int | None, typer.Option(help="States of the result.")] = None,
     max_error: Annotated[float | None, typer.Option(help="In place of --order: largest error, as it is told.")] = None,
     how: ReductionOptions,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """A model of lower order, with its certified error beside what theory promises.
@@ -383,7 +392,8 @@ def reduce(
 
     Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
     """
-    found = rl.reduce_model(load_model(file), order, tolerance=max_error, **how.arguments())
+    with progress.shown("model reduce"):
+        found = rl.reduce_model(load_model(file), order, tolerance=max_error, **how.arguments())
     files = [f for f in (file, how.input_weight, how.output_weight) if f is not None]
     output.finish_made("model reduce", found, found.model, files)
 

@@ -134,7 +134,9 @@ def mu(
     uncertain, closed, head = _uncertain(file, loop, question.inputs, question.outputs)
     if question.frequency is not None or isinstance(uncertain, rl.UncertainFrequencyData):
         question.check_at(voices, shown)
-        _at_frequencies(uncertain, question, shown, seed, output, closed, head)
+        with progress.shown("mu"):
+            found = _at_frequencies(uncertain, question, shown, seed)
+        output.finish("mu", found, f"{head}{_at_text(found)}", **closed)
         return
     with progress.shown("mu"):
         if question.gain:
@@ -145,38 +147,39 @@ def mu(
             result, text = _robust_gain(uncertain, question.level, options, shown)
         else:
             result, text = _margin(uncertain, question.performance, options, shown)
-    text, more, trusted = f"{head}{text}", dict(closed), True
-    if voices.certify:
-        from robustlab.mu_analysis.axis.margin import margin_in_balls
+        text, more, trusted = f"{head}{text}", dict(closed), True
+        if voices.certify:
+            from robustlab.mu_analysis.axis.margin import margin_in_balls
 
-        balls = margin_in_balls(uncertain, cast("Margin", result))
-        text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"
-        more["balls"], trusted = balls, balls.proved == balls.tried
-    if voices.cross_check:
-        from robustlab.mu_analysis.cross_check import cross_check
+            balls = margin_in_balls(uncertain, cast("Margin", result))
+            text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"
+            more["balls"], trusted = balls, balls.proved == balls.tried
+        if voices.cross_check:
+            from robustlab.mu_analysis.cross_check import cross_check
 
-        check = cross_check(uncertain, cast("Margin | WorstCaseGain", result))
-        text += f"\nSLICOT: {check.said}"
-        more["cross_check"], trusted = check, trusted and check.status.trustworthy
+            check = cross_check(uncertain, cast("Margin | WorstCaseGain", result))
+            text += f"\nSLICOT: {check.said}"
+            more["cross_check"], trusted = check, trusted and check.status.trustworthy
     output.finish("mu", result, text, **more)
     if not trusted:
         raise typer.Exit(4)
 
 
-def _at_frequencies(
-    uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int, output: Any, closed: Any, head: str
-) -> None:
-    """Margin or gain at frequencies, and where it holds."""
+def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int) -> Any:
+    """Margin or gain at frequencies; drawn where a figure is asked for."""
     points = None if question.frequency is None else frequencies("--frequency", question.frequency)
     found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import bounds_at
 
         save_drawing(bounds_at(found), shown.figure)
+    return found
+
+
+def _at_text(found: Any) -> str:
     bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
     rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
-    text = f"{head}{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
-    output.finish("mu", found, text, **closed)
+    return f"{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
 
 
 def _uncertain(

@@ -23,6 +23,7 @@ from robustlab.cli.options import (
     numbers,
 )
 from robustlab.cli.plant import plant_or_model
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ CHANNELS = 4  # inputs or outputs in one figure
 FigureOption = Annotated[str | None, typer.Option("--figure", "-o", help=f"{FIGURE}  [default: out/FILE-KIND]")]
 
 
+@grouped
 def plot_model(
+    *,
     file: Annotated[
         str,
         typer.Argument(
@@ -48,6 +51,7 @@ def plot_model(
     n: Annotated[int, typer.Option("-n", "--samples", help="Members of an uncertain model that are drawn.")] = 30,
     seed: SeedOption = 0,
     figure: FigureOption = None,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Draw a model: frequency response, step response, singular values, or poles and zeros.
@@ -63,8 +67,9 @@ def plot_model(
         )
     from robustlab.report import model_figures
 
-    drawn: Figure = getattr(model_figures, KINDS[kind])(_channels(_model(file), inputs, outputs), n=n, seed=seed)
-    files = _write(drawn, figure, file, kind)
+    with progress.shown("model plot"):
+        drawn: Figure = getattr(model_figures, KINDS[kind])(_channels(_model(file), inputs, outputs), n=n, seed=seed)
+        files = _write(drawn, figure, file, kind)
     emit("model plot", {"model": file, "kind": kind, "files": files}, "\n".join(files), as_json)
 
 
@@ -82,6 +87,7 @@ def frequency_response(
     frequency: Annotated[str | None, typer.Option(help="Of a model: rad/s, 1,10. A table has its own.")] = None,
     options: TableOptions,
     figure: Annotated[str | None, typer.Option(help=FIGURE)] = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """Frequency response of a model, or a measured one from a table; --out writes frequency data, for mu and margins.
@@ -105,7 +111,8 @@ def frequency_response(
     if measured != (frequency is None):
         expected = f"none: {file} has its own" if measured else "--frequency 1,10 in rad/s, for a model"
         raise UsageError("model response", f"frequency {frequency}" if measured else "no frequencies", expected)
-    found = given if frequency is None else rl.frequency_data(given, numbers("--frequency", frequency))
+    with progress.shown("model response"):
+        found = given if frequency is None else rl.frequency_data(given, numbers("--frequency", frequency))
     if figure is not None:
         from robustlab.report.result_figures import measured_response_figure
 
@@ -128,6 +135,7 @@ def plot_record(
     file: Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="FILE")],
     options: RecordOptions,
     figure: FigureOption = None,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Draw the signals of a record over time, inputs first; of many the first eight, --outputs takes others.
@@ -136,8 +144,9 @@ def plot_record(
     """
     from robustlab.report.result_figures import record_figure
 
-    record = options.read(file, options.inputs)
-    files = _write(record_figure(record), figure, file, "record")
+    with progress.shown("data plot"):
+        record = options.read(file, options.inputs)
+        files = _write(record_figure(record), figure, file, "record")
     emit("data plot", {"record": file, "files": files}, "\n".join(files), as_json)
 
 

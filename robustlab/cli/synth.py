@@ -66,7 +66,12 @@ MeasurementOption = Annotated[
 
 @grouped
 def lqr(
-    *, file: ModelArgument, state: StateOption = None, control: ControlOption = None, output: OutputOptions
+    *,
+    file: ModelArgument,
+    state: StateOption = None,
+    control: ControlOption = None,
+    progress: ProgressOptions,
+    output: OutputOptions,
 ) -> None:
     """State feedback u = -K x of least quadratic cost; all states are measured. --out writes K, to close with x.
 
@@ -83,7 +88,9 @@ def lqr(
             "synth lqr", "no state", "--state-weight NAME=VALUE: which state is to be small, and its weight"
         )
     model = load_model(file)
-    found = rl.lqr(model, *integral_weights(model, {}, weights, assignments("--control-weight", control)))
+    Q, R = integral_weights(model, {}, weights, assignments("--control-weight", control))
+    with progress.shown("synth lqr"):
+        found = rl.lqr(model, Q, R)
     output.finish_made("synth lqr", found, gain_controller(model, found), [file])
 
 
@@ -94,6 +101,7 @@ def lqi(
     integral: IntegralOption = None,
     state: StateOption = None,
     control: ControlOption = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """State feedback with integral action: outputs follow constant references without error; the loop is rebuilt.
@@ -111,13 +119,19 @@ def lqi(
     Q, R = integral_weights(
         model, followed, assignments("--state-weight", state), assignments("--control-weight", control)
     )
-    found = rl.lqi(model, Q, R, outputs=list(followed))
+    with progress.shown("synth lqi"):
+        found = rl.lqi(model, Q, R, outputs=list(followed))
     output.finish_made("synth lqi", found, found.controller, [file])
 
 
 @grouped
 def kalman(
-    *, file: ModelArgument, process: ProcessOption = None, measurement: MeasurementOption = None, output: OutputOptions
+    *,
+    file: ModelArgument,
+    process: ProcessOption = None,
+    measurement: MeasurementOption = None,
+    progress: ProgressOptions,
+    output: OutputOptions,
 ) -> None:
     """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
 
@@ -130,7 +144,8 @@ def kalman(
     model = load_model(file)
     W = process_noise(model, assignments("--process-noise", process), "--process-noise")
     V = diagonal_weight(assignments("--measurement-noise", measurement), model.output_names, "--measurement-noise")
-    found = rl.kalman(model, W, V)
+    with progress.shown("synth kalman"):
+        found = rl.kalman(model, W, V)
     output.finish_made("synth kalman", found, found.estimator, [file])
 
 
@@ -233,10 +248,13 @@ def ncf(
     model = signals.model(file)
     weights = [None if text is None else number_or_model(text) for text in (w1, w2)]
     if reference_model is None:
-        output.finish("synth ncf", rl.ncf(model, *weights, factor=factor), file)
+        with output.shown("synth ncf"):
+            found = rl.ncf(model, *weights, factor=factor)
+        output.finish("synth ncf", found, file)
         return
     wanted, outputs = number_or_model(reference_model), None if follow is None else names(follow)
-    found = rl.ncf(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
+    with output.shown("synth ncf"):
+        found = rl.ncf(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
     output.finish("synth ncf", found, file)
 
 
@@ -251,7 +269,9 @@ def lqg(*, file: FileArgument, signals: SignalOptions, weights: GaussianOptions,
     Example: robustlab synth lqg motor.h5 --outputs omega --q 1 --r 0.1 --disturbance constant --out controller.h5
     """
     output.check()
-    output.finish("synth lqg", weights.design(signals.model(file)), file)
+    with output.shown("synth lqg"):
+        found = weights.design(signals.model(file))
+    output.finish("synth lqg", found, file)
 
 
 @app.command()

@@ -11,6 +11,7 @@ from robustlab.cli.console import emit, note, table
 from robustlab.cli.offers import FORMULAS, one_of
 from robustlab.cli.options import DtOption, OutputOptions, PrewarpOption, assignments, ends, grouped, load_model
 from robustlab.cli.plant import made_of, plant_or_model
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def discretise(
         typer.Option(help="tustin, tustin-prewarp, zoh, foh, impulse or matched.", autocompletion=one_of(*FORMULAS)),
     ] = "tustin",
     prewarp: PrewarpOption = None,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """A discrete model of a continuous one, by formula.
@@ -48,8 +50,9 @@ def discretise(
     late = isinstance(loaded, rl.DelayedModel)
     model: Any = loaded if late else as_model(loaded, file)
     method_given: Any = method
-    found = rl.discretise(model, dt, method_given, prewarp=prewarp)
-    merged = merged_modes(model.H if late else model, dt)
+    with progress.shown("model discretise"):
+        found = rl.discretise(model, dt, method_given, prewarp=prewarp)
+        merged = merged_modes(model.H if late else model, dt)
     for pair in merged:
         note(f"warning: {file}: {pair}")
     rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]
@@ -57,7 +60,9 @@ def discretise(
 
 
 @grouped
-def d2c(*, file: StoredModelArgument, method: HoldOption = "zoh", output: OutputOptions) -> None:
+def d2c(
+    *, file: StoredModelArgument, method: HoldOption = "zoh", progress: ProgressOptions, output: OutputOptions
+) -> None:
     """A continuous model of a discrete one, with the error with which discretising gives it back.
 
     Exit code 4: there is none (a pole on the negative real axis), or digits were lost.
@@ -65,12 +70,20 @@ def d2c(*, file: StoredModelArgument, method: HoldOption = "zoh", output: Output
     Example: robustlab model d2c sampled.h5 --out plant.h5
     """
     method_given: Any = method
-    found = rl.d2c(load_model(file), method_given)
+    with progress.shown("model d2c"):
+        found = rl.d2c(load_model(file), method_given)
     output.finish_made("model d2c", found, found.model, [file])
 
 
 @grouped
-def d2d(*, file: StoredModelArgument, dt: DtOption, method: HoldOption = "zoh", output: OutputOptions) -> None:
+def d2d(
+    *,
+    file: StoredModelArgument,
+    dt: DtOption,
+    method: HoldOption = "zoh",
+    progress: ProgressOptions,
+    output: OutputOptions,
+) -> None:
     """A discrete model with another sample time; a whole multiple needs no continuous model on the way.
 
     Exit code 4: there is none, or digits were lost.
@@ -78,7 +91,8 @@ def d2d(*, file: StoredModelArgument, dt: DtOption, method: HoldOption = "zoh", 
     Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
     """
     method_given: Any = method
-    found = rl.d2d(load_model(file), dt, method_given)
+    with progress.shown("model d2d"):
+        found = rl.d2d(load_model(file), dt, method_given)
     output.finish_made("model d2d", found, found.model, [file])
 
 
@@ -132,6 +146,7 @@ def cover_delays(
     ] = None,
     pade: PadeOption = 3,
     weight_order: Annotated[int, typer.Option(help="Order of the weight of their error.")] = 3,
+    progress: ProgressOptions,
     output: OutputOptions,
 ) -> None:
     """A set that holds the model with its exact delays: rational ones, and blocks for what these miss at any frequency.
@@ -147,7 +162,8 @@ def cover_delays(
         whole = [text for text in texts or [] if ":" not in text.rpartition("=")[2]]
         ranged = [text for text in texts or [] if text not in whole]
         sides.append({**assignments(option, whole, units), **ends(option, ranged, units)})
-    found = rl.uncertain_delays(model, *sides, order=pade, weight_order=weight_order)
+    with progress.shown("uncertain delays"):
+        found = rl.uncertain_delays(model, *sides, order=pade, weight_order=weight_order)
     rows = [
         ("set", repr(found)),
         *((block.name, block.origin) for block in found.blocks),

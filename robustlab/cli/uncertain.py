@@ -405,6 +405,7 @@ def sample(
     vertices: Annotated[str, typer.Option(help="Vertices to add: a number, or all.")] = "0",
     response: ResponseOptions,
     figure: Annotated[str | None, typer.Option(help=f"The envelope. {FIGURE}")] = None,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
@@ -417,8 +418,9 @@ def sample(
     clock = response.times(model)
     if clock is None:
         clock = default_clock(model.nominal, "uncertain sample")
-    members = rl.sample(model, n, seed, _vertex_count(vertices))
-    responses = members.respond(clock, response.driven(model))
+    with progress.shown("uncertain sample"):
+        members = rl.sample(model, n, seed, _vertex_count(vertices))
+        responses = members.respond(clock, response.driven(model))
     if responses.unstable:
         note(f"{len(responses.unstable)} of {len(members)} samples are unstable: {_listed(responses.unstable)}")
     result: dict[str, Any] = {"file": file, "seed": seed, "vertices": members.vertices, **responses.to_json()}

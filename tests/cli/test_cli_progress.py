@@ -126,6 +126,67 @@ def test_a_search_tells_the_work_it_may_take_at_most(robustlab):
     assert "no such mode" in robustlab("mu", "set.h5", "--progress", "loud", code=2).err
 
 
+# Commands that are done in a second, whatever they are given, or write a line of their own (a platform's equations).
+QUICK = {
+    *(
+        "plant list",
+        "plant new",
+        "plant show",
+        "model build",
+        "model show",
+        "model convert",
+        "model connect",
+        "model diff",
+    ),
+    *("model delay", "uncertain show", "uncertain neglected", "campaign show", "effects list", "lpv at"),
+    *("recipe check", "recipe steps", "recipe schema", "recipe new", "report write", "report compare"),
+}
+
+
+def test_every_command_that_can_take_long_shows_where_it_stands():
+    from robustlab.cli.groups import GROUPS, parser
+
+    def walk(found, words=()):
+        if not hasattr(found, "commands"):
+            yield " ".join(words), {name for parameter in found.params for name in parameter.opts}
+        else:
+            for name, inner in found.commands.items():
+                yield from walk(inner, (*words, name))
+
+    silent = {name for group in GROUPS for name, o in walk(parser(group), (group,)) if "--progress" not in o}
+    assert silent == QUICK
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "model margins set.h5",
+        "model margins one.h5 --classical",
+        "model gap one.h5 two.h5",
+        "model norm one.h5",
+        "model zeros one.h5",
+        "model check one.h5",
+        "model reduce one.h5 --order 0",
+        "model discretise one.h5 --dt 0.1",
+        "model response one.h5 --frequency 1,2",
+        "mu set.h5 --frequency 1",
+        "iqc gain set.h5",
+        "synth ncf one.h5",
+        "synth lqg one.h5",
+        "uncertain sample set.h5",
+        "uncertain delays one.h5 --input-delay u1=0.1",
+    ],
+)
+def test_json_lines_of_commands_that_said_nothing(robustlab, words):
+    pair = [rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]]) for a in (-1.0, -1.2)]
+    rl.save("set.h5", rl.elementwise(*pair))
+    rl.save("one.h5", pair[0])
+    rl.save("two.h5", pair[1])
+    last = json.loads(robustlab(*words.split(), "--progress", "json").err.splitlines()[-1])["progress"]
+    assert last["ended"]
+    assert words.startswith(last["command"])
+
+
 KEYS = {"command", "text", "elapsed_s", "done", "total", "remaining_s", "at_most", "part", "ended"}
 
 
