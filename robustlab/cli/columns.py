@@ -89,6 +89,16 @@ def _proposed(error: InputError, system: Any, options: RecordOptions, file: str,
         hint = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
         return InputError(error.where, error.found, error.expected, hint, (f"  no column is likely to be {none}",))
     lines = [f"  {line}" for line in found.lines()]
+    proved = ("named", "the same name", "in ")
+    by_shape = [
+        column
+        for name, column in {**found.inputs, **found.outputs}.items()
+        if not any(why.startswith(proved) for why in found.reasons[name].split(", "))
+    ]
+    if by_shape:  # a sine looks like the rate of another one
+        lines.append(
+            f"  no name and no unit says what {', '.join(by_shape)} is: decide, the signals' order may be another"
+        )
     if clock is not None:
         lines.insert(0, f"  the time is {clock}: it rises from sample to sample")
     typed = shlex.join(_command(found, options, clock))

@@ -79,12 +79,15 @@ def gain(
     from robustlab.iqc.nature import natures_in_words
 
     thing = rl.load(file)
+    said = head = ""
     with progress.shown("iqc gain"):
         if isinstance(thing, ExtendedPlant):
             result: Any = _effects(thing, blocks, effects, order, effort)
         else:
-            if effects != EffectOptions():
-                raise UsageError("iqc gain", f"options of effects for a {type(thing).__name__}", "a plant with effects")
+            if effects.amplitude or effects.stick_speed:
+                found, expected = f"--amplitude or --stick-speed for a {type(thing).__name__}", "a plant with effects"
+                raise UsageError("iqc gain", found, expected, "--nature says what a block is")
+            thing, said, head = effects.closed(thing, "iqc gain", file)
             known = [b.name for b in thing.blocks] if isinstance(thing, rl.UncertainModel) else []
             given: dict[str, str] = {}
             for text in blocks.nature or []:
@@ -95,7 +98,7 @@ def gain(
                 result = rl.iqc_stability(thing, nature, **options)
             else:
                 result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
-    output.finish("iqc gain", result, result.summary())
+    output.finish("iqc gain", result, f"{head}{result.summary()}", **({"loop": said} if said else {}))
 
 
 def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: int, effort: EffortOptions) -> Any:

@@ -62,6 +62,20 @@ class ControllerOptions:
         )
         return silenced(k, where), sign, note
 
+    def closed(self, uncertain: Any, where: str, file: str) -> tuple[Any, str, str]:
+        """What a file holds with the controller around it, the loop in words, and how a text begins that is of it."""
+        from robustlab.closing import fed_back
+
+        k, asked, note = self.read(where)
+        if k is None and asked is not None:
+            raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
+        if k is None:
+            return uncertain, "", ""
+        around, sign, said = fed_back(uncertain, k, asked, where, None)
+        loop = uncertain.feedback(around, sign)
+        self.require_stable(loop, f"{where}: {file}", said)
+        return loop, said, "\n".join([*([note] if note else []), f"loop  {self.said(said)}", "", ""])
+
     def require_stable(self, loop: Any, where: str, said: str) -> None:
         """Refuse a nominal loop that is not stable, with the way on."""
         nominal = getattr(loop, "nominal", None)
@@ -138,7 +152,7 @@ def margins(
                 raise UsageError("--frequency", "with --classical", "the disk margin")
             points = None if loop.frequency is None else frequencies("--frequency", loop.frequency)
             result: Any = rl.disk_margin_at(thing, k, points, **options)
-            text = result.summary()
+            text = replace(result, loop=closed.said).summary()
         elif loop.classical:
             if isinstance(thing, rl.UncertainModel):
                 expected, hint = "one model", "leave --classical out for its disk margin"
@@ -153,7 +167,7 @@ def margins(
             result = rl.delay_disk_margin(
                 thing if k is None else thing @ k, skew=loop.skew, sign=sign, effort=effort.effort
             )
-            text = result.summary()
+            text = replace(result, loop=closed.said).summary()
         elif isinstance(thing, rl.UncertainModel):
             result = rl.worst_case_disk_margin(thing, k, **options, **vars(effort))
             text = _worst_text(result)

@@ -187,19 +187,10 @@ def _uncertain(
 ) -> tuple[Any, dict[str, Any], str]:
     """The set, closed where a controller is given; the loop as JSON says it, and as the text begins."""
     uncertain: Any = rl.load(file)
-    closed: dict[str, Any] = {}
-    head = ""
-    k, asked, note = loop.read("mu")
-    if k is None and asked is not None:
-        raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
-    if k is not None and isinstance(uncertain, (rl.UncertainFrequencyData, rl.UncertainModel)):
-        from robustlab.closing import fed_back
-
-        around, sign, said = fed_back(uncertain, k, asked, "mu", None)
-        uncertain, closed = uncertain.feedback(around, sign), {"loop": said}
-        loop.require_stable(uncertain, f"mu: {file}", said)
-        head = "\n".join([*([note] if note else []), f"loop  {loop.said(said)}", "", ""])
-    return _chosen(uncertain, file, inputs, outputs), closed, head
+    if not isinstance(uncertain, (rl.UncertainFrequencyData, rl.UncertainModel)):
+        return _chosen(uncertain, file, inputs, outputs), {}, ""
+    uncertain, said, head = loop.closed(uncertain, "mu", file)
+    return _chosen(uncertain, file, inputs, outputs), {"loop": said} if said else {}, head
 
 
 def _chosen(uncertain: Any, file: str, inputs: str | None, outputs: str | None) -> Any:

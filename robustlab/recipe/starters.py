@@ -60,6 +60,8 @@ INPUT_NAME = re.compile(
     r"(u\d*|f|force|tau|torque|command|cmd|input|in|voltage|v_in|dac|pwm)([ _.\-\[].*)?", re.IGNORECASE
 )
 INPUT_UNITS = ("V",)
+# Units that a record may have in the place of a plant's.
+OTHER_UNITS = {"V": "mV", "A": "mA", "rad": "deg", "rad/s": "rpm", "m": "mm", "m/s": "mm/s", "N": "kN", "N m": "mN m"}
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ class Channels:
     outputs: tuple[str, ...]
     clock: str | None  # channel with the times where it had to be guessed; None where the file says it
     units: dict[str, str]  # name -> unit that the file states and the plant does not use: converted when read
-    unstated: tuple[str, ...]  # names whose unit neither the file nor anybody states
+    # names whose unit neither the file nor anybody states -> the unit in which they are taken, where it is known
+    unstated: dict[str, str]
     guessed: tuple[str, ...]  # what was guessed, a line each
 
 
@@ -93,6 +96,7 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
         ins, outs = _guessed_sides(found, names)
         guessed.append(f"inputs are {', '.join(ins)}, by name and unit")
         texts, units, stated = (ins, outs), {}, {name: found.unit(name) for name in (*ins, *outs)}
+        taken = {}
     else:
         mapping = propose_columns(found, plant.inputs, plant.outputs, {clock, guess})
         guessed += mapping.lines()
@@ -105,8 +109,9 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
             )  # fmt: skip
         texts, units = (mapping.texts("inputs"), mapping.texts("outputs")), dict(mapping.units)
         stated = {name: found.unit(column) for name, column in {**mapping.inputs, **mapping.outputs}.items()}
+        taken = {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
     record = Record.read(path, None, *texts, dt, clock=guess or clock, units=units or None)
-    unstated = tuple(name for name, unit in stated.items() if not unit)
+    unstated = {name: taken.get(name, "") for name, unit in stated.items() if not unit}
     return Channels(record, *texts, guess or clock, units, unstated, tuple(guessed))
 
 
@@ -150,9 +155,10 @@ def record_recipe(name: str, path: str, channels: Channels, plant: str = "", dt:
     if channels.units:
         pairs = ", ".join(f"{_text(k)} = {_text(v)}" for k, v in channels.units.items())
         lines.append(f"units = {{ {pairs} }} # as the file states them; converted to SI")
-    for signal in channels.unstated:
-        told = f"the file states no unit of {plain_text(signal)}; its numbers are taken as SI"
-        lines.append(f'# DECIDE: {told}. If they are not: units = {{ {_text(signal)} = "deg" }}')
+    for signal, unit in channels.unstated.items():
+        told = f"the file states no unit of {plain_text(signal)}; its numbers are taken as {unit or 'SI'}"
+        other = OTHER_UNITS.get(unit, "deg")
+        lines.append(f'# DECIDE: {told}. If they are not: units = {{ {_text(signal)} = "{other}" }}')
     lines += [
         f"# {record.n} samples in {record.duration:.6g} s. DECIDE: is it simulated? Then: simulated = true",
         'about = "" # DECIDE: which machine, who measured it, when',

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -317,6 +318,10 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     """
     from robustlab.dynamics.plant_file import code_of
 
+    if not isinstance(path, (str, PathLike)):
+        turned = isinstance(obj, (str, PathLike))
+        found, hint = f"a {type(path).__name__} in the place of the file", f"rl.save({str(obj)!r}, G)"
+        raise InputError("save: path", found, "a file name, then the object", hint if turned else None)
     suffix = Path(path).suffix.lower()
     if suffix == ".mat":
         return _save_matlab(path, obj)

@@ -93,6 +93,8 @@ def test_margins_say_the_loop(run):
     assert "negative feedback, skew 0\nloop: u = K (r - y), as weak.h5 says" in text
     data = json.loads(run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--json"))
     assert (data["feedback"], data["loop"]) == ("positive", "u = K y, as the controller says")
+    at = run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--frequency", "1")
+    assert "as asked" not in at  # nobody asked: the file says it
     classical = run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--classical")
     assert "positive feedback\nloop: u = K y, as ncf.h5 says" in classical
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.cli import main
 from robustlab.cli.data import app
 from robustlab.cli.ending import main_guard
 
@@ -102,3 +103,22 @@ def test_faults(run, record_file, arguments, code, says):
     found, out, err = run("compare", arguments[0], record_file, *arguments[1:])
     assert (found, out) == (code, "")
     assert says in err
+
+
+def test_columns_of_other_names_come_with_the_command_that_maps_them(capsys, record_file, tmp_path):
+    def run(*words):
+        code = main_guard(lambda: main.run(["data", *map(str, words)]))
+        return code, capsys.readouterr().err
+
+    record = rl.load(record_file)
+    columns = np.column_stack([record.t, record.inputs["u"], record["q"]])
+    for header in ("time,voltage,position", "t,a,b"):
+        path = tmp_path / f"{header[-1]}.csv"
+        np.savetxt(path, columns, delimiter=",", header=header, comments="", fmt="%.12g")
+        code, err = run("compare", "servo-axis", path)
+        assert code == 3
+        typed = err.strip().splitlines()[-1].removeprefix("hint: robustlab data ")
+        u, q = header.split(",")[1:]
+        assert typed == f"compare servo-axis {path} --inputs u={u} --outputs q={q}"
+        assert ("no name and no unit says what a, b is" in err) == (u == "a")
+        assert run(*typed.split())[0] == 0

@@ -81,6 +81,17 @@ def test_gain_and_stability(files, capfd):
     assert "1.744 (proved)" in text
 
 
+def test_an_uncertain_model_is_closed_as_the_controllers_file_says(files, capfd):
+    """It was said to be none with options of effects."""
+    gain = rl.StateSpaceModel([], [], [], [[3.0]], inputs=["y1"], outputs=["u1"])
+    rl.save("k.h5", rl.Controller(gain, takes="r - y"))
+    assert run(["iqc", "gain", "spring.h5", "--nature", "k=varying", "--controller", "k.h5"]) == 0
+    text = capfd.readouterr().out
+    assert text.startswith("loop  u = K (r - y), as k.h5 says\n")
+    expected = rl.iqc_gain(rl.load("spring.h5").feedback(gain, -1), {"k": rl.Varying()})
+    assert f"{expected.upper:.4g}" in text
+
+
 def test_a_plant_with_effects(files, capfd):
     options = ["--controller", "gain.h5", "--outputs", "q", "--amplitude", "u=12", "--order", "1"]
     assert run(["iqc", "gain", "axis.h5", *options]) == 0
@@ -108,7 +119,8 @@ def test_anti_windup(files, capfd):
         (["gain", "loop.h5", "--nature", "y:v=friction:1"], 3, "friction with level:stick speed"),
         (["gain", "loop.h5", "--nature", "saturation"], 2, "NAME=WORD:NUMBERS"),
         (["gain", "loop.h5", "--amplitude", "u=1"], 2, "a plant with effects"),
-        (["gain", "loop.h5", "--feedback", "sideways"], 2, "a plant with effects"),
+        (["gain", "loop.h5", "--feedback", "sideways"], 2, "negative or positive"),
+        (["gain", "loop.h5", "--feedback", "negative"], 2, "without --controller"),
         (["gain", "loop.h5", "--nature", "y:v=saturation", "--nature", "y:v=dead-zone"], 2, "'y:v' is given twice"),
         (["gain", "loop.h5"], 3, "no block at all"),
         (["gain", "loop.h5", "--nature", "y:v=slope:-9:0"], 4, "unstable with all blocks at their middles"),

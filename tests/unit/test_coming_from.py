@@ -51,6 +51,7 @@ def test_what_a_table_names_is_there():
         ("robust_stabilty", "robustlab has no 'robust_stabilty'; did you mean robust_stability?"),
         ("step_response", "robustlab has no 'step_response'; python-control's step_response is G.step()"),
         ("wcgian", "robustlab has no 'wcgian'; did you mean wcgain? MATLAB's wcgain is rl.worst_case_gain"),
+        ("tf2ss", "robustlab has no 'tf2ss'; MATLAB's and python-control's tf2ss is rl.tf"),
         ("qqqqqqqq", "robustlab has no 'qqqqqqqq'"),
     ],
 )

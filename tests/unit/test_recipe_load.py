@@ -170,6 +170,18 @@ def test_an_override_of_nothing_is_a_usage_error(key):
         parse_recipe(HEAD + MOTOR, "r", {key: "1"})
 
 
+@pytest.mark.parametrize(
+    ("step", "told"),
+    [
+        ('do = "record"\nfile = "a.csv"', "file: unknown key (did you mean path?)"),
+        ('do = "robustness-at"\nof = "m"\nomega = [1.0]', "omega: unknown key (did you mean frequency?)"),
+    ],
+)
+def test_a_key_that_others_call_so_is_answered(step, told):
+    """A file was said to be a title."""
+    assert told in faults(f"{HEAD}[step.m]\n{step}\n")
+
+
 def test_an_override_is_checked_like_the_file():
     assert "step.motor.plnt: unknown key (did you mean plant?)" in faults(HEAD + MOTOR, **{"motor.plnt": "x"})
 

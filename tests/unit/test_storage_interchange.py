@@ -60,6 +60,12 @@ def test_odd_versions_are_refused(version, text, model, tmp_path):
         load(tmp_path / "p.h5")
 
 
+def test_a_model_in_the_place_of_the_file_is_told(model, tmp_path):
+    with pytest.raises(InputError, match="a StateSpaceModel in the place of the file") as error:
+        rl.save(model, "g.h5")
+    assert error.value.hint == "rl.save('g.h5', G)"
+
+
 def test_any_change_of_content_is_seen_and_provenance_is_not_content(model, tmp_path):
     def spoilt(change):
         save(tmp_path / "p.h5", model)
