@@ -27,7 +27,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import Balancing, gramian_factors, split_stable
 
-__all__ = ["hankel_bound", "hankel_norm", "nearest_in_hankel_norm"]
+__all__ = ["error_bound", "hankel_bound", "hankel_norm", "nearest_in_hankel_norm"]
 
 # Hankel values that agree to this share are one repeated value: dividing by their difference would cost more digits.
 REPEATED = 1e-8
@@ -96,6 +96,21 @@ def _constant_near(unstable: StateSpaceModel) -> AnyArray:
     while len(values):
         left, values = _dilated(left, values, len(values) - 1, unitary=True)
     return left.D[:p, :m]
+
+
+def error_bound(values: AnyArray, order: int) -> float:
+    """Twice the sum of the Hankel values after the first ``order``, each counted once where it is repeated.
+
+    Values that agree to 1e-10 count as repeated only where the cut does not separate them from kept ones.
+    """
+    tail = values[order:]
+    if not len(tail):
+        return 0.0
+    new = np.append(True, tail[1:] < tail[:-1] * (1 - 1e-10))
+    distinct = tail[new]
+    if order and tail[0] >= values[order - 1] * (1 - 1e-10):  # a repeated value was cut in two: count all of them
+        distinct = tail
+    return 2 * float(distinct.sum())
 
 
 def hankel_bound(values: AnyArray, order: int) -> float:

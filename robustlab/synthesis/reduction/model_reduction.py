@@ -27,14 +27,13 @@ from robustlab.statespace import StateSpaceModel, append, as_model, parallel, se
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.synthesis.reduction.band_gramians import band_gramian_factors
 from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
-from robustlab.synthesis.reduction.hankel_norm import hankel_bound, hankel_norm, nearest_in_hankel_norm
+from robustlab.synthesis.reduction.hankel_norm import error_bound, hankel_bound, hankel_norm, nearest_in_hankel_norm
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound, relative_gap
 from robustlab.synthesis.reduction.split_error import SplitError, merged, widened
 
 __all__ = [
     "balanced_truncation",
-    "error_bound",
     "hankel_singular_values",
     "reduce_model",
     "weighted_factors",
@@ -45,11 +44,13 @@ Band = tuple[float, float]
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
 METHODS = get_args(Method)
 
-# A certified error may exceed its a-priori bound by this share of the largest Hankel value: rounding of the values.
+# A certified error may exceed what theory promises by this share of the largest Hankel value: rounding of the model.
 BOUND_ROUNDING = 1e-10
 # Share of the responses by which the two models may seem to differ.
 OVERLOOKED = 1e-9
 TINY = float(np.finfo(float).tiny)
+# Relative widths of the bracket of an error, and of one that may be what is promised.
+RTOL, CLOSE_RTOL = 1e-6, 1e-9
 # Share of the error that splitting parts off may add to it, before frequencies next to a mode on the boundary are left
 # out.
 SPLIT_SHARE = 1e-3
@@ -295,7 +296,7 @@ class _Way:
     values: Array
     most: int
     reduced: Callable[[int], StateSpaceModel]
-    measured: Callable[[StateSpaceModel], HinfNorm]
+    measured: Callable[[StateSpaceModel, float], HinfNorm]
     bound: Callable[[int], float] = lambda _: np.nan
     seen: Callable[[Array, ComplexArray], ComplexArray] | None = None
     looked_at: tuple[float, ...] = ()
@@ -348,9 +349,10 @@ def _balanced_reduction(
                 hint="another order, or one weight instead of two" if name.startswith("weighted") else "another order",
             )
         difference = _difference(stable, small)
-        evidence = replace(_evidence(way, ordinary, lost, difference), parts=(stable, small))
+        promised = way.bound(small.n_states)
+        evidence = replace(_evidence(way, ordinary, lost, difference, promised), parts=(stable, small))
         model = ordinary.as_given(split.joined(small), "reduce_model")
-        found = _checked(full, model, name, way, evidence, way.bound(small.n_states), apart)
+        found = _checked(full, model, name, way, evidence, promised, apart)
         if method == "hankel":
             return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
         return found
@@ -370,18 +372,30 @@ def _difference(stable: StateSpaceModel, small: StateSpaceModel) -> StateSpaceMo
     return both._with_matrices(both.A, both.B, both.C, both.D, np.concatenate([poles for poles, _ in parts]), modes)
 
 
-def _evidence(way: _Way, ordinary: Moderated, lost: SplitError, difference: StateSpaceModel) -> _Evidence:
+def _measured(way: _Way, difference: StateSpaceModel, promised: float) -> HinfNorm:
+    """The size of a difference; more closely where what is promised may be attained, so that it need not be raised."""
+    found = way.measured(difference, RTOL)
+    if not promised < found.upper <= promised * (1 + 2 * RTOL):  # wider where rounding leaves no more digits
+        return found
+    closer = way.measured(difference, CLOSE_RTOL)
+    return closer if closer.status.trustworthy and closer.upper < found.upper else found
+
+
+def _evidence(
+    way: _Way, ordinary: Moderated, lost: SplitError, difference: StateSpaceModel, promised: float
+) -> _Evidence:
     """The sizes of a difference of stable parts, and what splitting these off may add to them."""
-    error = way.measured(difference)
+    error = _measured(way, difference, promised)
     whole = None if way.band is None and not way.relative else norm_as_given(hinf_norm(difference), ordinary)
     if lost.nothing:
         return _Evidence(error, whole)
     per_gain, size = (way.per_gain(), 1.0) if way.relative else (way.per_gain(), float(way.values.max(initial=0.0)))
-    wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / max(per_gain, TINY)
+    wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size)
+    wanted = wanted / max(per_gain, TINY) if np.isfinite(wanted) else np.inf  # nothing is large beside no bound
     wanted = wanted if way.relative else float(np.ldexp(wanted, ordinary.gain))
     axis = lost.bound(wanted)
     part = axis if way.band is None else lost.bound(wanted, way.band)
-    added = per_gain * part.upper
+    added = per_gain * part.upper if part.upper else 0.0
     left_out = merged(axis.left_out + part.left_out)
     return _Evidence(
         widened(error, added if way.relative else ordinary.value(added, "reduce_model"), part.reason),
@@ -397,7 +411,7 @@ def _plain_way(stable: StateSpaceModel, ordinary: Moderated, projection: Project
         values,
         len(balancing.left),
         lambda order: balancing.reduced(stable, order, projection),
-        lambda difference: norm_as_given(hinf_norm(difference), ordinary),
+        lambda difference, rtol: norm_as_given(hinf_norm(difference, rtol), ordinary),
         lambda order: error_bound(values, order),
     )
 
@@ -414,7 +428,7 @@ def _weighted_way(stable: StateSpaceModel, weights: Weights, projection: Project
         balancing.values,
         len(balancing.left),
         lambda order: balancing.reduced(stable, order, projection),
-        lambda difference: hinf_norm(_weighted(difference, *weights)),
+        lambda difference, rtol: hinf_norm(_weighted(difference, *weights), rtol),
         seen=seen,
         per_gain=lambda: float(np.prod([hinf_norm(w, 1e-2).upper for w in weights if w is not None])),
     )
@@ -427,7 +441,7 @@ def _band_way(stable: StateSpaceModel, ordinary: Moderated, band: Band, projecti
         _values_as_given(balancing, ordinary),
         len(balancing.left),
         lambda order: balancing.reduced(stable, order, projection),
-        lambda difference: norm_as_given(linf_norm(difference, band=(low, high)), ordinary),
+        lambda difference, rtol: norm_as_given(linf_norm(difference, rtol=rtol, band=(low, high)), ordinary),
         seen=lambda omega, gap: gap[(omega >= band[0]) & (omega <= band[1])],
         looked_at=tuple(np.linspace(*band, 22)[1:-1]) if np.isfinite(band[1]) else (),
         band=(low, high),
@@ -442,7 +456,7 @@ def _hankel_way(stable: StateSpaceModel, ordinary: Moderated) -> _Way:
         values,
         len(balancing.left),
         lambda order: _back(nearest_in_hankel_norm(continuous, balancing, order), stable.dt),
-        lambda difference: norm_as_given(hinf_norm(difference), ordinary),
+        lambda difference, rtol: norm_as_given(hinf_norm(difference, rtol), ordinary),
         lambda order: hankel_bound(values, order),
     )
 
@@ -451,8 +465,8 @@ def _stochastic_way(stable: StateSpaceModel, ordinary: Moderated, floor: float) 
     spectrum = Spectrum.of(_in_continuous_time(stable), scaled_down(floor, -ordinary.gain, "reduce_model"))
     balancing, dt, given = spectrum.balancing, stable.dt, ordinary.as_given(stable, "reduce_model")
 
-    def measured(difference: StateSpaceModel) -> HinfNorm:
-        found = spectrum.relative(_in_continuous_time(difference))
+    def measured(difference: StateSpaceModel, rtol: float) -> HinfNorm:
+        found = spectrum.relative(_in_continuous_time(difference), rtol)
         at = 2 / dt * float(np.arctan(found.frequency * dt / 2)) if dt else found.frequency
         return replace(found, frequency=ordinary.frequency(at))
 
@@ -504,21 +518,6 @@ def weighted_factors(
     return reach, see
 
 
-def error_bound(values: Array, order: int) -> float:
-    """Twice the sum of the Hankel values after the first ``order``, each counted once where it is repeated.
-
-    Values that agree to 1e-10 count as repeated only where the cut does not separate them from kept ones.
-    """
-    tail = values[order:]
-    if not len(tail):
-        return 0.0
-    new = np.append(True, tail[1:] < tail[:-1] * (1 - 1e-10))
-    distinct = tail[new]
-    if order and tail[0] >= values[order - 1] * (1 - 1e-10):  # a repeated value was cut in two: count all of them
-        distinct = tail
-    return 2 * float(distinct.sum())
-
-
 def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None) -> StateSpaceModel:
     if into is not None:
         model = series(into, model)
@@ -535,14 +534,18 @@ def _checked(
     values = np.array(way.values)
     values.setflags(write=False)
     largest, error = float(values.max(initial=0.0)), evidence.error
-    reason = error.reason
+    reason, proved = error.reason, error.upper
     if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
-        reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: Hankel values lost digits"
+        reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: digits were lost"
     if not reason and method != "coprime":
         seen, size = _seen_difference(full, named, way, evidence)
         size = 1.0 if method == "stochastic" else size
         if seen > error.upper * (1 + 1e-6) + OVERLOOKED * size:
             reason = f"the models differ by {seen:.6g} somewhere, more than the certified {error.upper:.6g}"
+            proved = max(proved, seen)
+    # Theory knows no rounding. That of the reduced model is a share of the whole gain, which may be more than what is
+    # left out.
+    bound = bound if np.isnan(bound) else max(bound, proved)
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
     return ReducedModel(
         named, method, error, bound, values, apart, full, status, reason, evidence.difference, evidence.left_out
@@ -588,7 +591,8 @@ def _coprime_reduction(full: StateSpaceModel) -> Candidates:
     way = _Way(balancing.values, len(balancing.left), reduction.reduced, hinf_norm)
 
     def candidate(order: int) -> ReducedModel:
-        error = way.measured(parallel(factors, reduction.reduced_factors(order), -1))
-        return _checked(full, way.reduced(order), "coprime", way, _Evidence(error), error_bound(way.values, order), 0)
+        promised = error_bound(way.values, order)
+        error = _measured(way, parallel(factors, reduction.reduced_factors(order), -1), promised)
+        return _checked(full, way.reduced(order), "coprime", way, _Evidence(error), promised, 0)
 
     return candidate, 0, way.most, np.append(way.values, 0.0)

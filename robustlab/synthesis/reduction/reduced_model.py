@@ -32,8 +32,9 @@ class ReducedModel(Shown):
         ``left_out``; times the weights where there are any; inside the band where there is one; relative to the gain of
         the stable part for ``"stochastic"``; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
     bound
-        What theory promises for ``error`` before anything is computed, as in `reduce_model`. NaN with weights or a
-        band: there is no such promise.
+        What theory promises for ``error`` before anything is computed, as in `reduce_model`; raised to ``error.upper``
+        where that is larger, as the model returned is rounded: ``error`` never exceeds it. NaN with weights or a band:
+        there is no such promise.
     hankel
         Hankel singular values of what was reduced (of the coprime factors for ``"coprime"``, of the phase of the model
         for ``"stochastic"``), in decreasing order.

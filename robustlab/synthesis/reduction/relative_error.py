@@ -41,7 +41,7 @@ TINY = float(np.finfo(float).tiny)
 LARGEST_FLOOR = 1e50
 # D D^T of a smaller share in its smallest eigenvalue has no full row rank: the model has no gain somewhere far out.
 FULL_RANK = 1e-12
-# Both ends of the bracket allow for what the factor may be off, up to this share of the spectrum.
+# Both ends of the bracket allow for what the factor may be off; up to this share of the spectrum it is certified.
 TRUSTED_SHARE = 1e-2
 
 
@@ -105,17 +105,21 @@ class Spectrum:
     def per_gain(self) -> float:
         """What an error of gain 1 is at most relative to the model."""
         found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
-        return found.upper / np.sqrt(1 - min(self.doubt, TRUSTED_SHARE)) if found.status.trustworthy else np.inf
+        return self._widened(found.upper) if found.status.trustworthy else np.inf
 
-    def relative(self, error: StateSpaceModel) -> HinfNorm:
+    def relative(self, error: StateSpaceModel, rtol: float) -> HinfNorm:
         """The norm of an error relative to the model, proved for every frequency."""
-        found = linf_norm(series(error, inverse(_conjugate(self.factor))))
+        found = linf_norm(series(error, inverse(_conjugate(self.factor))), rtol)
+        lower = found.lower / np.sqrt(1 + self.doubt) if self.doubt < np.inf else 0.0
+        found = replace(found, value=lower, lower=lower, upper=self._widened(found.upper))
         if found.status is Status.CERTIFIED and not self.doubt <= TRUSTED_SHARE:
             reason = f"the factor of the spectrum may be off by {self.doubt:.1e} of it"
             return replace(found, status=Status.INACCURATE, reason=reason)
-        doubt = min(self.doubt, TRUSTED_SHARE)
-        lower, upper = found.lower / np.sqrt(1 + doubt), found.upper / np.sqrt(1 - doubt)
-        return replace(found, value=lower, lower=lower, upper=upper)
+        return found
+
+    def _widened(self, upper: float) -> float:
+        """What is relative to the factor at most, relative to the spectrum."""
+        return upper / np.sqrt(1 - self.doubt) if self.doubt < 1 else np.inf
 
 
 def relative_gap(response: AnyArray, gap: AnyArray, floor: float) -> AnyArray:
