@@ -378,6 +378,24 @@ def test_the_published_spinning_disks_are_beaten_and_a_simulation_stays_below():
     assert all(np.abs(K.poles()).max() < 2e3 for _, K in design.K.nodes())
 
 
+def test_controllers_come_in_states_of_moderate_entries():
+    # A weak actuator, a sensor in small units: entries are 7.6e7 in the states of the LMIs, and the loop is the same.
+    def vertex(a):
+        B, C, D = [[1, 0, 1e-3]], [[1], [0], [1e3]], [[0, 0, 0], [0, 0, 1], [0, 1e-3, 0]]
+        return rl.StateSpaceModel([[a]], B, C, D)
+
+    plant = rl.LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)])
+    design = rl.lpv_hinf(plant, 1, 1)
+    assert design.status is Status.CERTIFIED
+    assert np.abs(design.K.matrices).max() < 2e5
+    # No unit of the state makes its row and column smaller, and the units are the same at both points.
+    size = np.abs(design.K.matrices).sum(axis=0)
+    assert 0.2 < size[0, 1] / size[1, 0] < 5
+    # What was proved is of the controller returned: its frozen loops are below.
+    for a in (-2.0, -1.0, 0.0):
+        assert rl.hinf_norm(lower_lft(plant.at(a=a), design.K.at(a=a))).lower <= design.gamma * (1 + 1e-9)
+
+
 def test_a_mode_that_no_controller_reaches_gives_no_controller():
     def hopeless(a: float) -> rl.StateSpaceModel:
         m = vertex(a)

@@ -41,6 +41,8 @@ from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
 __all__ = ["LPVController", "LPVSynthesis", "lpv_hinf"]
 
 Varying = Literal["", "R", "S"]
+# Rounds over the states of a controller, at most, until their units stand.
+SWEEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,10 +229,10 @@ class _Conditioned:
         """Of the plant as given."""
         return self.gamma / self.scaling.gain
 
-    def in_given_states(self, X: Array) -> Array:
-        """The closed loop's Lyapunov matrix for the plant's own states; the controller's stay."""
+    def in_given_states(self, X: Array, units: Array) -> Array:
+        """The closed loop's Lyapunov matrix for the plant's own states, and the controller's in units of their own."""
         n, s = len(self.turn), self.scaling
-        back = np.eye(len(X))
+        back = np.diag(np.append(np.ones(n), units))
         back[:n, :n] = np.linalg.inv(self.turn) / s.states
         return back.T @ X @ back * (s.w / (s.z * s.rate))
 
@@ -292,10 +294,13 @@ class _Task:
                         problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes, widest=widest
                     )
                     lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
-                    K = None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
-                    if K is None or lyapunov is None:
+                    made = (
+                        None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
+                    )
+                    if made is None or lyapunov is None:
                         continue
-                    guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0])
+                    K, units = made
+                    guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0], units)
                     how = f"{words}, {backoff:.1%} above the LMIs' optimum"
                     found = self._verified(K, guess, varying, optimum, how)
                     if found is not None and (best is None or found.gamma < best.gamma):
@@ -401,8 +406,10 @@ class _Task:
 
     def _controller(
         self, problem: _Conditioned, lyapunov: list[tuple[Array, list[Array]]], level: float
-    ) -> LPVModel | None:
-        """The controllers of the grid points in the units of the plant, or None where one has none."""
+    ) -> tuple[LPVModel, Array] | None:
+        """The controllers of the grid points in the units of the plant, and the units of their states; None where one
+        has none.
+        """
         made: list[Realisation] = []
         for p, (X, motions) in zip(problem.plants, lyapunov, strict=True):
             K = reconstructed(p, X, level, self.budget, motions=motions)
@@ -412,11 +419,15 @@ class _Task:
         n_z, n_w = (len(side) for side in (self.matrices[0].C1, self.matrices[0].B1.T))
         whole = np.array([np.block([[K.A, K.B], [K.C, K.D]]) for K in made])
         n = len(made[0].A)
-        return LPVModel.of(
+        units = _state_units(whole, n)
+        whole[:, :n] /= units[:, None]
+        whole[:, :, :n] *= units
+        K = LPVModel.of(
             self.plant.parameters, whole.reshape(*self.plant.grid, *whole.shape[1:]), n,
             [s if isinstance(s, Taken) else Taken(*s) for s in self.plant.outputs[n_z:]], self.plant.inputs[n_w:],
             [Signal(f"k{i + 1}") for i in range(n)],
         )  # fmt: skip
+        return K, units
 
     def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
         """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
@@ -450,6 +461,32 @@ def _added(ways: Sequence[dict[int, float]]) -> dict[int, float]:
         for at, part in way.items():
             total[at] = total.get(at, 0.0) + part
     return total
+
+
+def _state_units(K: Array, n: int) -> Array:
+    """Units of the n states in which their rows and columns are alike in size, all points (k, n + n_u, n + n_y) as one.
+
+    Those that come with X and the scaled plant may be out of all proportion. The same units at all points leave what is
+    interpolated between them as it is, and powers of two leave every digit.
+
+    References
+    ----------
+    Osborne, "On pre-conditioning of matrices" (1960).
+    """
+    size, units = np.abs(K).sum(axis=0), np.ones(n)
+    size[range(n), range(n)] = 0.0
+    for _ in range(SWEEPS):
+        before = units.copy()
+        for i in range(n):
+            row, column = size[i].sum(), size[:, i].sum()
+            if row > 0 and column > 0:
+                unit = 2.0 ** np.round(0.5 * np.log2(row / column))
+                size[i] /= unit
+                size[:, i] *= unit
+                units[i] *= unit
+        if np.array_equal(units, before):
+            break
+    return units
 
 
 def _turned(p: PlantMatrices, T: Array) -> PlantMatrices:
