@@ -163,6 +163,8 @@ def anti_windup(
 
     Example: robustlab iqc anti-windup motor.h5 pi.h5 --saturation u=-10:10 --out windup.h5
     """
+    from robustlab.signals import law
+
     K = load_model(controller)
     given = ends("--saturation", limits)
     unknown = [name for name in given if name not in K.output_names]
@@ -174,10 +176,11 @@ def anti_windup(
     with progress.shown("iqc anti-windup"):
         result = rl.anti_windup(load_model(plant), K, pairs, reach, direct, order=order, **vars(effort))
     output.keep(result)
-    text = result.summary()
+    said = f"{law(K.inputs)}, as {controller} says" if law(K.inputs) else f"u = K y; {controller} does not say its sign"
+    text = f"loop  {said}\n\n{result.summary()}"
     if code is not None and dt is not None:
         held, back = result.sampled(dt)
         rl.export_controller(code, held, saturation=dict(zip(K.output_names, pairs, strict=True)), anti_windup=back)
         text += f"\nwritten: {code}"
-    emit("iqc anti-windup", result.to_json(), text, output.as_json)
+    emit("iqc anti-windup", {**result.to_json(), "loop": said}, text, output.as_json)
     require_trust(result.status)

@@ -108,6 +108,7 @@ def test_anti_windup(files, capfd):
     text = capfd.readouterr().out
     assert "2.365 (proved)" in text
     assert "written: k.c" in text
+    assert text.startswith("loop  u = K y; pi.h5 does not say its sign\n")
     assert "L was given" in (files / "k.c").read_text()
     assert rl.load("w.h5").type == "AntiWindup"
 
@@ -131,6 +132,15 @@ def test_anti_windup(files, capfd):
 def test_what_is_refused(files, capfd, words, code, text):
     assert run(["iqc", *words]) == code
     assert text in capfd.readouterr().err
+
+
+def test_anti_windup_says_the_loop(files, capfd):
+    K = rl.StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]], inputs=["y1"], outputs=["u1"])
+    rl.save("says.h5", rl.Controller(K, takes="r - y"))
+    assert run(["iqc", "anti-windup", "lag.h5", "says.h5", "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["loop"] == "u = K (r - y), as says.h5 says"
+    assert found["proved"]["upper"] == pytest.approx(2.3646, rel=1e-3)  # the loop of pi.h5, whose minus is in K
 
 
 def test_the_steps_of_a_recipe(files):

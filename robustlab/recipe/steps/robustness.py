@@ -367,6 +367,7 @@ class AntiWindupStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
+        from robustlab.signals import law
         from robustlab.statespace import as_model
 
         K = as_model(work.values[self.controller], self.controller)
@@ -377,7 +378,8 @@ class AntiWindupStep(Step):
             order=self.order, effort=self.effort, time_limit=self.time_limit,
         )  # fmt: skip
         work.keep(found)
-        facts = (_gain("Worst L2 gain", found.proved), _gain("Without anti-windup", found.without),
+        loop = f"{law(K.inputs)}, as {self.controller} says" if law(K.inputs) else "u = K y; nothing else is said of it"
+        facts = (Fact("Loop", loop), _gain("Worst L2 gain", found.proved), _gain("Without anti-windup", found.without),
                  _gain("Back-calculation", found.back), Fact("Never saturating", quantity(found.linear)))  # fmt: skip
         numbers = {"upper": found.proved.upper, "lower": found.proved.lower, "without": found.without.upper,
                    "back": found.back.upper, "linear": found.linear, "L": found.L.tolist()}  # fmt: skip
