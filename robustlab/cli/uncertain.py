@@ -11,6 +11,7 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import FIGURE, emit, note, require_trust, save_figures, table
+from robustlab.cli.margins import ControllerOptions
 from robustlab.cli.members import SHOWN_BLOCKS, ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.offers import COVERS, one_of, plant_or_file
 from robustlab.cli.options import (
@@ -199,6 +200,13 @@ class CoverOptions:
             help="File of a controller, closed as it says: the cover's worst gain is that of its loop.",
         ),
     ] = None
+    feedback: Annotated[
+        str | None,
+        typer.Option(
+            help="With it: negative (u = -K y) or positive, where its file does not say it.",
+            autocompletion=one_of("negative", "positive"),
+        ),
+    ] = None
 
     def build(
         self, tolerance: float | None, effort: EffortOptions, report: Callable[[str], None]
@@ -209,11 +217,15 @@ class CoverOptions:
         files = self.cover or []
         models = [load_model(path) for path in files]
         loop: Any = None
+        if self.feedback is not None and self.controller is None:
+            raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
         if self.controller is not None:
             from robustlab.closing import fed_back
 
-            around, sign, said = fed_back(models[0], rl.load(self.controller), None, "uncertain build", None)
-            note(f"loop: {said.replace('the controller', self.controller)}")
+            given = ControllerOptions(self.controller, self.feedback)
+            k, asked, remark = given.read("uncertain build")
+            around, sign, said = fed_back(models[0], k, asked, "uncertain build", None)
+            note("\n".join(filter(None, (remark, f"loop: {given.said(said)}"))))
             loop = lambda g: g.feedback(around, sign)  # noqa: E731
         options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
         found = rl.cover(

@@ -56,6 +56,18 @@ def test_a_cover_in_json_with_its_evidence(call, lags, tmp_path):
     assert 1 <= data["conservatism"]["ratio"] < 1.5
 
 
+def test_a_controller_that_does_not_say_its_sign_is_asked_about_and_can_be_told(call, lags, tmp_path):
+    """The way out that the error names was no option of this command."""
+    k = tmp_path / "k.h5"
+    rl.save(k, rl.StateSpaceModel([], [], [], [[0.3]]))
+    words = ("uncertain", "build", *lags, "--form", "additive", "--controller", k)
+    code, _, err = call(*words)
+    assert (code, "both signs leave the loop stable" in err) == (3, True)
+    code, _, err = call(*words, "--feedback", "negative")
+    assert (code, err) == (0, "loop: u = -K y, as asked\n")
+    assert call("uncertain", "build", *lags, "--feedback", "negative")[0] == 2
+
+
 def test_bad_covers(call, lags):
     assert call("uncertain", "build", *lags[:2])[0] == 3
     code, _, err = call("uncertain", "build", *lags, "--form", "pcb")
