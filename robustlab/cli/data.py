@@ -271,16 +271,17 @@ def compare(
 
     system = plant_or_model(model, settings or [])
     repeat = windows.repeat or []
-    first, *others = (read_beside(system, options, file) for file in (data, *repeat))
-    with progress.shown("data compare"):
-        found = rl.compare(system, first, window=windows.window, period=windows.period, repeats=others)
     files: list[str] = []
-    if figure:
-        from robustlab.report.comparison_figures import comparison_figures
+    with progress.shown("data compare") as report:
+        first, *others = (read_beside(system, options, file) for file in (data, *repeat))
+        found = rl.compare(system, first, window=windows.window, period=windows.period, repeats=others)
+        if figure:
+            from robustlab.report.comparison_figures import comparison_figures
 
-        if not isinstance(found, Comparison):
-            raise UsageError("--figure", f"a free run of {found.simulated.name}", "none: it has no windows to draw")
-        files += save_figures(comparison_figures(found), figure)
+            report("figures")
+            if not isinstance(found, Comparison):
+                raise UsageError("--figure", f"a free run of {found.simulated.name}", "none: it has no windows to draw")
+            files += save_figures(comparison_figures(found), figure)
     files += _keep(found, output.out, "data compare", (model, data, *repeat), code_of(system))
     _tell(files)
     emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), output.as_json)
@@ -375,6 +376,7 @@ def validate(
     record = read_beside(model, options, data)
     units = {s.name: s.unit for s in model.outputs}
     words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
+    files: list[str] = []
     with progress.shown("data validate", lines=True) as report:
         found = rl.validate(
             model,
@@ -386,15 +388,16 @@ def validate(
             **words,
             **vars(effort),
         )
-    members = asked.envelope
-    if members is None:
-        members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0
-    envelope = _envelope(model, record, members, found) if members else None
-    files: list[str] = []
-    if figure:
-        from robustlab.report.set_figures import validation_figures
+        members = asked.envelope
+        if members is None:
+            members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0
+        if members or figure:
+            report("envelope and figures")
+        envelope = _envelope(model, record, members, found) if members else None
+        if figure:
+            from robustlab.report.set_figures import validation_figures
 
-        files += save_figures(validation_figures(found), figure, "validation-")
+            files += save_figures(validation_figures(found), figure, "validation-")
     files += _keep(found, output.out, "data validate", (uncertain, data), code)
     _tell(files)
     result: dict[str, Any] = {**found.to_json(series=False), "files": files}

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from robustlab.cli.console import emit, table
 from robustlab.cli.offers import plant_or_file
-from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
+from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument, grouped
+from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError, did_you_mean
 
 app = typer.Typer(
@@ -80,7 +81,9 @@ def schema() -> None:
 
 
 @app.command()
+@grouped
 def new(
+    *,
     name: Annotated[
         str | None,
         typer.Argument(
@@ -95,6 +98,7 @@ def new(
     clock: Annotated[str | None, typer.Option(help="With data: channel with the times.")] = None,
     dt: Annotated[float | None, typer.Option(help="With data: sample time in s.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over NAME.toml if it is there.")] = False,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Write a small commented recipe to start from, NAME.toml in the working directory or in the folder before NAME.
@@ -108,7 +112,9 @@ def new(
     from robustlab.recipe.starters import write_starter
 
     if data is not None:
-        _new_from_data(name, data, plant, clock, dt, force, as_json)
+        with progress.shown("recipe new"):
+            text, result = _new_from_data(name, data, plant, clock, dt, force)
+        emit("recipe new", result, text, as_json)
         return
     if plant or clock or dt is not None:
         raise UsageError("recipe new", "--plant, --clock or --dt", "--from-data FILE with it")
@@ -119,8 +125,9 @@ def new(
 
 
 def _new_from_data(
-    name: str | None, data: str, plant: str | None, clock: str | None, dt: float | None, force: bool, as_json: bool
-) -> None:
+    name: str | None, data: str, plant: str | None, clock: str | None, dt: float | None, force: bool
+) -> tuple[str, dict[str, Any]]:
+    """What was written and guessed, as text and for JSON."""
     from pathlib import Path
 
     from robustlab.cli.plant import read_plant
@@ -144,4 +151,4 @@ def _new_from_data(
         "file": str(path), "inputs": found.inputs, "outputs": found.outputs, "clock": found.clock, "dt": record.dt,
         "units": found.units, "guessed": found.guessed,
     }  # fmt: skip
-    emit("recipe new", result, "\n".join(lines), as_json)
+    return "\n".join(lines), result

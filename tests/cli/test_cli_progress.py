@@ -139,7 +139,7 @@ QUICK = {
         "model diff",
     ),
     *("model delay", "uncertain show", "uncertain neglected", "campaign show", "effects list", "lpv at"),
-    *("recipe check", "recipe steps", "recipe schema", "recipe new", "report write", "report compare"),
+    *("recipe check", "recipe steps", "recipe schema", "report write", "report compare"),
 }
 
 
