@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from inspect import signature, unwrap
 from operator import index
+from os import PathLike
 from typing import Literal, ParamSpec, TypeVar, get_origin
 
 __all__ = [
@@ -296,6 +297,8 @@ def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tu
         said = str(parameter.annotation)
         bare = _meant(said.removesuffix(" | None"), function)
         kind = next((k for word, k in _KINDS.items() if bare.startswith(word)), None) if "] | " not in bare else None
+        if bare.endswith("Tuning") and bare.isidentifier():
+            kind = f"a {bare}", _is_named(bare)
         kind = _BY_NAME.get(key, _WHOLE_KINDS.get(bare, kind))
         if kind is not None:
             expected, fits = kind
@@ -353,6 +356,10 @@ def _is_named(name: str) -> Callable[[object], bool]:
     return lambda value: any(kind.__name__ == name for kind in type(value).__mro__) or hasattr(value, "uncertain")
 
 
+def _is_measured(value: object) -> bool:
+    return type(value).__name__ in ("Record", "FrequencyData")
+
+
 def _is_seed(value: object) -> bool:
     try:
         return index(value) >= 0  # pyright: ignore[reportArgumentType]
@@ -364,6 +371,7 @@ def _is_seed(value: object) -> bool:
 _BY_NAME = {
     "seed": ("a whole number, 0 or more", _is_seed),
     "omega": ("frequencies, real numbers in one row", _or_none(_is_row)),
+    "frequency": ("frequencies, real numbers in one row", _or_none(_is_row)),
 }
 # An annotation -> what is expected, and whether a value is that.
 _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
@@ -374,6 +382,10 @@ _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "bool": ("True or False", lambda value: type(value).__name__ in ("bool", "bool_", "int")),
     "str": ("a word", lambda value: isinstance(value, str)),
     "UncertainModel": ("an UncertainModel", _is_named("UncertainModel")),
+    "Record": ("a Record", _is_named("Record")),
+    "Record | FrequencyData": ("a Record or a FrequencyData", _is_measured),
+    "Synthesis": ("a finished design", _is_named("Synthesis")),
+    "str | Path": ("a path", lambda value: isinstance(value, str | PathLike)),
 }
 # Beginning of an annotation -> what is expected, and whether a value is that.
 _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {

@@ -1,6 +1,6 @@
 r"""Models from what one writes down: coefficients of transfer functions, matrices, objects of other programs.
 
-.. math:: G(s) = \frac{b_n s^n + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0} = b_n + C (s I - A)^{-1} B
+.. math:: G(s) = \frac{b_n s^n + \cdots + b_0}{s^n + a_{n-1} s^{n-1} + \cdots + a_0} = b_n + C (s I - A)^{-1} B
 
 with the companion matrix of the denominator for A, in states that powers of two balance.
 
@@ -36,7 +36,7 @@ def tf(
 ) -> StateSpaceModel:
     r"""A model from the coefficients of its transfer function, highest power first.
 
-    .. math:: G(s) = \frac{\mathrm{num}_0 s^m + \dots + \mathrm{num}_m}{\mathrm{den}_0 s^n + \dots + \mathrm{den}_n}
+    .. math:: G(s) = \frac{\mathrm{num}_0 s^m + \cdots + \mathrm{num}_m}{\mathrm{den}_0 s^n + \cdots + \mathrm{den}_n}
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _of_columns(entries: list[list[tuple[Array, Array]]]) -> tuple[Array, Array,
                 C[k] = column[k][0][1:] - column[k][0][0] * a[1:]
             t = balancing_factors(A)
             A, B, C = A * t / t[:, None], B / t[:, None], C * t
-            even = np.exp2(np.round(0.5 * np.log2(np.linalg.norm(B) / np.linalg.norm(C))))
+            even = np.exp2(np.round(0.5 * (np.log2(np.abs(B).max()) - np.log2(np.abs(C).max()))))
             As.append(A)
             Bs.append(B / even)
             Cs.append(C * even)

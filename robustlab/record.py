@@ -84,14 +84,16 @@ class Record(Shown, Traced):
             raise InputError(
                 name, f"t[{k}] = {clock[k]:.9g} s {word} ({count} such samples)", "strictly increasing times"
             )
-        ins = _channels(inputs or {}, len(clock), name)
-        outs = _channels(outputs or {}, len(clock), name)
+        ins = _channels({} if inputs is None else inputs, len(clock), name)
+        outs = _channels({} if outputs is None else outputs, len(clock), name)
         twice = sorted(set(ins) & set(outs))
         if twice:
             raise InputError(name, f"signal {twice[0]!r} is both an input and an output", "unique names")
         known = [*ins, *outs]
-        for given in (units or {}, meaning or {}):
-            for key in given:
+        for what, given in (("units", units), ("meaning", meaning)):
+            if not isinstance(given, Mapping | None):
+                raise InputError(f"{name}: {what}", repr(given), "texts by names of signals, {...}, or None")
+            for key in given or {}:
                 if key not in known and key != "t":
                     raise InputError(
                         name, f"a unit or meaning for {key!r}, which is no signal", None, did_you_mean(key, known)

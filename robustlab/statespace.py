@@ -564,6 +564,8 @@ def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
 def _checked_operating_point(point: OperatingPoint | None, a: Array, d: Array, where: str) -> OperatingPoint | None:
     if point is None:
         return None
+    if not isinstance(point, OperatingPoint):
+        raise InputError(f"{where}: operating_point", repr(point), "an OperatingPoint, or None")
     sizes = {"x": a.shape[0], "u": d.shape[1], "y": d.shape[0]}
     vectors: dict[str, Array] = {}
     for name, size in sizes.items():

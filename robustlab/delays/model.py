@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.channels import chained, closed, covering, in_order, named
-from robustlab.delays.pade import checked_order, pade
+from robustlab.delays.pade import SHORTEST, checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
 from robustlab.frequency import CHUNK, frequency_response
 from robustlab.operators import TransferMatrix
@@ -87,6 +87,11 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             raise InputError("DelayedModel", found, f"at least {len(lengths)}: the delays' channels come first")
         if (lengths < 0).any():
             raise InputError("DelayedModel", f"a delay of {lengths.min():g} s", "0 s or more")
+        extreme = lengths[(lengths > 0) & ((lengths < SHORTEST) | (lengths > 1 / SHORTEST))]
+        if len(extreme):
+            raise InputError(
+                "DelayedModel", f"a delay of {extreme[0]:g} s", f"0, or {SHORTEST:g} to {1 / SHORTEST:g} s"
+            )
         put = object.__setattr__
         model, lengths = in_order(*chained(*closed(model, lengths)))
         lengths.setflags(write=False)

@@ -25,6 +25,7 @@ from functools import cache
 from itertools import pairwise
 from math import factorial
 
+from robustlab.delays.pade import SHORTEST
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import StateSpaceModel, series
 
@@ -161,8 +162,8 @@ def _first_order(gain: float, corner: float) -> StateSpaceModel:
 
 
 def _check_time(where: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
-        raise InputError(where, f"{value!r}", "a positive number of seconds")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not SHORTEST <= value <= 1 / SHORTEST:
+        raise InputError(where, f"{value!r}", f"a positive number of seconds, {SHORTEST:g} to {1 / SHORTEST:g}")
 
 
 # --- the proof --------------------------------------------------------------------------------------------------------

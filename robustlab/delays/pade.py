@@ -34,6 +34,8 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, series
 
+# Times in s beyond which squares of corner frequencies overflow; the longest is one over it.
+SHORTEST = 1e-100
 # Above this order |Q_n| leaves double precision at the frequencies where the error is large.
 HIGHEST_ORDER = 40
 # Gain of the weight at high frequencies; the error itself reaches 2. Nearer to 2, the weight is larger below.

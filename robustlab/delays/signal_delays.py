@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.delays.pade import SHORTEST
 from robustlab.errors import InputError, told_as
 from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series
@@ -191,7 +192,7 @@ def _ranges(
             raise InputError(f"{where}: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
         ends = tuple(value) if isinstance(value, (tuple, list)) else (value, value)
         real = all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in ends)
-        if not real or len(ends) != 2 or not 0 <= ends[0] <= ends[1] < np.inf:
+        if not real or len(ends) != 2 or not 0 <= ends[0] <= ends[1] <= 1 / SHORTEST:
             raise InputError(f"{where}: {side} {key!r}", f"{value!r}", "a delay of 0 s or more, or a range of such")
         place = int(key) if number else names.index(str(key))
         low[place], high[place] = float(ends[0]), float(ends[1])
@@ -214,6 +215,10 @@ def _shifts(lengths: list[float], dt: float) -> StateSpaceModel:
     """Rows of states z^-1 side by side, one for each channel."""
     parts: list[StateSpaceModel] = []
     for i, length in enumerate(lengths):
+        if not length / dt < 2.0**53:
+            raise InputError(
+                "with_delays", f"{length:g} s is {length / dt:g} samples of {dt:g} s", f"at most {MOST_SAMPLES}"
+            )
         count = round(length / dt)
         if abs(length / dt - count) > WHOLE * max(count, 1):
             found, hint = f"{length:g} s is {length / dt:.6g} samples of {dt:g} s", "delay the continuous model"

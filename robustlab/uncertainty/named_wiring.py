@@ -90,6 +90,9 @@ def connected(
     sums: Sequence[str] | str = (),
 ) -> StateSpaceModel | UncertainModel:
     """`connect` with what messages call each part, a file for example."""
+    for what, names in (("inputs", inputs), ("outputs", outputs), ("sums", sums)):
+        if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
+            raise InputError(f"connect: {what}", repr(names), "a text, or a list of texts")
     ins, outs, texts = ([given] if isinstance(given, str) else list(given) for given in (inputs, outputs, sums))
     given = [_named(part, label) for part, label in zip(parts, labels, strict=True)]
     uncertain = any(isinstance(part, UncertainModel) for part in parts)

@@ -47,6 +47,8 @@ from robustlab.worst_case_analysis.draws import is_count
 from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 from robustlab.worst_case_analysis.tuning import TUNING
 
+# Shares that are shown by more samples than 10^15 are not asked for.
+SMALLEST_SHARE = 1e-14
 FEWEST_SAMPLES = 32
 
 
@@ -279,6 +281,8 @@ def sample_size(probability: float, confidence: float = 0.95, violations: int = 
     _check_share("confidence", confidence)
     if not is_count(violations, 0):
         raise InputError("sample_size", f"violations is {violations!r}", "a whole number, not negative")
+    if probability < SMALLEST_SHARE:
+        raise InputError("sample_size: probability", f"{probability:g}", f"at least {SMALLEST_SHARE:g}")
     if violations == 0:
         return max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
     # At most k violations among n samples: the violation k + 1 comes after more than n - k - 1 samples that hold.

@@ -261,6 +261,8 @@ def with_effects(
         for key, values in table.items():
             attached.append(attach(key, values, base, extended_model(base, attached), attached))
     else:
+        if not isinstance(effects, AttachedEffect | Iterable):
+            raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
         for e in (effects,) if isinstance(effects, AttachedEffect) else effects:
             attached.append(_fitting(e, base, attached))
     if not attached:

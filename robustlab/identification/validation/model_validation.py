@@ -176,8 +176,9 @@ def validate(
 
 def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
     for name, value in noise.items():
-        if np.ndim(value):
-            raise InputError(f"validate: noise of {name!r}", f"shape {np.shape(value)}", "one number")
+        if np.ndim(value) or np.asarray(value).dtype.kind not in "biuf":
+            found = f"shape {np.shape(value)}" if np.ndim(value) else repr(value)
+            raise InputError(f"validate: noise of {name!r}", found, "one number")
     return {name: float(np.asarray(value)) for name, value in noise.items()}
 
 

@@ -21,7 +21,7 @@ Smith and Doyle, "Model validation: a connection between robust control and iden
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,7 +37,7 @@ from robustlab.identification.validation.sampled_problem import noise_bounds, pr
 from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.shown import Facts, listed, number
-from robustlab.statespace import Signal
+from robustlab.statespace import Signal, real_array
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
@@ -95,8 +95,16 @@ class FrequencyData(Tabular, Evidence):
         outputs: tuple[str, ...] | list[str],
         name: str = "frequency response",
     ) -> None:
-        w = np.array(omega, dtype=np.float64)
-        G = np.array(response, dtype=np.complex128)
+        w = real_array("omega", omega, 1, name)
+        try:
+            G = np.array(response, dtype=np.complex128)
+        except (TypeError, ValueError):
+            raise InputError(name, f"response: {response!r}", "complex numbers") from None
+        for word, given in (("input", input), ("name", name)):
+            if not isinstance(given, str):
+                raise InputError(f"FrequencyData: {word}", repr(given), "a word")
+        if isinstance(outputs, str) or not isinstance(outputs, Sequence):
+            raise InputError("FrequencyData: outputs", repr(outputs), "a list of names")
         G = G[:, None] if G.ndim == 1 else G
         if w.ndim != 1 or not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
             raise InputError(name, "omega", "finite increasing frequencies in rad/s, shape (n,)")

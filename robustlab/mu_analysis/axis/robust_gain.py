@@ -2,8 +2,10 @@ r"""Robust gain margin: how much of the uncertainty leaves the gain of every mem
 
 .. math:: k^* = \sup \Big\{ k : \; \sup_{|\Delta| \le k} \|F_u(M, \Delta)\|_\infty < \gamma \Big\}
 
-The level stays where it is while the set grows; robust performance (`robust_performance`) grows both. The worst-case
-gain of the set times k crosses gamma at k*: each end of the bracket is one worst-case gain, with its own evidence.
+The level stays where it is while the set grows; robust performance (`robust_performance`) grows both. With a
+performance block of the fixed size ``1 / gamma`` it is skewed mu: ``1 / k*`` is the largest level at which the blocks
+of the set, of size one over it, make the loop singular. From above members are followed down to the level, from below
+constant D, G cover the axis, and regions of parameters and frequency where these leave a gap.
 
 References
 ----------
@@ -12,33 +14,41 @@ Packard, Balas, Liu, Shin, "Results on worst-case performance assessment", ACC 2
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from robustlab.budget import one_thread, search_budget
-from robustlab.errors import InputError, told_as
-from robustlab.mu_analysis.axis.axis_model import check_nominal
-from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
+from robustlab.arrays import AnyArray
+from robustlab.budget import Budget, dense, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.axis.axis_model import check_nominal, continuous, model_frequency, seed_frequencies
+from robustlab.mu_analysis.axis.axis_problems import GainMarginProblem
+from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
+from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, performance_inputs, skewed_cover
+from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
+from robustlab.mu_analysis.matrix.gain import gain_at, largest_gain
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, member, number
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import FullBlock, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["RobustGain", "robust_gain"]
 
 # Sets more than this many times as large as given are not looked at.
 LARGEST = 2.0**20
-ROUNDS = 24
-PATIENT = 6  # sizes
-PART = 0.3  # of the work that is left goes into one size
-# Sizes are tried this share below and above the crossing, so that one of them proves and the other attains.
-BESIDE = 1e-5
+# Where no Delta destabilises: sets are looked at, each this many times as large as the one before.
+GROWTH = 4.0
+# Looks at smaller and smaller sets, until one takes off less than this share; starts of ascents at each frequency.
+ROUNDS, STILL, STARTS = 12, 1e-5, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +71,8 @@ class RobustGain(Shown):
     physical
         Values and units of its physical parameters.
     proof
-        The worst-case gain of the set times ``lower``: its ``upper`` is at most ``level``. None where lower is 0.
+        What ``lower`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency, for the
+        performance block of size ``1 / level`` and the others of size ``lower``.
     status
         CERTIFIED where both ends are within the tolerance, or ``lower`` is so large that nothing larger was looked at;
         else INCONCLUSIVE, or TIMEOUT.
@@ -73,7 +84,7 @@ class RobustGain(Shown):
     frequency: float | None
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
-    proof: WorstCaseGain | None
+    proof: tuple[Piece, ...] | tuple[Region, ...]
     status: Status
 
     def facts(self) -> Facts:
@@ -83,6 +94,7 @@ class RobustGain(Shown):
             ("gain below", number(self.level, digits=6)),
             ("critical member", member(self.delta, self.physical)),
             ("critical frequency", number(self.frequency, "rad/s")),
+            ("proof", f"{len(self.proof)} parts"),
         ]
 
     def to_json(self) -> dict[str, Any]:
@@ -112,12 +124,12 @@ def robust_gain(
     tolerance
         Relative gap between the bounds that is aimed at.
     time_limit, seed, effort
-        As in `worst_case_gain`; the work is that of all worst-case gains together.
+        As in `worst_case_gain`.
 
     Returns
     -------
     RobustGain
-        Both bounds, the member that reaches the level, and the worst-case gain that proves ``lower``.
+        Both bounds, the member that reaches the level, and what proves ``lower``.
 
     Raises
     ------
@@ -128,7 +140,7 @@ def robust_gain(
 
     References
     ----------
-    Packard, Balas, Liu, Shin (2000).
+    Packard, Balas, Liu, Shin (2000); skewed mu: Fan, Tits (1992).
 
     Examples
     --------
@@ -145,99 +157,152 @@ def robust_gain(
     budget = search_budget("robust_gain", TUNING.work, effort, time_limit)
     nominal = hinf_norm(uncertain.nominal)
     if nominal.lower >= level:
-        return RobustGain(0.0, 0.0, level, nominal.frequency, {}, {}, None, nominal.status)
-    search = _Search(
-        level, lambda k: gain_within(scaled(uncertain, k), budget.share(PART), tolerance=tolerance / 4, seed=seed)
-    )
-    search.points.append((0.0, nominal.lower, nominal.upper))
+        return RobustGain(0.0, 0.0, level, nominal.frequency, {}, {}, (), nominal.status)
+    # Numbers near the ends of the double range would overflow in squares; the unit of the outputs is free.
+    unit = 2.0 ** round(float(np.log2(level)))
     with one_thread():
-        for _ in range(ROUNDS):
-            k = search.next_size(tolerance)
-            if k is None or budget.over:
-                break
-            search.look_at(k)
-    return _result(uncertain, search, tolerance, budget.struck)
+        found = _Search(_in_unit(uncertain, unit), level / unit, nominal.upper / unit, budget, seed)
+        if uncertain.blocks:
+            found.descend()
+            found.prove(tolerance)
+    return _result(uncertain, level, found, tolerance, budget.struck)
 
 
-def scaled(uncertain: UncertainModel, size: float) -> UncertainModel:
-    """The set with ``size Delta`` in place of Delta: what is called 1 in it is ``size`` in the set as given."""
-    M, q = uncertain.M, uncertain.delta_shape[0]
-    grown = np.append(np.full(q, size), np.ones(M.n_inputs - q))
-    larger = StateSpaceModel(M.A, M.B * grown, M.C, M.D * grown, M.dt, M.inputs, M.outputs, M.states)
-    return UncertainModel(larger, uncertain.blocks)
+def _in_unit(uncertain: UncertainModel, unit: float) -> UncertainModel:
+    """The set with its outputs in another unit."""
+    M, p = uncertain.M, uncertain.delta_shape[1]
+    size = np.append(np.ones(p), np.full(M.n_outputs - p, 1 / unit))[:, None]
+    return UncertainModel(
+        StateSpaceModel(M.A, M.B, size * M.C, size * M.D, M.dt, M.inputs, M.outputs, M.states), uncertain.blocks
+    )
 
 
 class _Search:
-    """Sizes that were looked at, the largest that is proved and the smallest that reaches the level."""
+    """The smallest member found that reaches the level, and the largest set that is proved to stay below it."""
 
-    def __init__(self, level: float, gain_of: Callable[[float], WorstCaseGain]) -> None:
-        self.level, self._gain_of = level, gain_of
-        self.points: list[tuple[float, float, float]] = []  # size, and both bounds of the worst gain
-        self.lower, self.upper = 0.0, np.inf
-        self.proof: WorstCaseGain | None = None
-        self.reached: WorstCaseGain | None = None
+    def __init__(self, uncertain: UncertainModel, level: float, nominal: float, budget: Budget, seed: int) -> None:
+        self.uncertain, self.level, self.nominal, self.budget, self.seed = uncertain, level, nominal, budget, seed
+        self.model = continuous(uncertain.M)
+        self.blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs)))
+        self.real = all(b.interval for b in uncertain.blocks)
+        self.seeds = seed_frequencies(self.model)
+        self.upper, self.frequency = np.inf, None
+        self.delta: dict[str, Any] = {}
+        self.lower = LARGEST
+        self.proof: tuple[Piece, ...] | tuple[Region, ...] = ()
 
-    def look_at(self, size: float) -> None:
-        worst = self._gain_of(size)
-        self.points.append((size, worst.lower, worst.upper))
-        self.points.sort()
-        if worst.upper <= self.level and size > self.lower:
-            self.lower, self.proof = size, worst
-        if worst.lower >= self.level and size < self.upper:
-            self.upper, self.reached = size, worst
+    def descend(self) -> None:
+        """From the smallest destabilising Delta, or a set in which the level is reached, to smaller ones."""
+        channels = continuous(self.uncertain.delta_channels)
+        worst = smallest_destabilising(channels, self.uncertain.blocks, self.seeds, self.seed)
+        if worst is not None:  # whose pole is on the axis but for rounding
+            self.take((1 + 1e-6) * worst.delta, abs(worst.pole.imag) if np.isfinite(worst.pole) else float("inf"))
+        size = 1.0
+        while not np.isfinite(self.upper) and size <= LARGEST and not self.budget.over:
+            self._look_within(size)
+            size *= GROWTH
+        for _ in range(ROUNDS if np.isfinite(self.upper) else 0):
+            before = self.upper
+            self._look_within(before)
+            if self.upper > before * (1 - STILL) or self.budget.over:
+                break
 
-    def next_size(self, tolerance: float) -> float | None:
-        """A size that may raise ``lower`` or take ``upper`` down; None where there is none."""
-        if self.upper <= self.lower * (1 + tolerance):
-            return None
-        if not np.isfinite(self.upper):
-            last = self.points[-1][0]
-            proposal = self._crossing(1) if last else 1.0
-            if proposal is None:
-                proposal = 2 * last
-            proposal = min(max(proposal * (1 + BESIDE), 1.05 * last), 32 * max(last, 1.0 / 32))
-            return proposal if proposal <= LARGEST else None
-        # Between the two there may be sizes whose bounds of the gain lie on both sides of the level.
-        next_up = min(size for size, *_ in self.points if size > self.lower)
-        next_down = max(size for size, *_ in self.points if size < self.upper)
-        halves = [(_middle(self.lower, next_up), 1.0), (_middle(next_down, self.upper), 1.0)]
-        proposals = [(self._crossing(2), 1 - BESIDE), (self._crossing(1), 1 + BESIDE), *halves]
-        # Where a line through two points keeps missing, halving the rest does not.
-        first = len(self.points) % 4 if len(self.points) > PATIENT else 0
-        for size, share in (*proposals[first:], *proposals[:first]):
-            if size is not None and self.lower < size * share < self.upper:
-                near = min(abs(size * share / tried - 1) for tried, *_ in self.points if tried)
-                if near > tolerance / 8:
-                    return size * share
-        return None
+    def _look_within(self, size: float) -> None:
+        """Ascents of the gain at many frequencies inside the set of this size; the best are followed down."""
+        box = root_box(self.blocks, size)
+        rng = np.random.default_rng(self.seed)
+        near = [] if self.frequency is None else [self.frequency * np.exp(0.02 * k) for k in (-1, 0, 1)]
+        peak = hinf_norm(self.uncertain.nominal).frequency
+        omega = np.unique([0.0, *self.seeds, *near, *([peak] if np.isfinite(peak) else [])])
+        self.budget.spend(STARTS * len(omega) * dense(len(self.blocks)))
+        met = [
+            (gain, float(w))
+            for w, M in zip(omega, frequency_response(self.model, omega), strict=True)
+            if (gain := largest_gain(M, self.blocks, box, rng, STARTS)) is not None and gain.value >= self.level
+        ]
+        for gain, w in sorted(met, key=lambda pair: -pair[0].value)[: TUNING.members]:
+            self.take(gain.delta, w)
 
-    def _crossing(self, column: int) -> float | None:
-        """Where a bound of the gain is the level: one over the gain is nearly a straight line over the size."""
-        with np.errstate(divide="ignore"):
-            rest = [(p[0], 1 / p[column] - 1 / self.level if p[column] else np.inf) for p in self.points]
-        below = [p for p in rest if p[1] > 0 and np.isfinite(p[1])]
-        # Beyond the first unstable member the gain stays infinite: no line goes through that.
-        above = [p for p in rest if -1 / self.level < p[1] <= 0]
-        if not below or len(below) + len(above) < 2:
-            return None
-        one = below[-1]
-        two = above[0] if above else below[-2]
-        slope = (two[1] - one[1]) / (two[0] - one[0]) if two[0] != one[0] else 0.0
-        return float(one[0] - one[1] / slope) if slope < 0 else None
+    def take(self, delta: AnyArray, omega: float) -> None:
+        """A Delta (q, p), shortened until it just reaches the level, if it then is the smallest."""
+        size = gauge(self.uncertain.blocks, block_entries(self.uncertain.blocks, delta))
+        if size == 0:
+            return
+        inside, outside = 0.0, min(1.0, self.upper / size)
+        at = self._reached(outside * delta, omega)
+        if at is None:
+            return
+        while outside - inside > 1e-9 * outside:
+            share = 0.5 * (inside + outside)
+            met = self._reached(share * delta, omega)
+            if met is None:
+                inside = share
+            else:
+                outside, at = share, met
+        if outside * size < self.upper:
+            self.upper, self.frequency = outside * size, at
+            self.delta = delta_values(self.uncertain.blocks, outside * delta)
+
+    def _reached(self, delta: AnyArray, omega: float) -> float | None:
+        """A frequency, of the continuous model, at which the member has the level; None where none is seen."""
+        if self.real:
+            values = delta_values(self.uncertain.blocks, delta)
+            try:
+                member = self.uncertain.evaluate({name: float(np.real(value)) for name, value in values.items()})
+            except NoTrustworthyNumber:
+                return omega  # not well posed
+            if not member.is_stable():
+                return omega
+            norm = hinf_norm(member)
+            at = float(norm.frequency)
+            at = float(np.tan(at * member.dt / 2)) if member.is_discrete else at
+            return at if norm.lower >= self.level else None
+        at = omega * np.exp(np.linspace(-0.05, 0.05, 11)) if 0 < omega < np.inf else np.array([omega])
+        met = [gain_at(M, self.blocks, delta) for M in frequency_response(self.model, at)]
+        values = [np.inf if gain is None else gain.value for gain in met]
+        k = int(np.argmax(values))
+        return float(at[k]) if values[k] >= self.level else None
+
+    def prove(self, tolerance: float) -> None:
+        """Cover the axis with D, G at a set nearly as large; then cut it into regions where they leave a gap."""
+        lower = 1 / self.upper
+        varying = ~performance_inputs(self.blocks)
+        m, ends = self.model, np.where(varying, 1.0, 1 / self.level)
+        sized = StateSpaceModel(m.A, m.B * ends, m.C, m.D * ends)
+        hot = self.frequency if self.frequency is not None and np.isfinite(self.frequency) else None
+        first = np.unique(np.concatenate([[0.0, np.inf], self.seeds, [] if hot is None else [hot]]))
+        # Of ranges that are wider on one side the smallest set around them that is not.
+        found = np.inf
+        # The performance block alone leaves no more than this to what D, G may miss.
+        room = max(0.5 * (self.level / self.nominal - 1), 1e-9) if self.nominal else np.inf
+        for accuracy in (min(TUNING.coarse, room), min(1e-4, room)):
+            cover, upper = skewed_cover(
+                sized, self.blocks, max(lower, 1 / LARGEST), varying, first=first, budget=self.budget, accuracy=accuracy
+            )
+            if upper < found:
+                found, self.proof = upper, tuple(cover.pieces)
+            if found > lower * (1 + 2 * TUNING.coarse):
+                break
+        if found > lower * (1 + tolerance) and lower and any(b.interval for b in self.blocks):
+            problem = GainMarginProblem(self.model, self.blocks, self.level, hot)
+            proof = tighten(problem, lower, found, tolerance, self.budget)
+            if proof.values is not None:
+                values = centre_matrix(self.uncertain.blocks, proof.values[:-1])
+                self.take((1 + 1e-6) * values, hot or problem.scale)
+            if proof.upper < found:
+                found, self.proof = proof.upper, tuple(proof.leaves)
+        self.lower = min(1 / found, LARGEST) if np.isfinite(found) else 0.0
 
 
-def _middle(low: float, high: float) -> float:
-    return float(np.sqrt(low * high)) if low else high / 2
-
-
-def _result(uncertain: UncertainModel, search: _Search, tolerance: float, timed_out: bool) -> RobustGain:
-    reached = search.reached
-    delta: dict[str, Any] = {}
-    if reached is not None:
-        delta = {name: np.asarray(value)[()] * search.upper for name, value in reached.delta.items()}
-    lower, upper = search.lower, search.upper
-    close = upper <= lower * (1 + tolerance) or (np.isinf(upper) and lower * 32 > LARGEST)
+def _result(uncertain: UncertainModel, level: float, found: _Search, tolerance: float, timed_out: bool) -> RobustGain:
+    lower, upper = found.lower, found.upper
+    if lower > upper * (1 + 1e-6):
+        text = f"a member of size {upper:.9g} reaches the level inside the proved size {lower:.9g}: digits were lost"
+        raise NoTrustworthyNumber("robust_gain", text)
+    lower = min(lower, upper)
+    close = upper <= lower * (1 + tolerance) * (1 + 1e-9) or (np.isinf(upper) and lower * 32 > LARGEST)
     status = Status.CERTIFIED if close else Status.TIMEOUT if timed_out else Status.INCONCLUSIVE
-    physical = uncertain.physical(delta) if delta else {}
-    frequency = None if reached is None else reached.frequency
-    return RobustGain(lower, upper, search.level, frequency, delta, physical, search.proof, status)
+    physical = uncertain.physical(found.delta) if found.delta else {}
+    at = found.frequency
+    frequency = None if at is None or not np.isfinite(upper) else model_frequency(uncertain, at)
+    return RobustGain(lower, upper, level, frequency, found.delta, physical, found.proof, status)

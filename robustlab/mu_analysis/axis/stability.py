@@ -44,6 +44,9 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["margin_within", "robust_stability"]
 
+# Bounds closer together than this are told apart by rounding alone.
+FINEST = 1e-9
+
 
 @dataclass
 class _Found:
@@ -144,9 +147,9 @@ def margin_within(
 ) -> Margin:
     """`robust_stability` within the budget of a search that it is a part of."""
     check_nominal(uncertain, "robust_stability")
-    if not 0 < accuracy < 1 or not tolerance > 0:
+    if not FINEST <= accuracy < 1 or not tolerance > 0:
         found = f"accuracy {accuracy}, tolerance {tolerance}"
-        raise InputError("robust_stability", found, "0 < accuracy < 1, tolerance > 0")
+        raise InputError("robust_stability", found, f"{FINEST:g} <= accuracy < 1, tolerance > 0")
     if expected is not None and not 0 < expected < np.inf:
         raise InputError("robust_stability", f"expected is {expected}", "a positive finite size")
     grid = frequencies(omega, "robust_stability")

@@ -44,6 +44,8 @@ __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gai
 
 
 PERFORMANCE = "performance"
+# Rounds in which points stay above a level that is not raised.
+IDLE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,9 +409,15 @@ def _prove(
     """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
     peak = _mapped(uncertain, known.frequency or 0.0)
     first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
-    known.cover, known.upper = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=tuning.coarse)
-    if known.upper <= known.lower * (1 + 2 * tuning.coarse):
-        cover, level = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=1e-4)
+    centred, varying = _about_the_centre(model, blocks), performance_inputs(blocks)
+    if centred is None:
+        known.cover, known.upper = AxisCover(), float("inf")
+    else:
+        known.cover, known.upper = skewed_cover(
+            centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=tuning.coarse
+        )
+    if centred is not None and known.upper <= known.lower * (1 + 2 * tuning.coarse):
+        cover, level = skewed_cover(centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=1e-4)
         if level < known.upper:
             known.cover, known.upper = cover, level
     known.proof = tuple(known.cover.pieces)
@@ -438,17 +446,30 @@ def _take_member(known: _Known, uncertain: UncertainModel, blocks: Sequence[Bloc
         known.lower, known.delta, known.frequency = norm.lower, member, norm.frequency
 
 
-def _cover(
-    model: StateSpaceModel, blocks: Sequence[Block], lower: float, *, first: Array, budget: Budget, accuracy: float
-) -> tuple[AxisCover, float]:
-    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold."""
+def _about_the_centre(model: StateSpaceModel, blocks: Sequence[Block]) -> StateSpaceModel | None:
+    """The model as the normalised Delta sees it where ranges are asymmetric; None where it is not stable there."""
     box = root_box(blocks)
-    if box.centre.any():
-        shifted = box_model(model, blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
-        if shifted is None or not shifted.is_stable():
-            return AxisCover(), float("inf")
-        model = shifted
-    varying, cover, scale = _performance_inputs(blocks), AxisCover(), typical_speed(model)
+    if not box.centre.any():
+        return model
+    shifted = box_model(model, blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
+    return None if shifted is None or not shifted.is_stable() else shifted
+
+
+def skewed_cover(
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    lower: float,
+    varying: Mask,
+    *,
+    first: Array,
+    budget: Budget,
+    accuracy: float,
+) -> tuple[AxisCover, float]:
+    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold.
+
+    The size of the blocks of the inputs ``varying`` is one over the level, that of the others one.
+    """
+    cover, scale, idle = AxisCover(), typical_speed(model), 0
     level = lower * (1 + accuracy)
     pending = list(first)
     while cover.open and not budget.over:
@@ -460,8 +481,9 @@ def _cover(
         over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
         if over:
             raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
-            if not np.isfinite(raised):
-                return cover, float("inf")
+            if not np.isfinite(raised) or (raised <= level and idle == IDLE):
+                return cover, float("inf")  # the other blocks alone come too near to it
+            idle = idle + 1 if raised <= level else 0
             level = max(level, raised)
             again = points_below(divided(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
             budget.spend((TUNING.skewed + 1) * points_work(blocks, len(over)))
@@ -473,7 +495,7 @@ def _cover(
     return cover, float("inf") if cover.open else level
 
 
-def _performance_inputs(blocks: Sequence[Block]) -> Mask:
+def performance_inputs(blocks: Sequence[Block]) -> Mask:
     """Which inputs of M belong to the performance, the last block."""
     n_inputs = sum(b.rows for b in blocks)
     return np.arange(n_inputs) >= n_inputs - blocks[-1].rows
@@ -530,7 +552,7 @@ def _curves(
         return gain, gain.copy(), gain.copy()
     rng, box = np.random.default_rng(seed), root_box(blocks)
     response = frequency_response(uncertain.M, grid)
-    varying = _performance_inputs(blocks)
+    varying = performance_inputs(blocks)
     found = [largest_gain(M, blocks, box, rng, 4) for M in response]
     low = np.array([0.0 if g is None else g.value for g in found])
     high = np.array([skew_upper(M, blocks, varying, 1e-3)[0] for M in response])

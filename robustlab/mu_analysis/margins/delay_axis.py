@@ -34,7 +34,9 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["DelayAxis", "Measured", "Seen", "proved_peak"]
+__all__ = ["FINEST", "DelayAxis", "Measured", "Seen", "proved_peak"]
+
+FINEST = 1e-6  # gap between bounds that may be asked for
 
 SWEEPS = 6  # of the balancing by T
 FASTEST = 60  # doublings of the frequency in which the far end is sought

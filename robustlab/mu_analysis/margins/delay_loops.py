@@ -32,7 +32,7 @@ from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
-from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Measured, Seen, proved_peak
+from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, Seen, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import delay_stability
 from robustlab.mu_analysis.margins.disk_margin import (
     PLACES,
@@ -165,9 +165,9 @@ def delay_disk_margins(
     >>> str(margins.status), round(margins.simultaneous.upper, 3)
     ('certified', 0.573)
     """
-    if not abs(skew) <= 1e6 or not 0 < tolerance < 1:
+    if not abs(skew) <= 1e6 or not FINEST <= tolerance < 1:
         found = f"skew {skew!r}, tolerance {tolerance!r}"
-        raise InputError("delay_disk_margins", found, "a finite skew, 0 < tolerance < 1")
+        raise InputError("delay_disk_margins", found, f"a finite skew, {FINEST:g} <= tolerance < 1")
     loop = _closed(plant, K, at, sign, highest_order, "delay_disk_margins")
     if not loop.stable:
         raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")

@@ -24,7 +24,7 @@ from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Measured, proved_peak
+from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, gain_and_phase
 from robustlab.result import Status
@@ -134,8 +134,8 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     (1.3201, 'certified', True)
     """
     g = as_delayed(model, "delay_gain")
-    if not 0 < tolerance < 1:
-        raise InputError("delay_gain: tolerance", f"{tolerance!r}", "a number between 0 and 1")
+    if not FINEST <= tolerance < 1:
+        raise InputError("delay_gain: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
     lower, frequency = _attained(g)
     known = delay_stability(g, highest_order, effort)
     if not known.stable:

@@ -25,9 +25,12 @@ from numpy.typing import NDArray
 
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
+from robustlab.mu_analysis.axis.axis_problems import SkewedProblem
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import search_work
 from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.axis.worst_gain import skewed_cover
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskBounds,
     DiskMargin,
@@ -37,6 +40,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     disk_margin_of,
     gain_and_phase,
 )
+from robustlab.mu_analysis.matrix.branch_and_bound import tighten
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
@@ -210,6 +214,8 @@ class _Search:
             if self.member is not None:
                 self.lower, self.upper, self.member, self.delta = 0.0, 0.0, None, alone.delta
             return
+        # The set alone leaves no more than this to what D, G may miss.
+        self._from_below(accuracy, min(accuracy / 4, max(0.5 * (alone.lower - 1), 1e-9)))
         while self.upper > self.lower * (1 + accuracy) and not self.budget.over:
             before = self.lower, self.upper
             self._step(self._next(accuracy))
@@ -217,6 +223,37 @@ class _Search:
                 before == (self.lower, self.upper) and self._closed_in(accuracy)
             ):
                 return
+
+    def _from_below(self, accuracy: float, room: float) -> None:
+        """One proof by D, G with the set as it is and disks as large as may be; then a member next to that size."""
+        m, blocks = continuous(self.loop.M), (*self.blocks, *self._disks())
+        varying = np.arange(m.n_inputs) >= self.loop.delta_shape[0]
+        first = np.unique(np.concatenate([[0.0, np.inf], seed_frequencies(m)]))
+        _, level = skewed_cover(m, blocks, 1 / self.upper, varying, first=first, budget=self.budget, accuracy=room)
+        self._proved(level)
+        if self.upper <= self.lower * (1 + accuracy):
+            return
+        if self.lower:
+            self._step(self.lower * (1 + accuracy / 2))
+        while not self.lower and self.upper and not self.budget.over:
+            before = self.upper
+            self._step(self._next(accuracy))
+            if self.upper > 0.5 * before:
+                break
+        if self.upper > self.lower * (1 + accuracy) and self.upper and any(b.interval for b in self.blocks):
+            sought = np.array([block in blocks[len(self.blocks) :] for block in blocks])
+            problem = SkewedProblem(m, blocks, sought, None, self.tuning)
+            part = self.budget.share(self.tuning.alone)
+            self._proved(tighten(problem, 1 / self.upper, level, accuracy, part, self.tuning).upper)
+
+    def _proved(self, level: float) -> None:
+        """Disks of size ``1 / level`` leave every member's loop stable."""
+        if np.isfinite(level):
+            self.lower = min(max(self.lower, 1 / level), self.upper)
+            self.asked.append((self.lower, 1.0))
+
+    def _disks(self) -> list[Block]:
+        return [ComplexScalar(f"disk: {name}") for name in self.names]
 
     def _next(self, accuracy: float) -> float:
         """Size of the disks to ask for next: a little below the one at which the proved margin would be 1."""
@@ -253,8 +290,7 @@ class _Search:
         scale = np.ones(m.n_inputs)
         scale[q:] = alpha
         scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt)
-        disks: list[Block] = [ComplexScalar(f"disk: {name}") for name in self.names]
-        loop = UncertainModel(scaled, [*self.blocks, *disks])
+        loop = UncertainModel(scaled, [*self.blocks, *self._disks()])
         self.budget.spend(search_work(m.n_states, loop.blocks))
         return margin_within(loop, self.budget, accuracy=self.tuning.margin_accuracy, seed=self.seed)
 

@@ -166,6 +166,8 @@ def disturbance_model(
 
 
 def _intensities(noise: ArrayLike, n: int) -> AnyArray:
+    if np.iscomplexobj(noise):
+        raise InputError("lqg: disturbance_noise", f"{noise!r}", "real numbers")
     try:
         sizes = np.broadcast_to(np.asarray(noise, dtype=float), (n,))
     except (TypeError, ValueError):

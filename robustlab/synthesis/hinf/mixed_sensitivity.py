@@ -156,7 +156,10 @@ def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | No
     """A weight in the plant's time, as it was given: a number, a matrix or a model; one of one channel on all n."""
     if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
         try:
-            gain = np.atleast_2d(np.asarray(given, dtype=float))
+            gain = np.atleast_2d(given)
+            if gain.dtype.kind == "c":
+                raise InputError(where, "complex numbers", "a model or real numbers", hint)
+            gain = gain.astype(float)
         except (TypeError, ValueError):
             raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers", hint) from None
         given = StateSpaceModel([], [], [], gain, where=where)

@@ -16,7 +16,7 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.signals import Taken, law
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
@@ -58,8 +58,11 @@ class Controller(Shown, Traced):
     takes: InitVar[str | Sequence[str] | None] = None
 
     def __post_init__(self, takes: str | Sequence[str] | None) -> None:
+        object.__setattr__(self, "K", as_model(self.K, "Controller: K"))
         if takes is None:
             return
+        if not isinstance(takes, str | Sequence) or not all(isinstance(word, str) for word in takes):
+            raise InputError("Controller: takes", repr(takes), "a word as in 'r - y', or a list of one for each input")
         words = [takes] * self.K.n_inputs if isinstance(takes, str) else list(takes)
         if len(words) != self.K.n_inputs:
             raise InputError("Controller: takes", f"{len(words)} words", f"one, or {self.K.n_inputs}")

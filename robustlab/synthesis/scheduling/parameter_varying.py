@@ -136,7 +136,8 @@ class LPVModel(Behaviour, Shown, Traced):
         deviation: ArrayLike | None = None,
         known: str = EXACT,
     ) -> None:
-        rates, units = rates or {}, units or {}
+        rates = {} if rates is None else rates
+        units = {} if units is None else units
         for word, given in (("points", points), ("rates", rates), ("units", units)):
             if not isinstance(given, Mapping):
                 raise InputError(f"LPVModel: {word}", f"{given!r}", "parameter -> value, such as {'a': ...}")
@@ -171,8 +172,9 @@ class LPVModel(Behaviour, Shown, Traced):
         deviation: ArrayLike | None,
         known: str,
     ) -> None:
-        if known not in KNOWN:
-            raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", did_you_mean(known, KNOWN))
+        if not isinstance(known, str) or known not in KNOWN:
+            hint = did_you_mean(str(known), KNOWN)
+            raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", hint)
         cells = (*(len(p.points) - 1 for p in parameters), *matrices.shape[-2:])
         given = np.zeros(cells) if deviation is None else real_array("deviation", deviation, len(cells), "LPVModel")
         if given.shape != cells or (given < 0).any():

@@ -60,7 +60,7 @@ class ParameterRange:
     sign: Sign = field(default="any", repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if self.sign not in get_args(Sign):
+        if not isinstance(self.sign, str) or self.sign not in get_args(Sign):
             raise InputError("ParameterRange: sign", f"{self.sign!r}", f"one of {', '.join(get_args(Sign))}")
         if self.below is None:
             return
