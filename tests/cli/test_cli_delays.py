@@ -53,7 +53,9 @@ def test_check_proves_or_refutes(run):
     found = json.loads(run("model", "check", "loop.h5", "--json"))["stability"]
     assert found["stable"] is False
     assert found["root"]["re"] > 0
-    through = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])).feedback(0.9 * rl.delay(1.0))
+    through = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])).feedback(
+        0.6 * rl.delay(1.0) + 0.5 * rl.delay(2.0)
+    )
     rl.save(run.folder / "echo.h5", through)
     run("model", "check", "echo.h5", code=4)
 

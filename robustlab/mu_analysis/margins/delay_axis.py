@@ -74,7 +74,7 @@ class DelayAxis:
     def response(self, omega: Array) -> ComplexArray:
         """The response alone, (k, n_y, n_u)."""
         held = np.broadcast_to(self.B, (len(omega), *self.B.shape))
-        return self.D + self.C @ np.linalg.solve(self._matrix(omega), held)
+        return self.D + self.C @ np.linalg.solve(self.characteristic(omega), held)
 
     def seen(self, middle: Array) -> Seen:
         """What the bounds about these frequencies need.
@@ -90,7 +90,7 @@ class DelayAxis:
 
     def _seen(self, omega: Array) -> Seen:
         try:
-            inverse = np.linalg.inv(self._matrix(omega))
+            inverse = np.linalg.inv(self.characteristic(omega))
         except np.linalg.LinAlgError:
             raise NoTrustworthyNumber("delayed loop", "a root of its characteristic equation on the axis") from None
         weighted = inverse * self.weight
@@ -148,7 +148,8 @@ class DelayAxis:
         size = float(np.linalg.norm(self.inner[: self.n, : self.n], 2)) if self.n else 0.0
         return size or 1.0 / float(self.delays.max(initial=1.0))
 
-    def _matrix(self, omega: Array) -> ComplexArray:
+    def characteristic(self, omega: Array) -> ComplexArray:
+        """F on the axis, (k, n, n), in balanced unknowns."""
         return self.model.turned(-self.inner, 1j * omega)
 
 

@@ -1,6 +1,8 @@
-r"""Stability of a model with exact delays: proved by a set that holds it, or refuted by a root.
+r"""Stability of a model with exact delays: proved by counting its roots or by a set that holds it, refuted by a root.
 
-Stable: the set of `DelayedModel.uncertain` of some order is robustly stable on the whole axis, with a margin above 1.
+Stable: no root of the characteristic equation lies right of the axis (`root_count`), and none that Newton's method
+finds. Where the roots cannot be counted: the set of `DelayedModel.uncertain` of some order is robustly stable on the
+whole axis, with a margin above 1.
 Unstable: the characteristic equation has a root in the open right half plane,
 
 .. math:: F(s) v = 0, \qquad F(s) = \begin{bmatrix} sI - A & -B_1 \\ -C_1 & \mathrm{diag}(e^{s \tau_i}) - D_{11}
@@ -27,9 +29,10 @@ import numpy as np
 
 from robustlab.arrays import ComplexArray
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.stability import robust_stability
+from robustlab.mu_analysis.margins.root_count import RootCount, count_roots
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel
@@ -39,6 +42,8 @@ __all__ = ["DelayStability", "delay_stability"]
 # Orders of the approximations that are tried one after the other.
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16)
 NEWTON_STEPS = 40
+# Of the approximation whose poles lead to roots, where these are counted.
+LOOKED_FOR = 6
 # A start whose iteration runs beyond exp of this is given up.
 FARTHEST = 500.0
 # Rounding of an evaluation of F, in units of the sizes that enter it.
@@ -57,15 +62,18 @@ class DelayStability(Shown):
         CERTIFIED: stability is proved on the whole frequency axis, or a root in the right half plane is proved to be
         there; both in floating point. INCONCLUSIVE: neither, up to the highest order.
     order
-        Order of Padé's approximations with which it was shown, or the last one that was tried.
+        Order of Padé's approximations with which it was shown, or the last one that was tried; 0 where the roots were
+        counted.
     margin
-        Robust stability of the set of that order; ``margin.lower`` above 1 is the proof. None where its nominal model
-        was not stable.
+        Robust stability of the set of that order; ``margin.lower`` above 1 is the proof. None where the roots were
+        counted, and where the set's nominal model was not stable.
     root
         A root of the characteristic equation in 1/s: in the right half plane where that is shown, else the rightmost
         that was found. None where none was.
     radius
         An exact root lies within this distance of ``root``, in 1/s.
+    count
+        How many roots lie right of the axis, with the cells that show it; None where they could not be counted.
     """
 
     stable: bool | None
@@ -74,13 +82,18 @@ class DelayStability(Shown):
     margin: Margin | None
     root: complex | None
     radius: float
+    count: RootCount | None = None
 
     def facts(self) -> Facts:
         """The verdict and what it rests on."""
         verdict = {True: "yes: proved on the whole axis", False: "no: proved by a root", None: "undecided"}[self.stable]
         proved = f"{number(self.margin.lower)} (proved), with Padé of order {self.order}" if self.margin else ""
+        counted = ""
+        if self.count is not None:
+            counted = f"{self.count.roots}, by the argument principle: {self.count.cells} cells of the axis"
         return [
             ("stable", verdict),
+            ("roots right of the axis", counted),
             ("margin of the set", proved),
             ("root", number(self.root, "1/s")),
             ("exact root within", number(self.radius, "1/s") if self.root is not None else ""),
@@ -95,9 +108,10 @@ class DelayStability(Shown):
 def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
     r"""Whether a model with exact delays, a closed loop for example, is stable.
 
-    Orders 1, 2, 3, 4, 6, 8, 12, 16 of Padé's approximation are tried until one decides: its set is robustly stable, or
-    one of its unstable poles leads to an unstable root of the model with its delays. The nearer the loop is to the
-    stability boundary, and the more the delays turn within its bandwidth, the higher the order.
+    Roots right of the axis are counted; a root that is found there has to agree. Where the count does not come to an
+    end (a root on the axis, echoes that do not die away), orders 1, 2, 3, 4, 6, 8, 12, 16 of Padé's approximations are
+    tried until one decides: its set is robustly stable, or one of its unstable poles leads to an unstable root of the
+    model with its delays.
 
     Parameters
     ----------
@@ -106,7 +120,7 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     highest_order
         Up to which order to try, 1 to 16.
     effort
-        Work that each proof may take, as a multiple of the usual.
+        Work that the count and each proof may take, as a multiple of the usual.
 
     Returns
     -------
@@ -129,25 +143,32 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
         raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
     found = DelayStability(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
+    count = count_roots(g, effort) if len(g.delays) else None
+    if count is not None and not count.roots:
+        root, radius = _rightmost(g, g.pade(LOOKED_FOR))
+        if root is None or root.real <= radius:
+            return DelayStability(True, Status.CERTIFIED, 0, None, root, radius, count)
+        text = f"no root right of the axis is counted, and {root:.6g} is one: digits were lost"
+        raise NoTrustworthyNumber("delay_stability", text)
     for order in (n for n in ORDERS if n <= highest_order) if len(g.delays) else (0,):
-        found = _tried(g, order, effort)
+        found = _tried(g, order, effort, count)
         if found.stable is not None:
             break
     return found
 
 
-def _tried(g: DelayedModel, order: int, effort: float) -> DelayStability:
-    """What one order of approximation shows."""
+def _tried(g: DelayedModel, order: int, effort: float, count: RootCount | None) -> DelayStability:
+    """What one order of approximation shows; where roots are counted on the right, only one of them is looked for."""
     rational = g.pade(order)
     root, radius = _rightmost(g, rational)
     if root is not None and root.real > radius:
-        return DelayStability(False, Status.CERTIFIED, order, None, root, radius)
+        return DelayStability(False, Status.CERTIFIED, order, None, root, radius, count)
     margin = None
-    if rational.is_stable():
+    if rational.is_stable() and count is None:
         margin = robust_stability(g.uncertain(order), expected=1.0, effort=effort)
         if margin.status is Status.CERTIFIED and margin.lower > 1.0:
             return DelayStability(True, Status.CERTIFIED, order, margin, root, radius)
-    return DelayStability(None, Status.INCONCLUSIVE, order, margin, root, radius)
+    return DelayStability(None, Status.INCONCLUSIVE, order, margin, root, radius, count)
 
 
 def _rightmost(g: DelayedModel, rational: StateSpaceModel) -> tuple[complex | None, float]:
