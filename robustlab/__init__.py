@@ -133,13 +133,13 @@ _PUBLIC = {
     "check_weights": "synthesis.specifications.weight_design",
     "makeweight": "synthesis.specifications.weight_design",
     "noise_weight": "synthesis.specifications.weight_design",
-    "Controller": "synthesis.problem.design",
+    "Controller": "synthesis.problem.controller",
     # gain scheduling
     "LPVModel": "synthesis.scheduling.parameter_varying",
     "lpv_model": "synthesis.scheduling.lpv_sources",
     "lpv_gain": "synthesis.scheduling.induced_gain",
     "lpv_hinf": "synthesis.scheduling.scheduled_synthesis",
-    "LPVController": "synthesis.scheduling.scheduled_synthesis",
+    "LPVController": "synthesis.scheduling.scheduled_controller",
     # reduction and discretisation
     "hankel_singular_values": "synthesis.reduction.model_reduction",
     "balanced_truncation": "synthesis.reduction.model_reduction",

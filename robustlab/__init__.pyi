@@ -86,7 +86,7 @@ from robustlab.synthesis.hinf.delayed_design import verify_delayed_loop as verif
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
-from robustlab.synthesis.problem.design import Controller as Controller
+from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.problem.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
@@ -102,7 +102,7 @@ from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as
 from robustlab.synthesis.scheduling.induced_gain import lpv_gain as lpv_gain
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
-from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController as LPVController
+from robustlab.synthesis.scheduling.scheduled_controller import LPVController as LPVController
 from robustlab.synthesis.scheduling.scheduled_synthesis import lpv_hinf as lpv_hinf
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.specifications.loop_functions import loop_functions_of as loop_functions_of

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from robustlab.errors import InputError
 
@@ -22,6 +22,8 @@ from robustlab.errors import InputError
 BY_DIFFERENCES = "derivatives by differences, not exact"
 # In the note of whatever comes from a file without a content hash, and of all that is saved from it.
 NOT_VERIFIED = "not verified by a content hash"
+# What made a plant of the user's own.
+BY_PLANT_FILE, BY_UNIT = "plant file", "functional mock-up unit"
 
 _LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "control", "h5py")
 # Packages that bring the module of that name. Where both are installed, the files are those of the one that came last,
@@ -112,3 +114,11 @@ class Traced:
         """Note where this object comes from; for the one who has just read it, or made it of one that knows."""
         if origin is not None:
             object.__setattr__(self, "provenance", origin)
+
+
+def code_of(thing: Any) -> dict[str, str]:
+    """File -> SHA-256 of the code that made a plant; empty for what no plant file and no unit made."""
+    origin = getattr(thing, "provenance", None)
+    if not isinstance(origin, Provenance) or origin.created_by not in (BY_PLANT_FILE, BY_UNIT):
+        return {}
+    return dict(origin.inputs)

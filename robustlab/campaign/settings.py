@@ -17,7 +17,7 @@ from robustlab.files.isolation import receive, send_tree
 from robustlab.files.tree import Tree, canonical, content_sha256
 from robustlab.provenance import robustlab_version
 from robustlab.storage.matrices import Problems
-from robustlab.storage.models import decode_uncertain, encode_uncertain
+from robustlab.storage.uncertain_models import decode_uncertain, encode_uncertain
 from robustlab.uncertainty.lft import UncertainModel
 
 KINDS = ("samples", "vertices", "search")

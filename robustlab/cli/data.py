@@ -266,8 +266,8 @@ def compare(
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
-    from robustlab.dynamics.plant_file import code_of
     from robustlab.identification.comparison.comparison import Comparison
+    from robustlab.provenance import code_of
 
     system = plant_or_model(model, settings or [])
     repeat = windows.repeat or []
@@ -314,7 +314,7 @@ def discover(
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """
     from robustlab.dynamics.effects.catalogue import effect
-    from robustlab.dynamics.plant_file import code_of
+    from robustlab.provenance import code_of
 
     system = plant_or_model(model, settings or [])
 

@@ -203,7 +203,7 @@ def diff(
     Example: robustlab model diff nominal.h5 perturbed.h5
     """
     from robustlab.storage import load_pair
-    from robustlab.storage.models import difference
+    from robustlab.storage.pairs import difference
 
     if second is None:
         a, b = load_pair(first, transpose=transpose)

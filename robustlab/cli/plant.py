@@ -72,7 +72,7 @@ def _require_known(name: str) -> None:
 def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
     """The uncertain model in a file, or the set of a plant whose parameters have tolerances; the code that made it."""
     from robustlab.dynamics.plant_contract import Plant
-    from robustlab.dynamics.plant_file import code_of
+    from robustlab.provenance import code_of
 
     model = plant_or_model(name, [])
     if isinstance(model, Plant):
@@ -89,8 +89,7 @@ def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
 
 def made_of(name: str, thing: Any) -> dict[str, str]:
     """File -> SHA-256 of what was read for a plant or model; empty for a plant that comes with robustlab."""
-    from robustlab.dynamics.plant_file import code_of
-    from robustlab.provenance import file_sha256
+    from robustlab.provenance import code_of, file_sha256
 
     return code_of(thing) or ({name: file_sha256(name)} if Path(name).is_file() else {})
 

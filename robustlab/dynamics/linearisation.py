@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim
-from robustlab.dynamics.plant_file import code_of
 from robustlab.errors import InputError, told_as
+from robustlab.provenance import code_of
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 

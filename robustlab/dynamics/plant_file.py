@@ -37,9 +37,8 @@ from robustlab.errors import (
 )
 from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import require_file
-from robustlab.provenance import Provenance, file_sha256
+from robustlab.provenance import BY_PLANT_FILE, Provenance, file_sha256
 
-MADE_BY, BY_UNIT = "plant file", "functional mock-up unit"
 # In the globals of a plant file: what messages call it.
 MARK = "__plant_file__"
 # Package that plant files import -> extra of robustlab that installs it.
@@ -90,7 +89,7 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
     _check_shapes(made, shown)
     source = made.provenance
     known, note = ({}, "") if source is None else (source.inputs, f"; {source.note}" if source.note else "")
-    made.traced(Provenance.now(MADE_BY, {**known, **hashes}, note=shown + note))
+    made.traced(Provenance.now(BY_PLANT_FILE, {**known, **hashes}, note=shown + note))
     return made
 
 
@@ -100,12 +99,6 @@ def plants_in_file(file: str) -> tuple[str, ...]:
     Raises InputError, DependencyMissing: as `plant_from_file`.
     """
     return _plants(_run(Path(file), _shown(file, None))[0])
-
-
-def code_of(thing: Any) -> dict[str, str]:
-    """File -> SHA-256 of the code that made a plant; empty for what no plant file and no unit made."""
-    origin = getattr(thing, "provenance", None)
-    return dict(origin.inputs) if isinstance(origin, Provenance) and origin.created_by in (MADE_BY, BY_UNIT) else {}
 
 
 def fault_of_user_code(error: Exception) -> RobustlabError | None:

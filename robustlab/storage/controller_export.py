@@ -33,7 +33,7 @@ from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.storage.controller_json import controller_to_json
 from robustlab.storage.interchange import save
-from robustlab.synthesis.problem.design import Controller
+from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.windup.back_calculation import back_calculation
 from robustlab.uncertainty.lft import UncertainModel
 

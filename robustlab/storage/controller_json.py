@@ -18,8 +18,8 @@ from robustlab.provenance import Provenance
 from robustlab.result import Status, plain
 from robustlab.signals import TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
-from robustlab.storage.models import said_by_names
-from robustlab.synthesis.problem.design import Controller
+from robustlab.storage.controllers import said_by_names
+from robustlab.synthesis.problem.controller import Controller
 
 SCHEMA, VERSION = "robustlab.controller", 1
 RECURSION = "x[k+1] = A x[k] + B v[k], u[k] = C x[k] + D v[k] with the inputs v; dx/dt if dt = 0"
@@ -71,14 +71,6 @@ def controller_to_json(
         "saturation": None if saturation is None else [list(pair) for pair in saturation],
         "provenance": plain(origin.to_json()),
     }
-
-
-def is_json(path: str | Path) -> bool:
-    """Whether a text file is meant to be JSON: by its name, or because it begins with a brace."""
-    if Path(path).suffix.lower() == ".json":
-        return True
-    with Path(path).open("rb") as stream:
-        return stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
 def read_controller_json(path: str | Path, limits: Limits | None = None, isolate: bool = True) -> LoadedController:

@@ -1,54 +1,37 @@
 """Loading and saving: which object a file holds, and which file an object becomes.
 
-A result becomes nested groups of what its ``to_json`` gave.
-
-What knows one kind of object is loaded where one is met: a command that reads a model needs no plants and no delays.
+What knows one kind of object is loaded where one is met (`codecs`): a command that reads a model needs no plants and
+no delays.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from robustlab.errors import InputError, UsageError, told_as
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
-from robustlab.files.records import CLOCK_NAMES, RecordOptions, decode_record, encode_record, read_record
-from robustlab.files.signature import Limits, content_of
-from robustlab.files.tree import (
-    Dataset,
-    Tree,
-    Unread,
-    check_header,
-    decode_provenance,
-    is_stamped,
-    link_name,
-    signal_name,
-    stamp,
-    text_attr,
-)
-from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced
-from robustlab.record import Record
-from robustlab.result import Result, Status
+from robustlab.files.signature import Limits, content_of, is_json
+from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
+from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.storage.matrices import Problems, decode_model, encode_model
-from robustlab.storage.models import decode_pair, looks_like_a_pair
+from robustlab.storage.codecs import BY_KIND, codec_of
+from robustlab.storage.matrices import NAMES, Problems, decode_state_space
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
     from robustlab.dynamics.plant_contract import Plant
-    from robustlab.synthesis.problem.design import Controller
+    from robustlab.record import Record
+    from robustlab.result import Result
+    from robustlab.synthesis.problem.controller import Controller
     from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
+    from robustlab.synthesis.scheduling.scheduled_controller import LPVController
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -142,6 +125,8 @@ def load_pair(
 
     Raises InputError: anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
     """
+    from robustlab.storage.pairs import decode_pair
+
     tree = _tree(path, None, limits, isolate)
     return decode_pair(tree, Problems(str(path)), transpose)
 
@@ -176,21 +161,22 @@ def read(
     where = str(path)
     content = content_of(path, limits)
     if content in ("text", "parquet", "mcap"):
-        from robustlab.storage.controller_json import is_json, read_controller_json
-
         if content == "text" and is_json(path):
+            from robustlab.storage.controller_json import read_controller_json
+
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
             held = read_controller_json(path, limits, isolate)
             warnings = (*held.warnings, *_unit_warnings("controller", held.controller))
             return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
-        keywords = read_record(path, RecordOptions(group), limits, isolate)
-        return Loaded(_record(keywords, where), "record", where, False)
+        from robustlab.storage.records import record_from
+
+        return Loaded(record_from(path, group, limits, isolate), "record", where, False)
     tree = _tree(path, group, limits, isolate)
     problems = Problems(where)
     if is_stamped(tree) and group is None:
         kind, found = check_header(tree, no_verify)
-        thing = _of_kind(kind, tree, problems, transpose)
+        thing = BY_KIND[kind].read(tree, problems, transpose)
         verified = not found and not (no_verify and text_attr(tree.attrs, "content_sha256") is None)
         return Loaded(
             thing,
@@ -212,65 +198,24 @@ def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: b
     return read_tree(path, group, limits, isolate)
 
 
-def _of_kind(kind: str, tree: Tree, problems: Problems, transpose: bool) -> Stored:
-    if kind in ("uncertain", "controller"):
-        from robustlab.storage.models import decode_controller, decode_uncertain
-
-        return (decode_uncertain if kind == "uncertain" else decode_controller)(tree, problems, transpose)
-    if kind == "delayed":
-        from robustlab.storage.models import decode_delayed
-
-        return decode_delayed(tree, problems, transpose)
-    if kind == "frequency-data":
-        from robustlab.storage.models import decode_frequency_data
-
-        return decode_frequency_data(tree, problems)
-    if kind in ("lpv", "lpv-controller"):
-        from robustlab.storage.models import decode_lpv
-
-        return decode_lpv(tree, problems, controller=kind == "lpv-controller")
-    if kind == "record":
-        return _record(decode_record(tree, tree.file), tree.file)
-    if kind == "result":
-        return decode_result(tree)
-    if kind == "plant":
-        from robustlab.storage.plants import decode_plant
-
-        return decode_plant(tree, problems)
-    return _model(tree, problems, transpose)
-
-
 def _plain(
     node: Tree, problems: Problems, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
 ) -> tuple[str, Any]:
     """A file without header: a model by its matrices, a pair by its groups, a record by its clock."""
-    where = problems.file
-    matrices = [name for name in "ABCD" if name in node.datasets]
-    if not matrices and looks_like_a_pair(node):
-        return "pair", decode_pair(node, problems, transpose)
-    has_signals = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
-    if has_signals and len(matrices) < 2:
-        return "record", _record(read_record(where, RecordOptions(group), limits, isolate), where)
+    matrices = [name for name in NAMES if name in node.datasets]
+    if not matrices:
+        from robustlab.storage.pairs import decode_pair, looks_like_a_pair
+
+        if looks_like_a_pair(node):
+            return "pair", decode_pair(node, problems, transpose)
+    if len(matrices) < 2:
+        from robustlab.storage.records import looks_like_a_record, record_from
+
+        if looks_like_a_record(node):
+            return "record", record_from(problems.file, group, limits, isolate)
     if not matrices and node.groups:
         problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one (group=, --group)"
-    return "state-space", _model(node, problems, transpose)
-
-
-def _model(node: Tree, problems: Problems, transpose: bool) -> StateSpaceModel:
-    model = decode_model(node, problems, transpose)
-    problems.raise_any()
-    assert model is not None
-    return model
-
-
-def _record(keywords: dict[str, Any], where: str) -> Record:
-    name = keywords.pop("name")
-    try:
-        return Record(**keywords, name=name)
-    except InputError as error:
-        raise InputError(
-            where, f"{error.where.removeprefix(name).lstrip(': ')} {error.found}".strip(), error.expected, error.hint
-        ) from None
+    return "state-space", decode_state_space(node, problems, transpose)
 
 
 def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
@@ -316,8 +261,6 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     InputError, UsageError
         An object or a file name that cannot be written.
     """
-    from robustlab.dynamics.plant_file import code_of
-
     if not isinstance(path, (str, PathLike)):
         turned = isinstance(obj, (str, PathLike))
         found, hint = f"a {type(path).__name__} in the place of the file", f"rl.save({str(obj)!r}, G)"
@@ -345,59 +288,23 @@ def _origin(obj: Any, given: Provenance) -> Provenance:
 
 
 def _encode(tree: Tree, obj: Any) -> str:
-    from robustlab.delays.model import DelayedModel
-    from robustlab.dynamics.plant_contract import Plant
-    from robustlab.storage.models import (
-        encode_controller,
-        encode_delayed,
-        encode_frequency_data,
-        encode_lpv,
-        encode_uncertain,
-    )
-    from robustlab.storage.plants import encode_plant
-    from robustlab.synthesis.problem.design import Controller
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVController
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-    from robustlab.uncertainty.lft import UncertainModel
-
-    if isinstance(obj, UncertainModel):
-        encode_uncertain(tree, obj)
-        return "uncertain"
-    if isinstance(obj, DelayedModel):
-        encode_delayed(tree, obj)
-        return "delayed"
-    if isinstance(obj, UncertainFrequencyData):
-        encode_frequency_data(tree, obj)
-        return "frequency-data"
-    if isinstance(obj, (LPVModel, LPVController)):
-        return encode_lpv(tree, obj)
-    if isinstance(obj, Controller):
-        encode_controller(tree, obj)
-        return "controller"
-    if isinstance(obj, Record):
-        keywords = {key: getattr(obj, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")}
-        encode_record(tree, keywords)
-        return "record"
-    if isinstance(obj, Plant):
-        encode_plant(tree, obj)
-        return "plant"
-    if not isinstance(obj, StateSpaceModel) and hasattr(obj, "status") and hasattr(obj, "to_json"):
-        encode_result(tree, obj)
-        return "result"
-    encode_model(tree, as_model(obj, "save"))
-    return "state-space"
+    codec = codec_of(obj)
+    if codec is None and hasattr(obj, "status") and hasattr(obj, "to_json"):
+        codec = BY_KIND["result"]
+    if codec is None:
+        codec, obj = BY_KIND["state-space"], as_model(obj, "save")
+    codec.write(tree, obj)
+    return codec.kind
 
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:
-    from robustlab.uncertainty.lft import UncertainModel
-
-    if isinstance(obj, (UncertainModel, Record, Result)):
-        found = "an uncertain model" if isinstance(obj, UncertainModel) else f"a {type(obj).__name__}"
+    codec = codec_of(obj)
+    if codec and codec.kind in ("uncertain", "record", "result"):
+        found = "an uncertain model" if codec.kind == "uncertain" else f"a {type(obj).__name__}"
         hint = "save it as .h5, which MATLAB reads with h5read"
         raise InputError(str(path), found, "a model or a controller for .mat", hint)
     model = as_model(obj, "save")
-    variables: dict[str, Any] = {name: getattr(model, name) for name in "ABCD"}
+    variables: dict[str, Any] = {name: getattr(model, name) for name in NAMES}
     variables["dt"] = model.dt
     point = model.operating_point
     if point is not None:
@@ -409,119 +316,3 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
         variables["InputTakes"] = [getattr(s, "takes", "") for s in model.inputs]
         variables["InputOf"] = [getattr(s, "of", "") for s in model.inputs]
     return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))
-
-
-# --- results ---------------------------------------------------------------------------------------------------------
-
-
-def encode_result(tree: Tree, result: Any) -> None:
-    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table."""
-    data = dict(result.to_json())
-    if isinstance(result, Result):
-        data.pop("type")
-    data.pop("status", None)
-    tree.attrs.update(
-        type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
-    )
-    _table(tree.group("data"), data)
-
-
-def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
-    for key, value in data.items():
-        _put(tree, link_name(str(key)), value)
-
-
-def _put(tree: Tree, link: str, value: Any) -> None:
-    if hasattr(value, "to_json"):
-        value = value.to_json()
-    if isinstance(value, Enum):
-        value = value.value
-    if value is None:
-        tree.put(link, "", null=True)
-    elif isinstance(value, Mapping):
-        _table(tree.group(link), value)
-    elif isinstance(value, (list, tuple, set, frozenset)):
-        _put_list(tree, link, list(value))
-    elif isinstance(value, np.ndarray) and value.dtype == object:
-        _put_list(tree, link, value.tolist())
-    else:
-        tree.put(link, value)
-
-
-def _put_list(tree: Tree, link: str, items: list[Any]) -> None:
-    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
-    leaves = _leaf_types(items)
-    if leaves and len(leaves) == 1 and _is_rectangular(items):
-        tree.put(link, np.asarray(items))
-        return
-    group = tree.group(link)
-    group.attrs["sequence"] = len(items)
-    for i, item in enumerate(items):
-        _put(group, str(i), item)
-
-
-def _leaf_types(items: list[Any]) -> set[str]:
-    kinds: set[str] = set()
-    for item in items:
-        if isinstance(item, (list, tuple)):
-            kinds |= _leaf_types(list(item))
-        elif isinstance(item, str) and not isinstance(item, Enum):
-            kinds.add("text")
-        elif isinstance(item, (bool, np.bool_)):
-            kinds.add("bool")
-        elif isinstance(item, (int, float, np.integer, np.floating)):
-            kinds.add("number")
-        elif isinstance(item, (complex, np.complexfloating)):
-            kinds.add("complex")
-        else:
-            kinds.add(type(item).__name__)
-            kinds.add("other")
-    return kinds
-
-
-def _is_rectangular(items: list[Any]) -> bool:
-    try:
-        return np.asarray(items).dtype != object
-    except ValueError:
-        return False
-
-
-def decode_result(tree: Tree) -> Result:
-    """Inverse of `encode_result`; lists of numbers come back as arrays.
-
-    Raises InputError: no group ``data``, an unknown status.
-    """
-    text = str(np.asarray(tree.attrs.get("status", "")))
-    if text not in [status.value for status in Status]:
-        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(s.value for s in Status)}")
-    if "data" not in tree.groups:
-        raise InputError(tree.file, "missing /data")
-    data = _value(tree.groups["data"])
-    if not isinstance(data, dict):
-        raise InputError(tree.file, "/data is a sequence", "a table")
-    return Result(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
-
-
-def _value(node: Tree) -> Any:
-    if "sequence" in node.attrs:
-        length = np.asarray(node.attrs["sequence"])
-        if length.dtype.kind != "i" or length.size != 1:
-            raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
-        count = int(length.flat[0])
-        names = [str(i) for i in range(min(count, len(node.datasets) + len(node.groups)))]
-        return [_child(node, name) for name in names if name in node.datasets or name in node.groups]
-    return {signal_name(link): _child(node, link) for link in [*node.datasets, *node.groups]}
-
-
-def _child(node: Tree, link: str) -> Any:
-    return _leaf(node, link, node.datasets[link]) if link in node.datasets else _value(node.groups[link])
-
-
-def _leaf(node: Tree, link: str, dataset: Dataset) -> Any:
-    if isinstance(dataset.values, Unread):
-        raise InputError(node.file, f"{node.child_path(link)} has dtype {dataset.values.dtype}", "numbers or text")
-    if "null" in dataset.attrs:
-        return None
-    if dataset.values.ndim == 0 or dataset.values.dtype.kind == "U":
-        return dataset.values.tolist()
-    return dataset.values

@@ -127,6 +127,14 @@ def decode_model(
         return None
 
 
+def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:
+    """Inverse of `encode_model`. Raises InputError: with all that is missing or does not fit."""
+    model = decode_model(tree, problems, transpose)
+    problems.raise_any()
+    assert model is not None
+    return model
+
+
 def _at_point(found: Eliminated, point: OperatingPoint | None) -> StateSpaceModel:
     """The model at its operating point, as far as it has the states of the descriptor form."""
     if point is None or found.kept is None:

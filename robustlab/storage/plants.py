@@ -149,7 +149,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
         one.put("std", np.array([e.std.get(name, np.nan) for name in e.values], np.float64))
 
 
-def decode_plant(tree: Tree, problems: Problems) -> Plant:
+def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Plant:
     """Inverse of `encode_plant`.
 
     Raises InputError: all that is missing or does not fit; an unknown plant, parameter or effect, with the closest

@@ -44,7 +44,7 @@ _WORDS = {
     "TrackingGoal": "fixed.design_goals",
     "VarianceGoal": "fixed.design_goals",
     "GeneralizedPlant": "problem.partition",
-    "Controller": "problem.design",
+    "Controller": "problem.controller",
     "Synthesis": "problem.design",
     "HinfSynthesis": "problem.design",
 }

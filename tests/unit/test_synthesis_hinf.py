@@ -11,7 +11,8 @@ from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.problem.design import Controller, Synthesis
+from robustlab.synthesis.problem.controller import Controller
+from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 

@@ -20,12 +20,11 @@ from robustlab.dynamics.fmu.description import CO_SIMULATION, MODEL_EXCHANGE
 from robustlab.dynamics.fmu.unit_process import UnitProcess
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, SteppedPlant, Trim
-from robustlab.dynamics.plant_file import BY_UNIT
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.symbolic.symbolic_plant import rest
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, UnitMismatch, unknown_name
-from robustlab.provenance import BY_DIFFERENCES, Provenance
+from robustlab.provenance import BY_DIFFERENCES, BY_UNIT, Provenance
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown

@@ -93,7 +93,8 @@ class PlantStep(Step):
         return Foretold.of(made, {"parameters": parameters})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.dynamics.plant_file import code_of, plant_from_file, unit_reference
+        from robustlab.dynamics.plant_file import plant_from_file, unit_reference
+        from robustlab.provenance import code_of
 
         given = self._given
         facts: list[Fact] = []

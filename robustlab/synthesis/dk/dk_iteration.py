@@ -34,7 +34,8 @@ from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, Struct
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.controller import Controller
+from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size

@@ -17,7 +17,7 @@ from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.structural import controllability
 from robustlab.synthesis.h2.state_feedback import lqr
-from robustlab.synthesis.problem.design import Controller
+from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.partition import signal_positions
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 

@@ -19,7 +19,7 @@ from robustlab.shown import Facts, Shown, listed, number
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
-from robustlab.synthesis.problem.design import Controller
+from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 
 __all__ = [

@@ -11,6 +11,7 @@ double_double        matrices with 30 digits
 separate_loop        the loop of P(jw) and K(jw), each evaluated on its own, with bounds of the error
 independent_check    the second voice: what that says of a norm
 performance_measure  what a loop is worth: a norm or mu, estimated and proved
+controller           what is kept of a design: K, what it takes, and what was proved of its loop
 design               the result of a design, and how its search ended
 tuning               numbers that choose speed and accuracy
 """

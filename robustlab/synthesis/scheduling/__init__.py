@@ -5,6 +5,7 @@ lpv_sources          LPV models of uncertain sets, and of functions that lineari
 lpv_loop             the closed loop of an LPV plant and an LPV controller, as an LPV model
 lyapunov_inequality  the dissipation inequality over whole cells: its coefficients, and their check outside a solver
 induced_gain         lpv_gain: a proved bound of the induced L2 gain
+scheduled_controller LPVController: K over the grid, and what was proved of its loop
 scheduled_synthesis  lpv_hinf: a scheduled controller, its loop verified by lpv_gain
 tuning               numbers that choose speed and accuracy
 """

@@ -24,11 +24,10 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import hinf_norm
-from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
-from robustlab.signals import Taken, law
-from robustlab.statespace import Signal, StateSpaceModel, lower_lft
+from robustlab.signals import Taken
+from robustlab.statespace import Signal, lower_lft
 from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
@@ -36,52 +35,14 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_fir
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, LPVModel
+from robustlab.synthesis.scheduling.scheduled_controller import LPVController
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
 
-__all__ = ["LPVController", "LPVSynthesis", "lpv_hinf"]
+__all__ = ["LPVSynthesis", "lpv_hinf"]
 
 Varying = Literal["", "R", "S"]
 # Rounds over the states of a controller, at most, until their units stand.
 SWEEPS = 30
-
-
-@dataclass(frozen=True, eq=False)
-class LPVController(Shown, Traced):
-    """A controller ``u = K(rho) y`` with positive feedback, scheduled by measured parameters.
-
-    Attributes
-    ----------
-    K
-        The controllers at the points of the grid, interpolated between them.
-    gamma
-        Induced gain that `lpv_gain` proved of the loop it was designed on; None where none was.
-    status
-        How much ``gamma`` can be trusted.
-    method
-        What made it.
-    """
-
-    K: LPVModel
-    gamma: float | None = None
-    status: Status = Status.INCONCLUSIVE
-    method: str = ""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.K, LPVModel):
-            raise InputError("LPVController: K", type(self.K).__name__, "an LPVModel")
-
-    def at(self, rho: Any = None, **values: float) -> StateSpaceModel:
-        """The controller at one value of every parameter; see `LPVModel.at`."""
-        return self.K.at(rho, **values)
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        said = [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law(self.K.inputs))]
-        return [*said, *self.K.facts()]
-
-    def to_json(self) -> dict[str, object]:
-        """K and what was verified, as plain types."""
-        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,0 +1,122 @@
+"""Two models whose entries mean the same: in one file as nominal and perturbed, and what differs between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.errors import InputError, UnitMismatch
+from robustlab.files.tree import Tree
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.storage.matrices import Problems, decode_model, find_children, sample_time
+
+GROUPS = ("nominal", "perturbed")
+
+
+def looks_like_a_pair(tree: Tree) -> bool:
+    """True where the root holds no matrices, but groups called ``nominal`` or ``perturbed`` or much like it."""
+    import difflib
+
+    if any(name in tree.datasets for name in "ABCD"):
+        return False
+    return any(difflib.get_close_matches(name.lower(), GROUPS, n=1, cutoff=0.7) for name in tree.groups)
+
+
+def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The models in groups ``nominal`` and ``perturbed``.
+
+    Raises InputError: with all that is missing, misspelt or does not fit, in both groups; `UnitMismatch` where only
+    units disagree.
+    """
+    find_children(tree, GROUPS, problems)
+    dt = sample_time(tree, problems)
+    models: dict[str, StateSpaceModel | None] = {}
+    for name in GROUPS:
+        if name in tree.groups and "E" in tree.groups[name].datasets:
+            hint = "--group nominal, or --group perturbed, reads one model (group=)"
+            problems.add(f"/{name}/E: a pair in descriptor form: its entries are no entries of A, B, C, D", hint)
+        elif name in tree.groups:
+            models[name] = decode_model(tree.groups[name], problems, transpose, models.get("nominal"), dt)
+        elif name in tree.datasets:
+            problems.add(f"/{name} is a dataset, expected a group with A B C D")
+    problems.raise_any()
+    nominal, perturbed = models["nominal"], models["perturbed"]
+    assert nominal is not None
+    assert perturbed is not None
+    check_pair(nominal, perturbed, tree.file)
+    return nominal, perturbed
+
+
+def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
+    """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit.
+
+    Raises UnitMismatch: a signal carries different units; InputError: sizes, sample times or signal names differ.
+    """
+    sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
+    if sizes[0] != sizes[1]:
+        raise InputError(
+            where,
+            "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1]),
+            "{}, {}, {} as nominal".format(*sizes[0]),
+        )
+    if nominal.dt != perturbed.dt:
+        raise InputError(
+            where, f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s", "equal sample times"
+        )
+    names, units = [], []
+    for side in ("states", "inputs", "outputs"):
+        for a, b in zip(getattr(nominal, side), getattr(perturbed, side), strict=True):
+            (names if a.name != b.name else units).extend(_differences(side[:-1], a, b))
+    if names:
+        more = tuple(f"{where}: {line}" for line in names[1:])
+        raise InputError(where, names[0], "the same signals in the same order", None, more)
+    if units:
+        raise UnitMismatch(where, units[0], "equal units", None, tuple(f"{where}: {line}" for line in units[1:]))
+
+
+def _differences(side: str, a: Signal, b: Signal) -> list[str]:
+    if a.name != b.name:
+        return [f"{side} {a.name!r} of nominal is {b.name!r} in perturbed"]
+    if a.unit and b.unit and a.unit != b.unit:
+        return [f"{side} {a.name}: nominal [{a.unit}], perturbed [{b.unit}]"]
+    return []
+
+
+@dataclass(frozen=True)
+class Change:
+    """One entry of A, B, C or D that differs."""
+
+    matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
+    # row, column: names of the signals: the entry says how `column` acts on `row` (on its derivative, in A and B)
+    row: str
+    column: str
+    # first, second: the two values
+    first: float
+    second: float
+
+    @property
+    def relative(self) -> float:
+        """``(second - first) / |first|``; infinite where the first value is zero."""
+        step = self.second - self.first
+        return step / abs(self.first) if self.first else np.copysign(np.inf, step)
+
+    def to_json(self) -> dict[str, object]:
+        """All attributes and the relative change."""
+        return {**vars(self), "relative": self.relative}
+
+
+def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> tuple[Change, ...]:
+    """Entries with ``|second - first| > rtol * max(|first|, |second|)``.
+
+    Raises InputError: the models have other sizes, signals, units or sample times; see `check_pair`.
+    """
+    check_pair(first, second, "difference of two models")
+    rows = {"A": first.state_names, "B": first.state_names, "C": first.output_names, "D": first.output_names}
+    columns = {"A": first.state_names, "B": first.input_names, "C": first.state_names, "D": first.input_names}
+    changes = []
+    for name in "ABCD":
+        a, b = getattr(first, name), getattr(second, name)
+        for i, j in np.argwhere(np.abs(b - a) > rtol * np.maximum(np.abs(a), np.abs(b))):
+            changes.append(Change(name, rows[name][i], columns[name][j], float(a[i, j]), float(b[i, j])))
+    return tuple(changes)

@@ -1,0 +1,127 @@
+"""Results in a file: nested groups of what their ``to_json`` gave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
+from robustlab.result import Result, Status
+from robustlab.storage.matrices import Problems
+
+
+def encode_result(tree: Tree, result: Any) -> None:
+    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table."""
+    data = dict(result.to_json())
+    if isinstance(result, Result):
+        data.pop("type")
+    data.pop("status", None)
+    tree.attrs.update(
+        type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
+    )
+    _table(tree.group("data"), data)
+
+
+def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
+    for key, value in data.items():
+        _put(tree, link_name(str(key)), value)
+
+
+def _put(tree: Tree, link: str, value: Any) -> None:
+    if hasattr(value, "to_json"):
+        value = value.to_json()
+    if isinstance(value, Enum):
+        value = value.value
+    if value is None:
+        tree.put(link, "", null=True)
+    elif isinstance(value, Mapping):
+        _table(tree.group(link), value)
+    elif isinstance(value, (list, tuple, set, frozenset)):
+        _put_list(tree, link, list(value))
+    elif isinstance(value, np.ndarray) and value.dtype == object:
+        _put_list(tree, link, value.tolist())
+    else:
+        tree.put(link, value)
+
+
+def _put_list(tree: Tree, link: str, items: list[Any]) -> None:
+    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
+    leaves = _leaf_types(items)
+    if leaves and len(leaves) == 1 and _is_rectangular(items):
+        tree.put(link, np.asarray(items))
+        return
+    group = tree.group(link)
+    group.attrs["sequence"] = len(items)
+    for i, item in enumerate(items):
+        _put(group, str(i), item)
+
+
+def _leaf_types(items: list[Any]) -> set[str]:
+    kinds: set[str] = set()
+    for item in items:
+        if isinstance(item, (list, tuple)):
+            kinds |= _leaf_types(list(item))
+        elif isinstance(item, str) and not isinstance(item, Enum):
+            kinds.add("text")
+        elif isinstance(item, (bool, np.bool_)):
+            kinds.add("bool")
+        elif isinstance(item, (int, float, np.integer, np.floating)):
+            kinds.add("number")
+        elif isinstance(item, (complex, np.complexfloating)):
+            kinds.add("complex")
+        else:
+            kinds.add(type(item).__name__)
+            kinds.add("other")
+    return kinds
+
+
+def _is_rectangular(items: list[Any]) -> bool:
+    try:
+        return np.asarray(items).dtype != object
+    except ValueError:
+        return False
+
+
+def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> Result:
+    """Inverse of `encode_result`; lists of numbers come back as arrays.
+
+    Raises InputError: no group ``data``, an unknown status.
+    """
+    text = str(np.asarray(tree.attrs.get("status", "")))
+    if text not in [status.value for status in Status]:
+        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(s.value for s in Status)}")
+    if "data" not in tree.groups:
+        raise InputError(tree.file, "missing /data")
+    data = _value(tree.groups["data"])
+    if not isinstance(data, dict):
+        raise InputError(tree.file, "/data is a sequence", "a table")
+    return Result(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
+
+
+def _value(node: Tree) -> Any:
+    if "sequence" in node.attrs:
+        length = np.asarray(node.attrs["sequence"])
+        if length.dtype.kind != "i" or length.size != 1:
+            raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
+        count = int(length.flat[0])
+        names = [str(i) for i in range(min(count, len(node.datasets) + len(node.groups)))]
+        return [_child(node, name) for name in names if name in node.datasets or name in node.groups]
+    return {signal_name(link): _child(node, link) for link in [*node.datasets, *node.groups]}
+
+
+def _child(node: Tree, link: str) -> Any:
+    return _leaf(node, link, node.datasets[link]) if link in node.datasets else _value(node.groups[link])
+
+
+def _leaf(node: Tree, link: str, dataset: Dataset) -> Any:
+    if isinstance(dataset.values, Unread):
+        raise InputError(node.file, f"{node.child_path(link)} has dtype {dataset.values.dtype}", "numbers or text")
+    if "null" in dataset.attrs:
+        return None
+    if dataset.values.ndim == 0 or dataset.values.dtype.kind == "U":
+        return dataset.values.tolist()
+    return dataset.values

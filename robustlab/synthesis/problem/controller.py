@@ -1,0 +1,81 @@
+"""A controller as designs return it and files keep it: what it takes, and the gain that was proved of its loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass
+
+from robustlab.errors import InputError
+from robustlab.provenance import Traced
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.signals import Taken, law
+from robustlab.statespace import StateSpaceModel, as_model
+
+
+@dataclass(frozen=True, eq=False)
+class Controller(Shown, Traced):
+    """A controller, with what it takes: its inputs say the sign with which it closes a loop (`law`).
+
+    Attributes
+    ----------
+    K
+        The controller; its inputs are the measurements, its outputs the control signals.
+    gamma
+        Closed-loop H-infinity norm that was verified for the generalised plant it was designed on; None where none was.
+    status
+        How much ``gamma`` can be trusted.
+    method
+        What made it, for example ``"mixsyn"``.
+    takes
+        Not kept: what the inputs take of the plant's signals, one word for all or one for each: ``"y"`` (u = K y),
+        ``"r - y"`` (u = K (r - y)), ``"-y"``, ``"y - r"`` or ``"r"``. Left out: what they say already; designs say it.
+
+    Raises
+    ------
+    InputError
+        No such word, or another number of words than inputs.
+
+    Examples
+    --------
+    >>> pi = StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]], inputs=["omega"], outputs=["u"])
+    >>> Controller(pi, takes="r - y").law
+    'u = K (r - y)'
+    """
+
+    K: StateSpaceModel
+    gamma: float | None = None
+    status: Status = Status.INCONCLUSIVE
+    method: str = ""
+    takes: InitVar[str | Sequence[str] | None] = None
+
+    def __post_init__(self, takes: str | Sequence[str] | None) -> None:
+        object.__setattr__(self, "K", as_model(self.K, "Controller: K"))
+        if takes is None:
+            return
+        if not isinstance(takes, str | Sequence) or not all(isinstance(word, str) for word in takes):
+            raise InputError("Controller: takes", repr(takes), "a word as in 'r - y', or a list of one for each input")
+        words = [takes] * self.K.n_inputs if isinstance(takes, str) else list(takes)
+        if len(words) != self.K.n_inputs:
+            raise InputError("Controller: takes", f"{len(words)} words", f"one, or {self.K.n_inputs}")
+        of = [s.of if isinstance(s, Taken) else s.name for s in self.K.inputs]
+        inputs = [Taken(s.name, s.unit, word, name) for s, word, name in zip(self.K.inputs, words, of, strict=True)]
+        object.__setattr__(self, "K", self.K.renamed(inputs))
+
+    @property
+    def law(self) -> str:
+        """How it closes a loop, ``u = K (r - y)`` for example; empty where that is not known."""
+        return law(self.K.inputs)
+
+    def to_model(self) -> StateSpaceModel:
+        """K, so that a controller can be given where a model is asked for."""
+        return self.K
+
+    def facts(self) -> Facts:
+        """What a person wants to read, as (label, text)."""
+        said = self.law or "not known: say it where a loop is closed"
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", said), *self.K.facts()]
+
+    def to_json(self) -> dict[str, object]:
+        """K, how it closes its loop, and what was verified, as plain types."""
+        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method, "law": self.law}

@@ -1,0 +1,136 @@
+"""The table of codecs: every row leads somewhere, and a process loads what it reads and writes, nothing beside it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+
+import h5py
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.files.tree import KINDS, Tree
+from robustlab.storage.codecs import CODECS, codec_of
+from robustlab.storage.matrices import Problems
+
+G = rl.ss([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
+H = rl.ss([[-1.5, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
+# Modules of robustlab, at most, that one `rl.load` needs; a plant brings its equations, delays their algebra.
+MOST = 40
+MORE = {"delayed": 45, "plant": 85}
+# Rooms above the models, and what of them a kind of file needs.
+ABOVE = {"delays", "dynamics", "worst_case_analysis", "mu_analysis", "iqc", "synthesis", "identification"}
+ABOVE |= {"campaign", "report", "thesis", "recipe", "cli", "norms"}
+NEEDED = {
+    "delayed": {"delays"},
+    "lpv": {"synthesis"},
+    "lpv-controller": {"synthesis"},
+    "controller": {"synthesis"},
+    "plant": {"delays", "dynamics"},
+}
+OF_DESIGN = ("problem.design", "problem.partition", "scheduling.scheduled_synthesis", "hinf")  # no file needs these
+HEAVY = {"scipy", "h5py", "matplotlib", "control", "cvxpy", "pandas", "pydantic"}
+
+LOAD_AND_SAVE = """
+import sys
+import robustlab as rl
+
+thing = rl.load(sys.argv[1])
+print(*sys.modules)
+before = set(sys.modules)
+rl.save(sys.argv[2], thing)
+print(*(m for m in sys.modules if m not in before and m.startswith("robustlab")))
+"""
+
+
+def things():
+    uncertain, scheduled = rl.elementwise(G, H), rl.LPVModel({"p": [0.0, 1.0]}, [G, H])
+    t = np.linspace(0.0, 1.0, 11)
+    return {
+        "state-space": G,
+        "uncertain": uncertain,
+        "delayed": rl.with_delays(G, {0: 0.1}),
+        "frequency-data": rl.frequency_data(uncertain, [1.0, 2.0, 3.0]),
+        "lpv": scheduled,
+        "lpv-controller": rl.LPVController(scheduled),
+        "controller": rl.Controller(G, takes="r - y"),
+        "record": rl.Record(t, {"u": np.sin(t)}, {"y": np.cos(t)}),
+        "plant": rl.plant("servo-axis"),
+        "result": rl.h2_norm(G),
+    }
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stored")
+    return {kind: rl.save(folder / f"{kind}.h5", thing) for kind, thing in things().items()}
+
+
+def loaded_by(path, folder):
+    """Modules after loading a file, and those of ours that saving its object brings."""
+    command = [sys.executable, "-c", LOAD_AND_SAVE, str(path), str(folder / "again.h5")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    loaded, added = done.stdout.splitlines()
+    return loaded.split(), added.split()
+
+
+def check(kind, path, folder):
+    loaded, added = loaded_by(path, folder)
+    ours = [name.removeprefix("robustlab.") for name in loaded if name.split(".")[0] == "robustlab"]
+    assert len(ours) <= MORE.get(kind, MOST), ours
+    assert {name.split(".")[0] for name in ours} & ABOVE <= NEEDED.get(kind, set())
+    assert not [name for name in ours if name.removeprefix("synthesis.").startswith(OF_DESIGN)]
+    assert not {name.split(".")[0] for name in loaded} & HEAVY
+    assert added == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_process_loads_what_it_reads_and_writes(kind, files, tmp_path):
+    check(kind, files[kind], tmp_path)
+
+
+def test_so_it_does_for_files_of_others(tmp_path):
+    with h5py.File(tmp_path / "plain.h5", "w") as file:
+        for name in "ABCD":
+            file[name] = getattr(G, name)
+    (tmp_path / "run.csv").write_text("t,u,y\n" + "".join(f"{0.1 * k:.1f},{k},{k * k}\n" for k in range(9)))
+    rl.save(tmp_path / "model.mat", G)
+    rl.export_controller(tmp_path / "K.json", rl.Controller(rl.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1)))
+    for name, kind in {
+        "plain.h5": "state-space",
+        "run.csv": "record",
+        "model.mat": "state-space",
+        "K.json": "controller",
+    }.items():
+        check(kind, tmp_path / name, tmp_path)
+
+
+def test_every_kind_of_the_format_has_a_row_that_leads_somewhere():
+    assert sorted(codec.kind for codec in CODECS) == sorted(KINDS)
+    for codec in CODECS:
+        for place in (codec.type, f"storage.{codec.encode}", f"storage.{codec.decode}"):
+            module, name = place.rsplit(".", 1)
+            found = getattr(import_module(f"robustlab.{module}"), name)
+            assert (found.__module__, found.__qualname__) == (f"robustlab.{module}", name)
+
+
+@pytest.mark.parametrize(("kind", "thing"), things().items())
+def test_the_row_of_an_object_is_that_of_its_class(kind, thing):
+    codec = codec_of(thing)
+    assert codec is None if kind == "result" else codec.kind == kind  # a norm is written for what it can tell
+
+
+def test_an_object_of_ones_own_class_is_written_as_what_it_inherits_from():
+    own = type("Own", (rl.UncertainModel,), {})(rl.elementwise(G, H).M, rl.elementwise(G, H).blocks)
+    codec, tree = codec_of(own), Tree()
+    codec.write(tree, own)
+    assert codec.read(tree, Problems("own.h5")).blocks == own.blocks
+    assert codec_of(object()) is None
+
+
+def test_what_files_know_no_place_for_is_refused(tmp_path):
+    with pytest.raises(InputError, match="object, expected a StateSpaceModel"):
+        rl.save(tmp_path / "x.h5", object())
