@@ -385,7 +385,8 @@ _WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "Record": ("a Record", _is_named("Record")),
     "Record | FrequencyData": ("a Record or a FrequencyData", _is_measured),
     "Synthesis": ("a finished design", _is_named("Synthesis")),
-    "str | Path": ("a path", lambda value: isinstance(value, str | PathLike)),
+    # A model in the place of the file is for the function to speak of.
+    "str | Path": ("a path", lambda value: isinstance(value, str | PathLike) or hasattr(value, "operator_rank")),
 }
 # Beginning of an annotation -> what is expected, and whether a value is that.
 _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
@@ -398,6 +399,10 @@ _KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "Sequence[Block]": (
         "a list of blocks",
         lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in _looked_at(value)),
+    ),
+    "Sequence[Record]": (
+        "a list of records",
+        lambda value: isinstance(value, Iterable) and all(_is_measured(one) for one in _looked_at(value)),
     ),
     "Sequence[": ("a list", lambda value: isinstance(value, Iterable) and not isinstance(value, bytes)),
     "Iterable[Any]": ("a list", lambda value: isinstance(value, Iterable)),

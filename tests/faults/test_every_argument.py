@@ -216,8 +216,14 @@ LONG = {
 }
 
 
+# Designs and searches of a tenth of a second and more, some fifty times each argument.
+SLOW = {"anti_windup", "fixed_structure", "iqc_stability", "worst_case_disk_margin"}
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CALLS]
+)
 def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
     function = getattr(rl, name)
     function(**CALLS[name]())

@@ -240,7 +240,7 @@ class _Search:
             self._step(self._next(accuracy))
             if self.upper > 0.5 * before:
                 break
-        if self.upper > self.lower * (1 + accuracy) and self.upper and any(b.interval for b in self.blocks):
+        if self.lower * (1 + accuracy) < self.upper < np.inf and any(b.interval for b in self.blocks):
             sought = np.array([block in blocks[len(self.blocks) :] for block in blocks])
             problem = SkewedProblem(m, blocks, sought, None, self.tuning)
             part = self.budget.share(self.tuning.alone)
