@@ -249,6 +249,58 @@ def test_the_stated_errors_hold_the_truth():
     assert misses <= 3  # of 60; a normal error would give 0.2
 
 
+def pushed(plant, force, noise, *, off=0.0, seed=0):
+    """Record of 4 s of a machine with a hidden constant force, and that force in units of the input."""
+    rng, t = np.random.default_rng([5, seed]), np.arange(4000) * 1e-3
+    factor = 1 + rng.uniform(-off, off, 2)
+    if plant == "servo-axis":
+        (M, Fv), gain, size, name = np.array([95.1089, 203.5034]) * factor, 35.15065, 4.0, "u"
+        outputs, period, hidden = ("q", "v"), 1.0, force / gain
+    else:
+        (M, gain), Fv, size, name = np.array([2.5e-4, 0.06]) * factor, 0.0, 1.0, "i"
+        outputs, period, hidden = ("phi", "omega"), 0.5, force / gain
+    u = steps(t, size, period)
+    x = integrated(lambda x, v: np.array([x[1], (gain * v - Fv * x[1] + force) / M]), [0.0, 0.0], u, 1e-3, 2)
+    signals = {k: y + s * rng.normal(size=len(t)) for k, y, s in zip(outputs, x.T, noise, strict=False)}
+    return rl.Record(t, {name: u}, signals, {}, "outside"), hidden
+
+
+@pytest.mark.parametrize(
+    ("plant", "force", "noise"),
+    [
+        ("servo-axis", 20.0, (1e-3, 1e-2)),
+        ("servo-axis", -20.0, (1e-3, 1e-2)),
+        ("servo-axis", 20.0, (1e-3,)),
+        ("brushless-motor", -0.01, (1e-3, 0.5)),
+        ("brushless-motor", 0.01, (1e-2,)),
+    ],
+)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_constant_force_that_noise_hides_in_short_pieces_is_told_in_longer_ones(plant, force, noise, seed):
+    """Nothing was told: the pieces of a window chosen by ourselves were too short."""
+    record, hidden = pushed(plant, force, noise, seed=seed)
+    found = rl.compare(rl.plant(plant), record)
+    (d,) = found.located
+    mean, std = d.mean
+    assert d.place.startswith("input")
+    assert abs(mean - hidden) < 4 * std < 0.25 * abs(hidden)
+    assert d.seconds > found.window / 4 + 1e-9  # longer than it was
+
+
+@pytest.mark.parametrize(("plant", "noise"), [("servo-axis", (1e-3, 1e-2)), ("brushless-motor", (1e-3, 0.5))])
+@pytest.mark.parametrize("off", [0.0, 0.01])
+def test_longer_pieces_tell_nothing_where_no_force_is_hidden(plant, noise, off):
+    for seed in range(5):
+        record, _ = pushed(plant, 0.0, noise, off=off, seed=seed)
+        assert rl.compare(rl.plant(plant), record).located == ()
+
+
+def test_a_stated_window_keeps_its_pieces():
+    record, _ = pushed("servo-axis", 20.0, (1e-3, 1e-2))
+    found = rl.compare(rl.plant("servo-axis"), record, window=0.4)
+    assert next(iter(found.disturbance.values())).seconds == pytest.approx(0.1)
+
+
 def test_the_noise_of_sensors():
     rng = np.random.default_rng(0)
     t = np.arange(5000) * 1e-3

@@ -40,6 +40,8 @@ from robustlab.statespace import StateSpaceModel
 EXPLAINS = 0.5
 # Mean additions that are less than this many standard errors from zero are not told.
 SURE = 3.0
+FEWEST_PIECES = 8  # that pieces longer than asked for leave in the record
+GROWS = 3.0  # exponent of what an unstable model grows by within such a piece
 MOST_PLACES = 4  # for pairs of places to be tried
 MOST_TOLD = 3  # that explain the error each alone
 TIE = 0.3  # difference of their worth up to which two additions are as good
@@ -105,6 +107,12 @@ class Addition(Evidence):
         """Mean of d over all pieces, whichever way they move, and its standard error; NaN where nothing is known."""
         return _mean(self.value, self.std, np.ones(len(self.value), dtype=bool))
 
+    @property
+    def lasts(self) -> bool:
+        """Whether a mean of d, over all pieces or those of one direction, is sure to differ from zero."""
+        ways = self.mean, (self.forward, self.forward_std), (self.backward, self.backward_std)
+        return any(abs(mean) > SURE * std for mean, std in ways if np.isfinite(std))
+
     def to_json(self) -> dict[str, Any]:
         """All fields and the shares."""
         return {**vars(self), "shares": self.shares, "explained_share": self.explained_share}
@@ -144,6 +152,29 @@ class Place(NamedTuple):
     text: str
     unit: str
     column: str  # of the model with all places as inputs
+
+
+def additions_that_tell(
+    plant: Any, response: Response, whole: Stretch, length: int, motion: Motion
+) -> dict[str, Addition]:
+    """`additions` in pieces of ``length`` samples, or in as long ones as it takes for a lasting one to be told.
+
+    What a constant push does within a piece grows with the square of its length and more, the noise does not: one that
+    the noise hides in short pieces is plain in longer ones. Longer pieces mix up what changes within them, so they are
+    tried only where no shorter ones tell anything, and believed only where what is told has a mean that is sure.
+    """
+    first = additions(plant, response, whole, length, motion)
+    if not first or located(first) or not whole.is_uniform:
+        return first
+    rate = float(np.real(np.linalg.eigvals(response.model.A)).max(initial=0.0)) if not response.model.is_discrete else 0
+    step = float(whole.t[-1] - whole.t[0]) / (len(whole.t) - 1)
+    longest = len(whole.t) // FEWEST_PIECES
+    while 2 * length <= longest and rate * 2 * length * step <= GROWS:
+        length *= 2
+        longer = additions(plant, response, whole, length, motion)
+        if (told := located(longer)) and any(longer[key].lasts for key in told):
+            return longer
+    return first
 
 
 def additions(plant: Any, response: Response, whole: Stretch, length: int, motion: Motion) -> dict[str, Addition]:

@@ -18,7 +18,7 @@ from robustlab.dynamics.fmu.fmu_plant import FmuCoSimulation
 from robustlab.dynamics.fmu.fmu_plant import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, told_as
-from robustlab.identification.comparison.additions import additions
+from robustlab.identification.comparison.additions import additions, additions_that_tell
 from robustlab.identification.comparison.along_motion import compare_along
 from robustlab.identification.comparison.best_linear_approximation import (
     BestLinearApproximation,
@@ -181,7 +181,7 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)"),
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance=additions(plant, response, whole, piece, motion),
+        disturbance=(additions_that_tell if window is None else additions)(plant, response, whole, piece, motion),
         warnings=_warnings(response, record, initial, motion),
         noise=noise,
         noise_reason=noise_reason,
