@@ -122,3 +122,62 @@ def test_frequencies_carry_units(run):
 
 def test_a_sign_without_a_controller_is_refused(run):
     assert "--feedback: without --controller" in run("mu", "osc.h5", "--feedback", "negative", code=2)
+
+
+# --- recipes ----------------------------------------------------------------------------------------------------------
+
+CLOSE = """
+schema = "robustlab.recipe/1"
+name = "close"
+[step.plant]
+do = "load"
+path = "g.h5"
+[step.k]
+do = "load"
+path = "k.h5"
+[step.loop]
+do = "close-loop"
+of = "plant"
+controller = "k"
+"""
+
+
+def closed(folder, G, K, *, sign=""):
+    """Exit code and what is left of a `close-loop` step around files."""
+    rl.save(folder / "g.h5", G)
+    rl.save(folder / "k.h5", K)
+    (folder / "r.toml").write_text(CLOSE + sign)
+    return main_guard(lambda: main.run(["run", str(folder / "r.toml"), "--out", str(folder / "out")]))
+
+
+def left(folder):
+    found = json.loads((folder / "out" / "result.json").read_text())
+    return next(s for s in found["steps"] if s["name"] == "loop")
+
+
+@pytest.mark.parametrize("gain", [2.0, -2.0])
+def test_a_recipe_closes_an_unsaid_loop_so_that_it_is_stable(tmp_path, gain):
+    """1 / (s - 1) with a gain of 2: by hand, the poles are -1 with the right sign, 3 with the other."""
+    G = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+    K = rl.StateSpaceModel([], [], [], [[gain]], inputs=["y"], outputs=["u"])
+    assert closed(tmp_path, G, K) == 0
+    step = left(tmp_path)
+    assert step["numbers"]["spectral_abscissa"] == pytest.approx(-1.0)
+    law = "u = K (r - y)" if gain > 0 else "u = K (y - r)"
+    assert f"{law}: only this sign leaves the loop stable" in json.dumps(step)
+
+
+def test_a_recipe_asks_where_both_signs_are_stable(tmp_path, capsys):
+    """1 / (s + 3) with a gain of 2: poles -5 and -1."""
+    G = rl.StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+    K = rl.StateSpaceModel([], [], [], [[2.0]], inputs=["y"], outputs=["u"])
+    assert closed(tmp_path, G, K) == 3
+    said = capsys.readouterr().err
+    assert "both signs leave the loop stable" in said
+    assert "sign=-1 or 1" in said
+    for sign, pole in ((-1, -5.0), (1, -1.0)):
+        assert closed(tmp_path, G, K, sign=f"sign = {sign}\n") == 0
+        assert left(tmp_path)["numbers"]["spectral_abscissa"] == pytest.approx(pole)
+    assert closed(tmp_path, G, rl.Controller(K, takes="r - y"), sign="sign = 1\n") == 3
+    assert closed(tmp_path, G, rl.Controller(K, takes="r - y")) == 0
+    assert left(tmp_path)["numbers"]["spectral_abscissa"] == pytest.approx(-5.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -17,6 +18,7 @@ from robustlab.recipe.steps.models import UNCERTAIN, uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
+    Feedback,
     Names,
     Positive,
     RefersTo,
@@ -297,8 +299,9 @@ class CoverModelsStep(Step):
     order: Annotated[int, Field(ge=0, le=12)] = Field(4, description="Largest order of the weight of a full block.")
     excess: Tolerance = Field(0.1, description="How far above the bound a weight of lower order may be.")
     controller: ToController | None = Field(
-        None, description="Closed around the models and the cover, u = K (r - y), before their gains are compared."
+        None, description="Closed around the models and the cover before their gains are compared."
     )
+    sign: Feedback = None
     conservatism: bool = Field(True, description="Compare the worst gain of the cover with that of the set.")
     effort: Effort = Field(1.0, description="Multiple of the usual work of the proof of the worst gain.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
@@ -322,12 +325,14 @@ class CoverModelsStep(Step):
         ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
         ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
         """
-        from robustlab.recipe.steps.design import tracking_loop
+        from robustlab.recipe.steps.design import speaking, tracking_loop
         from robustlab.report.set_figures import cover_figures
 
         models = _models(self, work)
-        controller = None if self.controller is None else work.values[self.controller]
-        loop = None if controller is None else lambda g: tracking_loop(g, controller)
+        said, loop = "", None
+        if self.controller is not None:  # one sign for all: that of the first
+            K, said = speaking(models[0], work.values[self.controller], self.sign)
+            loop = partial(tracking_loop, controller=K)
         nominal = None if self.nominal is None else _selected(rl.linearise, work.values[self.nominal], self.outputs)
         found = rl.cover(
             models, self.form, nominal=nominal, tolerance=self.tolerance, directions=self.directions, order=self.order,
@@ -338,6 +343,7 @@ class CoverModelsStep(Step):
         for name, (figure, caption) in cover_figures(found, models).items():
             work.draw(figure, name, caption)
         numbers, facts = _cover_numbers(found)
+        facts += (Fact("Loop", said),) if said else ()
         loads = () if self.of is None else _at_pose(work.values[self.of], self.poses[0])[1]
         numbers["loads"] = {load.name: load.bound for load in loads}
         facts += tuple(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in loads)

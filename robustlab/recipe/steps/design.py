@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
+from robustlab.closing import SIGNS, Sign, closing
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import (
     Ahead,
@@ -27,6 +28,7 @@ from robustlab.recipe.steps.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
     Effort,
+    Feedback,
     Names,
     PerformanceWeight,
     Positive,
@@ -36,8 +38,10 @@ from robustlab.recipe.steps.vocabulary import (
     ToDesignable,
     ToModel,
 )
-from robustlab.signals import Taken, law
+from robustlab.signals import Taken
 
+TAKES = {-1: "r - y", 1: "y"}  # of a controller that says nothing, by the sign that closes its loop
+REFERRED = {-1: "u = K (r - y)", 1: "u = K (y - r)"}  # the same with references
 GammaRel = Annotated[float, Field(ge=1, le=10)]
 
 
@@ -138,6 +142,7 @@ class CloseLoopStep(Step):
     do: Literal["close-loop"]
     of: ToModel
     controller: ToController
+    sign: Feedback = None
 
     def foretell(self, ahead: Ahead) -> Foretold:
         inputs, outputs = ahead[self.of].inputs, ahead[self.of].outputs
@@ -146,13 +151,10 @@ class CloseLoopStep(Step):
         return Foretold(None, {f"{name}_ref": unit for name, unit in outputs.items()}, {**outputs, **inputs})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.statespace import as_model
-
-        controller = work.values[self.controller]
-        loop = tracking_loop(work.values[self.of], controller)
+        K, said = speaking(work.values[self.of], work.values[self.controller], self.sign)
+        loop = tracking_loop(work.values[self.of], K)
         abscissa = loop.nominal.spectral_abscissa()
         numbers = {**uncertain_numbers(loop), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
-        said = law(as_model(controller, self.controller).inputs) or "u = K (r - y), as nothing else is said of it"
         facts = (
             Fact("Loop", said),
             Fact("Inputs", ", ".join(s.name for s in loop.inputs)),
@@ -406,10 +408,45 @@ class ReduceControllerStep(DesignStep):
         return designed(found, f"{self.controller} with fewer states.", work)
 
 
+def speaking(system: Any, controller: Any, sign: Sign | None = None) -> tuple[Any, str]:
+    """A controller each of whose inputs knows what it takes of a model, and the loop in words.
+
+    One that says nothing takes ``r - y`` or ``y``, as ``sign`` says, or the stability of the loop.
+    Raises InputError: see `robustlab.closing.closing`; sizes that do not fit.
+    """
+    from robustlab.statespace import as_model
+
+    base = system if isinstance(system, rl.UncertainModel) else as_model(system)
+    K = as_model(controller, "controller")
+    names = [s.name for s in base.outputs]
+    fed = [s for s in K.inputs if not (isinstance(s, Taken) and not s.sign)]
+    by_name = all((s.of if isinstance(s, Taken) else s.name) in names for s in fed)
+    if K.n_outputs != len(base.inputs) or not (by_name or len(fed) == len(names)):
+        found = f"{K.n_inputs} inputs and {K.n_outputs} outputs"
+        sizes = f"{len(names)} and {len(base.inputs)}: an input per output of the model, and vice versa"
+        raise InputError("controller", found, sizes)
+    loop = closing(base, K, sign, "controller", None)
+    own = {s.sign for s in fed if isinstance(s, Taken)}
+    if by_name and own:
+        return K, loop.said
+    of = (
+        {s.name: s.name for s in fed}
+        if by_name
+        else {s.name: y.name for s, y in zip(fed, loop.plant.outputs, strict=True)}
+    )
+    word = {} if len(own) > 1 or loop.sign in own else dict.fromkeys(of, TAKES[loop.sign])
+    takes = [
+        Taken(s.name, s.unit, word.get(s.name, getattr(s, "takes", "")), of[s.name]) if s.name in of else s
+        for s in K.inputs
+    ]
+    said = loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1) if not own else loop.said
+    return K.renamed(inputs=takes), said
+
+
 def tracking_loop(system: Any, controller: Any) -> Any:
     """The loop of a controller with references around a model or an uncertain model, as an uncertain model.
 
-    ``u = K (r - y)`` for a controller that takes the error, or says nothing; ``u = K (y - r)`` for one that takes y;
+    ``u = K (r - y)`` for a controller that takes the error; ``u = K (y - r)`` for one that takes y;
     one with inputs for references gets these. Inputs: a reference for each output. Outputs: the outputs y and the
     control signals u.
     """
@@ -418,15 +455,9 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     from robustlab.statespace import as_model
 
     base = system if isinstance(system, rl.UncertainModel) else rl.UncertainModel(as_model(system), [])
-    K = as_model(controller, "controller")
-    takes = [s if isinstance(s, Taken) else Taken(s.name, s.unit, "r - y") for s in K.inputs]
+    K, _ = speaking(base, controller)
+    takes: list[Any] = list(K.inputs)
     names = [s.name for s in base.outputs]
-    measured = [s for s in takes if s.sign]
-    by_name = all(s.of in names for s in measured)
-    if K.n_outputs != len(base.inputs) or not (by_name or len(measured) == len(names)):
-        found = f"{K.n_inputs} inputs and {K.n_outputs} outputs"
-        sizes = f"{len(names)} and {len(base.inputs)}: an input per output of the model, and vice versa"
-        raise InputError("controller", found, sizes)
     m, (q, p) = base.M, base.delta_shape
     n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
     # v = F r + S y is what K takes; one with inputs for references gets those there, and y as it is.
