@@ -36,7 +36,7 @@ class _ToControl:
             return self.function
         if sys._getframe(1).f_globals.get("__name__") == "control.statesp":
             found = f"control.ss takes no {type(model).__name__}"
-            raise TypeError(f"{found}\nhint: G.to_control() is G as a control.StateSpace")
+            raise TypeError(f"{found}\nhint: {model.for_control}")
         return self.function.__get__(model, kind)
 
 
@@ -53,6 +53,7 @@ class Behaviour:
 
     operator_rank: ClassVar[int] = 0  # the operand of the higher rank carries out the operation
     no_model: ClassVar[str] = ""  # of a kind that is no state-space model: what to do instead
+    for_control: ClassVar[str] = "G.to_control() is G as a control.StateSpace"  # what to give python-control
 
     def _yields(self, other: Any) -> bool:
         return getattr(other, "operator_rank", 0) > self.operator_rank

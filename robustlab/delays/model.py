@@ -305,6 +305,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
     # --- parts and algebra: carried out on sets with a repeated block for each length of delay -----------------------
 
     operator_rank = 2  # a delayed model and a model make a delayed model
+    for_control = "G.pade(3).to_control() is G as a control.StateSpace, its delays approximated to order 3"
     no_model = "exact delays have no state-space model: take .pade(order), or .uncertain(order) for what is proved"
 
     def carried(self, function: Callable[..., UncertainModel], *operands: Any, **options: Any) -> DelayedModel:

@@ -69,6 +69,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     array([[-1.2]])
     """
 
+    for_control = "G.nominal.to_control() is its nominal model as a control.StateSpace"
+
     M: StateSpaceModel
     blocks: tuple[Block, ...]
     operating_point: OperatingPoint | None

@@ -181,13 +181,29 @@ def test_print_shows_the_numbers():
     assert "A: -2" in str(SET)
     assert "delays: 0.3 s" in str(LATE)
     assert "2 rad/s" in str(DATA)
+    lines = [[f"  at a = {a}:", f"  A: -{a}", "  B:  1", "  C:  1", "  D:  0"] for a in (1, 4)]
+    assert str(LAGS).splitlines() == [repr(LAGS), *lines[0], *lines[1]]
+    many = rl.LPVModel({"a": np.arange(1.0, 8.0)}, [rl.tf([1], [1, a]) for a in range(1, 8)], units={"a": "m"})
+    assert "  at a = 4 m:" in str(many)
+    assert "  at a = 5 m:" not in str(many)
+    assert str(many).splitlines()[-1] == "  and 3 models more"
     assert str(rl.StateSpaceModel(-np.eye(40), np.eye(40, 1), np.eye(1, 40), [[0.0]])).splitlines()[1] == "  A: 40 x 40"
 
 
 def test_python_controls_ss_says_what_to_write():
-    for model in (G, SET, LATE):
-        with pytest.raises(TypeError, match=r"control.ss takes no .*\nhint: G.to_control\(\)"):
-            ct.ss(model)
+    """What the hint names is run: the hint named a method that sets and models with delays do not have."""
+    expected = {"model": G(1j), "delayed": LATE.pade(3)(1j), "set": SET.nominal(1j), "scheduled": LAGS.at(a=2.0)(1j)}
+    for kind, value in expected.items():
+        with pytest.raises(TypeError, match=r"control.ss takes no .*\nhint: G.*to_control\(\) is ") as error:
+            ct.ss(KINDS[kind])
+        way = str(error.value).partition("hint: ")[2].partition(" is ")[0].replace("(...)", "(a=2.0)")
+        found = eval(way, {"G": KINDS[kind]})
+        assert isinstance(found, ct.StateSpace)
+        assert found(1j) == pytest.approx(value[0, 0])
+    with pytest.raises(TypeError, match=r"hint: control.frd\(np.moveaxis\(G.nominal, 0, 2\), G.omega\)"):
+        ct.ss(DATA)
+    data = ct.frd(np.moveaxis(DATA.nominal, 0, 2), DATA.omega)
+    assert data(1j * DATA.omega[0]) == pytest.approx(DATA.nominal[0, 0, 0])
     assert ct.ss(G.to_control())(1j) == pytest.approx(G(1j)[0, 0])
     assert ct.poles(G).tolist() == G.poles().tolist()
 

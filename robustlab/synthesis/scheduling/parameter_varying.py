@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ __all__ = ["EXACT", "KNOWN", "PROVED", "SAMPLED", "LPVModel", "SchedulingParamet
 EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
 # How the deviation between the points of the grid is known.
 KNOWN = (EXACT, PROVED, SAMPLED)
+MODELS_SHOWN = 4  # that print() writes out
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,7 @@ class LPVModel(Behaviour, Shown, Traced):
     array([[-2.5]])
     """
 
+    for_control = "G.at(...).to_control() is G as a control.StateSpace at one value of every parameter"
     no_model = (
         "freeze it: .at(...) is the model at one value of every parameter; .simulate(t, u, rho) along a trajectory; "
         "close a loop before rl.lpv_model makes the family of it"
@@ -394,6 +397,14 @@ class LPVModel(Behaviour, Shown, Traced):
             ("outputs", with_units(self.outputs)),
             ("between the points", self.between),
         ]
+
+    def _numbers(self) -> list[str]:
+        units, lines = {p.name: p.unit for p in self.parameters}, list[str]()
+        for values, model in islice(self.nodes(), MODELS_SHOWN):
+            point = ", ".join(f"{name} = {number(x, units[name])}" for name, x in values.items())
+            lines += [f"at {point}:", *model._numbers()]
+        more = int(np.prod(self.grid)) - MODELS_SHOWN
+        return [*lines, *([f"and {more} model{'s' * (more > 1)} more"] if more > 0 else [])]
 
     def __repr__(self) -> str:
         ins, outs = (short([s.name for s in side]) for side in (self.inputs, self.outputs))
