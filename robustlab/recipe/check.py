@@ -137,7 +137,7 @@ def _wrong_requirement(requirement: Requirement, leaves: Any) -> InputError | No
     if leaf is ...:
         return None
     found, asked = kind_in_words(leaf), _asked(r)
-    if isinstance(leaf, dict) or (isinstance(leaf, list) and r.contains is None):
+    if isinstance(leaf, dict) or (isinstance(leaf, (list, tuple)) and r.contains is None):
         return InputError("that", f"{r.that} is {found}", "a single number, text, or yes/no")
     if found != asked:
         return InputError("that", f"{r.that} is {found}", f"{asked}, because of its condition, {r.condition}")

@@ -21,10 +21,15 @@ def undeclared(leaves, numbers, at):
         return found
     if isinstance(numbers, list) and isinstance(leaves, list):
         return [name for item in numbers[:3] for name in undeclared(leaves[0], item, f"{at}.0")]
+    if isinstance(numbers, list) and isinstance(leaves, tuple):
+        if len(numbers) != len(leaves):
+            return [f"{at} has {len(numbers)} entries, {len(leaves)} are declared"]
+        pairs = enumerate(zip(leaves, numbers, strict=True))
+        return [name for i, (leaf, item) in pairs for name in undeclared(leaf, item, f"{at}.{i}")]
     if leaves in (bool, str):
         return [] if isinstance(numbers, leaves) else [f"{at} = {numbers!r}"]
     number = isinstance(numbers, (int, float)) or numbers in ("inf", "-inf", "nan")
-    fits = number and not isinstance(numbers, bool) and not isinstance(leaves, (dict, list))
+    fits = number and not isinstance(numbers, bool) and not isinstance(leaves, (dict, list, tuple))
     return [] if fits else [f"{at} = {str(numbers)[:60]!r}"]
 
 

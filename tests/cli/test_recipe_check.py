@@ -26,6 +26,8 @@ FILE = '[step.m]\ndo = "load"\npath = "m.h5"\n'
 RECORD = '[step.record]\ndo = "record"\npath = "r.csv"\ninputs = ["u"]\noutputs = ["phi", "i"]\n'
 GAP = '[step.gap]\ndo = "compare"\nof = "motor"\nrecord = "record"\n'
 NAMING = '[step.naming]\ndo = "discover"\nof = "motor"\nrecords = ["record"]\nexclude = ["cogging"]\n'
+REFERENCE = '{ output = "omega", value = 1.0, text = "data sheet" }'
+REFERENCES = f"reference = [{REFERENCE}, {REFERENCE}]"
 
 
 def require(that, condition, unit=""):
@@ -100,6 +102,22 @@ def checked(tmp_path, monkeypatch, capsys):
             WHOLE + driven("sample", "input = { u = 1.0 }") + require("driven.outputs.phi.covers.0", "equals = true"),
             "driven.outputs has no 'phi', expected one of omega",
         ),
+        (
+            WHOLE + driven("sample", f"input = {{ u = 1.0 }}\n{REFERENCES}")
+            + require("driven.outputs.omega.covers.3", "equals = true"),
+            "driven.outputs.omega.covers has no '3', expected one of 0, 1",
+        ),
+        (
+            WHOLE + driven("sample", "input = { u = 1.0 }") + require("driven.outputs.omega.covers.0", "equals = true"),
+            "driven.outputs.omega.covers has no '0', expected nothing below",
+        ),
+        (HEAD + MOTOR + SPEED + require("speed.outputs.1", 'equals = "i"'), "speed.outputs has no '1', expected"),
+        (HEAD + FILE + require("m.poles.1.re", "at_most = 0.0"), "m.poles has no '1', expected one of 0"),
+        (HEAD + MOTOR + SPEED + require("speed.poles.01.re", "at_most = 0.0"), "speed.poles has no '01'"),
+        (
+            HEAD + MOTOR + RECORD + GAP + require("gap.worst_window.i.2", "at_least = 0.0"),
+            "gap.worst_window.i has no '2', expected one of 0, 1",
+        ),
         (HEAD + '[step.m]\ndo = "load"\npath = "gone.h5"\n', "step.m.path: gone.h5: no such file"),
         (
             HEAD + FILE + '[step.s]\ndo = "steady-state"\nof = "m"\ninputs = { u = 1.0 }\n',
@@ -151,7 +169,10 @@ def test_what_is_wrong_is_named_before_anything_runs(checked, text, fault):
         HEAD + MOTOR + RECORD + NAMING + require("naming.effects.coulomb-friction@omega.Fc", "at_most = 1.0", "N m")
         + require("naming.names", 'contains = "backlash"') + require("naming.nominal.Kf", "at_most = 1.0", "N m s/rad")
         + require("naming.free_run.outputs.phi.updated", "at_most = 1.0", "rad"),
-        HEAD + FILE + require("m.poles.0.re", "at_most = 0.0", "rad/s"),
+        HEAD + FILE + require("m.poles.0.re", "at_most = 0.0", "rad/s") + require("m.outputs", 'contains = "y1"'),
+        WHOLE + driven("sample", f"input = {{ u = 1.0 }}\n{REFERENCES}")
+        + require("driven.outputs.omega.covers.1", "equals = true"),
+        WHOLE + require("set.blocks.7", 'equals = "x"') + require("speed.poles.9.re", "at_most = 0.0"),
     ],
 )  # fmt: skip
 def test_what_only_the_run_can_show_is_no_fault(checked, text):

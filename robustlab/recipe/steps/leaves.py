@@ -4,7 +4,8 @@
 ``"rad/s"``, ``"1"``   a number in that unit; ``"1"`` is a pure number
 ``float``, ``""``      a number whose unit is not known before the run
 ``bool``, ``str``      yes or no; a text
-``[pattern]``          a list of such
+``[pattern]``          a list of such, of any length
+``(pattern, ...)``     a list of just these
 ``{name: pattern}``    a table; a name with ``*`` stands for all that match
 ``...``                not said: anything may be there
 =====================  =================================================================
@@ -14,6 +15,7 @@ A result class says the same with the annotations of its fields; `leaves_of` rea
 
 from __future__ import annotations
 
+import re
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -59,6 +61,8 @@ def _of_annotation(hint: Any) -> Any:
     if issubclass(kind, (int, float)):
         return float
     if issubclass(kind, Sequence) and arguments:
+        if issubclass(kind, tuple) and ... not in arguments:
+            return tuple(_of_annotation(a) for a in arguments)
         return [_of_annotation(arguments[0])] if set(arguments[1:]) <= {...} else ...
     # A class that writes its JSON itself may leave something else than its fields.
     return _of_class(kind) if is_dataclass(kind) and getattr(kind, "to_json", None) is Evidence.to_json else ...
@@ -86,12 +90,12 @@ def look_ahead(path: str, leaves: Any) -> Any:
                 done.append(part)
                 continue
             known = [name for name in here if name != "*"]
-        elif isinstance(here, list):
-            if part.isdecimal():
-                here = here[0]
+        elif isinstance(here, (list, tuple)):
+            known = [str(i) for i in range(len(here))] if isinstance(here, tuple) else ["0", "1", "..."]
+            if part in known or (isinstance(here, list) and re.fullmatch("0|[1-9][0-9]*", part)):
+                here = here[int(part) if isinstance(here, tuple) else 0]
                 done.append(part)
                 continue
-            known = ["0", "1", "..."]
         raise nothing_there("that", done, part, known)
     return here
 
@@ -106,6 +110,6 @@ def kind_in_words(leaf: Any) -> str:
     """What stands at a leaf."""
     if isinstance(leaf, dict):
         return "a table"
-    if isinstance(leaf, list):
+    if isinstance(leaf, (list, tuple)):
         return "a list"
     return {bool: "yes or no", str: "a text"}.get(leaf, "a number")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -50,6 +51,13 @@ MODEL: dict[str, Any] = {
 }  # fmt: skip
 RANK = {"rank": "1", "states": "1", "full": bool}
 UNCERTAIN: dict[str, Any] = {"blocks": [str], "channels": "1", "states": "1", "sampled": [str]}
+
+
+def model_leaves(told: Foretold, leaves: Mapping[str, Any] = MODEL) -> dict[str, Any]:
+    """What is left of a model with these signals: its lists are as long as these."""
+    sides = {"inputs": told.inputs, "outputs": told.outputs}
+    poles = {"poles": (COMPLEX,) * told.value.n_states} if isinstance(told.value, rl.StateSpaceModel) else {}
+    return {**leaves, **{side: (str,) * len(names) for side, names in sides.items() if names is not None}, **poles}
 
 
 def same_signals(self: Any, ahead: Ahead) -> Foretold:
@@ -134,7 +142,8 @@ class LineariseStep(Step):
     outputs: Annotated[list[str], Names("outputs")] | None = None
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        return ahead[self.of].select(self.outputs)
+        told = ahead[self.of].select(self.outputs)
+        return replace(told, leaves=model_leaves(told))
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics import LinearPlant
@@ -175,7 +184,9 @@ class LoadStep(Step):
 
         if self.saved is not None:
             return replace(ahead[self.saved], leaves=self.leaves)
-        return Foretold.of(read(ahead.sources[ahead.step]).object)
+        told = Foretold.of(read(ahead.sources[ahead.step]).object)
+        is_model = isinstance(told.value, rl.StateSpaceModel)
+        return replace(told, leaves=model_leaves(told, self.leaves)) if is_model else told
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.storage import read

@@ -194,7 +194,7 @@ class CompareStep(Step):
         left["disturbance"] = {name: added | dict.fromkeys(of_input, unit) for name, unit in inputs.items()}
         left["disturbance"] |= dict.fromkeys(("torque at *", "force at *", "*, together"), added)
         left["worst"] = {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)}
-        left |= {"worst_window": {name: ["s"] for name in outputs}, "window": "s"}
+        left |= {"worst_window": dict.fromkeys(outputs, ("s", "s")), "window": "s"}
         left |= dict.fromkeys(("percent_of", "residual_reference"), str)
         return Foretold(leaves=left | dict.fromkeys(("speed", "position", "frequency", "noise", "linear"), ...))
 
