@@ -83,13 +83,14 @@ def _proposed(error: InputError, system: Any, options: RecordOptions, file: str,
         return error
     inputs, outputs = _signals(system)
     taken = {text.partition("=")[2] or text for text in names(options.inputs or "")}
-    found = propose_columns(record, () if taken else inputs, outputs, {*taken, clock or options.clock})
+    tried = None if taken else system
+    found = propose_columns(record, () if taken else inputs, outputs, {*taken, clock or options.clock}, tried)
     if found.missing or not found.outputs:
         none = ", ".join(found.missing) or "an output"
         hint = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
         return InputError(error.where, error.found, error.expected, hint, (f"  no column is likely to be {none}",))
     lines = [f"  {line}" for line in found.lines()]
-    proved = ("named", "the same name", "in ")
+    proved = ("named", "the same name", "in ", "by simulation")
     by_shape = [
         column
         for name, column in {**found.inputs, **found.outputs}.items()

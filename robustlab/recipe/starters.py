@@ -98,7 +98,7 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
         texts, units, stated = (ins, outs), {}, {name: found.unit(name) for name in (*ins, *outs)}
         taken = {}
     else:
-        mapping = propose_columns(found, plant.inputs, plant.outputs, {clock, guess})
+        mapping = propose_columns(found, plant.inputs, plant.outputs, {clock, guess}, plant)
         guessed += mapping.lines()
         if mapping.missing or not mapping.outputs:
             missing = ", ".join(mapping.missing) or ", ".join(s.name for s in plant.outputs)

@@ -120,5 +120,6 @@ def test_columns_of_other_names_come_with_the_command_that_maps_them(capsys, rec
         typed = err.strip().splitlines()[-1].removeprefix("hint: robustlab data ")
         u, q = header.split(",")[1:]
         assert typed == f"compare servo-axis {path} --inputs u={u} --outputs q={q}"
-        assert ("no name and no unit says what a, b is" in err) == (u == "a")
+        assert ("u = a: by simulation: the model leaves" in err) == (u == "a")
+        assert "undecided" not in err
         assert run(*typed.split())[0] == 0

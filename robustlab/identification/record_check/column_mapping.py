@@ -2,8 +2,10 @@
 
 Evidence in this order: the same name, the unit, what the name says (``voltage``, ``Winkel``, ``i_a``), how the column
 behaves (held between samples, as a drive is; the integral of another column), and last the order. A column is given to
-a signal only where each is the other's clearly best match. What rests on the order alone, or is one of several, is said
-to be undecided, and no record is read by a mapping that nobody has accepted.
+a signal only where each is the other's clearly best match. Where names and units leave something open, a linear
+model is tried (`robustlab.identification.record_check.column_trials`), which counts before behaviour and order. What
+rests on the order alone, or is one of several, is said to be undecided, and no record is read by a mapping that nobody
+has accepted.
 """
 
 from __future__ import annotations
@@ -11,13 +13,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.errors import InputError, RobustlabError
+from robustlab.identification.record_check.column_trials import FOLLOWS, best_assignment
 from robustlab.record import Record
 from robustlab.signals import Signal
+from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.units import factor_between, same_unit, unit_family
 
 # Words of names -> the units (the first of their family) of what they are called so; English, German, French.
@@ -101,13 +107,18 @@ def columns_of(
 
 
 def propose_columns(
-    record: Record, inputs: Sequence[Signal], outputs: Sequence[Signal], taken: Collection[str | None] = ()
+    record: Record,
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+    taken: Collection[str | None] = (),
+    system: Any = None,
 ) -> ColumnMapping:
     """The columns that a model's signals most likely are.
 
     ``record``: all columns, as outputs or inputs.
     ``inputs``, ``outputs``: signals of the model.
     ``taken``: columns that are no signal's: the times, and what somebody has given a name already.
+    ``system``: the plant or model; where it is linear, what names and units leave open is tried with it.
     """
     columns = {name: values for name, values in {**record.inputs, **record.outputs}.items() if name not in taken}
     held = {name for name, values in columns.items() if _is_held(values)}
@@ -121,6 +132,8 @@ def propose_columns(
     }
     found, reasons = _clear_matches(table)
     undecided: list[str] = []
+    if (model := _linear_model(system)) is not None:
+        undecided += _tried(model, record, columns, table, found, reasons)
     for s, is_input in signals:
         free = [c for c in columns if (s.name, c) in table and c not in found.values()]
         likely = [c for c in free if table[s.name, c].points >= LEAD]
@@ -166,6 +179,58 @@ def _clear_matches(table: Mapping[tuple[str, str], _Evidence]) -> tuple[dict[str
         signal, column = max(clear, key=lambda pair: clear[pair])
         taken[signal] = column
         reasons[signal] = ", ".join(table[signal, column].reasons)
+
+
+def _tried(
+    model: StateSpaceModel,
+    record: Record,
+    columns: Collection[str],
+    table: Mapping[tuple[str, str], _Evidence],
+    found: dict[str, str],
+    reasons: dict[str, str],
+) -> list[str]:
+    """Put what a trial of the model says in the place of what no name and no unit does; what it leaves undecided."""
+    known = {signal: column for signal, column in found.items() if table[signal, column].points >= WORD}
+    given = {
+        signal: [known[signal]] if signal in known else [c for c in columns if (signal, c) in table]
+        for signal in (*model.input_names, *model.output_names)
+    }
+    choices = {s: [c for c in cs if s in known or c not in known.values()] for s, cs in given.items()}
+    if set(choices) == set(known):
+        return []
+    trial = best_assignment(model, record, choices)
+    if trial is None or not trial.follows:
+        return []
+    found |= trial.columns
+    for signal in [s for s in found if s not in trial.columns]:
+        del found[signal]
+    undecided: list[str] = []
+    left = _percent(trial.left)
+    for signal, column in trial.columns.items():
+        if signal in known:
+            continue
+        other, more = trial.others.get(signal, ("", np.inf))
+        otherwise = f"{other or 'no column'} {_percent(more)}" if np.isfinite(more) else "nothing else comes near"
+        told = f"by simulation: the model leaves {left} of what moves, with {otherwise}"
+        reasons[signal] = ", ".join([told, *table[signal, column].reasons])
+        if not trial.is_sure(signal):
+            both = f"{signal} is {column}, or {other or 'no column'}: the model follows both ways"
+            lost = trial.shares.get(signal, 0.0) > FOLLOWS
+            undecided.append(f"{signal} is {column}: the model does not follow it" if lost else both)
+    return undecided
+
+
+def _linear_model(system: Any) -> StateSpaceModel | None:
+    if system is None or isinstance(system, NonlinearPlant):
+        return None
+    try:
+        return as_model(system)
+    except RobustlabError:
+        return None
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 1.0 else "all"
 
 
 # --- evidence --------------------------------------------------------------------------------------------------------
