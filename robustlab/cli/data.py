@@ -108,6 +108,11 @@ class DiscoveryFiles:
         str | None, typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.")
     ] = None
 
+    @property
+    def is_asked(self) -> bool:
+        """Whether anything is to be written."""
+        return bool(self.figure or self.model_out or self.out)
+
     def write(
         self, found: Discovery, result: Mapping[str, Any], sources: Sequence[str], code: Mapping[str, str]
     ) -> list[str]:
@@ -333,9 +338,11 @@ def discover(
             exclude=tuple(effect(name).id for name in naming.exclude or []),
             progress=report.listener,
         )
-    read = (*data, *(naming.held_out or []), *(windows.repeat or []))
-    result = {"model": model, **found.to_json()}
-    files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)], code_of(system))
+        read = (*data, *(naming.held_out or []), *(windows.repeat or []))
+        result = {"model": model, **found.to_json()}
+        if output.is_asked:
+            report("figures and files")
+        files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)], code_of(system))
     emit("data discover", {**result, "files": files}, found.summary(details), as_json)
     if found.interrupted:
         note("interrupted: what was known by then is told")

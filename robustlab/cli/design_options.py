@@ -13,7 +13,7 @@ import robustlab as rl
 from robustlab.cli.console import FIGURE, emit, note, require_trust, save_drawing, table
 from robustlab.cli.offers import one_of
 from robustlab.cli.options import JsonOption, OutOption, OutputOptions, frequencies, load_model, names
-from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.progress import Display, ProgressOptions
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -117,17 +117,22 @@ class DesignOutput(ProgressOptions):
         if self.out is not None and not Path(self.out).resolve().parent.is_dir():
             raise EnvironmentFault(self.out, "no such folder", "a folder that exists")
 
-    def finish(self, command: str, found: Synthesis, file: str) -> None:
-        """Print the design, store the controller, draw, and leave with the exit code of its status."""
+    def keep(self, command: str, found: Synthesis, file: str, report: Display) -> list[tuple[str, str]]:
+        """Store the controller, then draw, while it is shown that this goes on; the rows that say so."""
+        rows = OutputOptions(self.out).keep_made(command, found.controller, [file])
+        if self.figure is not None:
+            report("figures")
+            _draw(found, self.figure)
+        return rows
+
+    def finish(self, command: str, found: Synthesis, kept: list[tuple[str, str]]) -> None:
+        """Print the design with what was kept of it, and leave with the exit code of its status."""
         from robustlab.synthesis.problem.performance_limits import limits_in_words
 
         limits = limits_in_words(found)
         rows = found.facts()
         rows += [("" if k else "limits of any controller", line) for k, line in enumerate(limits)]
-        rows += OutputOptions(self.out).keep_made(command, found.controller, [file])
-        if self.figure is not None:
-            _draw(found, self.figure)
-        emit(command, {**found.to_json(), "limits": limits}, table(rows), self.as_json)
+        emit(command, {**found.to_json(), "limits": limits}, table([*rows, *kept]), self.as_json)
         require_trust(found.status)
 
 

@@ -192,7 +192,8 @@ def hinf(
     plant = channels.plant("synth hinf", file, nominal)
     with output.shown("synth hinf", verbose=output.verbose) as report:
         found = rl.hinf(plant, gamma_rel=gamma_rel, **vars(effort), progress=report)
-    output.finish("synth hinf", found, file)
+        kept = output.keep("synth hinf", found, file, report)
+    output.finish("synth hinf", found, kept)
 
 
 @app.command()
@@ -217,7 +218,8 @@ def h2(
     plant = channels.plant("synth h2", file, nominal)
     with output.shown("synth h2", verbose=output.verbose) as report:
         found = rl.h2(plant, **vars(effort), progress=report)
-    output.finish("synth h2", found, file)
+        kept = output.keep("synth h2", found, file, report)
+    output.finish("synth h2", found, kept)
 
 
 @app.command()
@@ -248,14 +250,16 @@ def ncf(
     model = signals.model(file)
     weights = [None if text is None else number_or_model(text) for text in (w1, w2)]
     if reference_model is None:
-        with output.shown("synth ncf"):
+        with output.shown("synth ncf") as report:
             found = rl.ncf(model, *weights, factor=factor)
-        output.finish("synth ncf", found, file)
+            kept = output.keep("synth ncf", found, file, report)
+        output.finish("synth ncf", found, kept)
         return
     wanted, outputs = number_or_model(reference_model), None if follow is None else names(follow)
-    with output.shown("synth ncf"):
+    with output.shown("synth ncf") as report:
         found = rl.ncf(model, *weights, factor=factor, reference_model=wanted, rho=rho, outputs=outputs)
-    output.finish("synth ncf", found, file)
+        kept = output.keep("synth ncf", found, file, report)
+    output.finish("synth ncf", found, kept)
 
 
 @app.command()
@@ -269,9 +273,10 @@ def lqg(*, file: FileArgument, signals: SignalOptions, weights: GaussianOptions,
     Example: robustlab synth lqg motor.h5 --outputs omega --q 1 --r 0.1 --disturbance constant --out controller.h5
     """
     output.check()
-    with output.shown("synth lqg"):
+    with output.shown("synth lqg") as report:
         found = weights.design(signals.model(file))
-    output.finish("synth lqg", found, file)
+        kept = output.keep("synth lqg", found, file, report)
+    output.finish("synth lqg", found, kept)
 
 
 @app.command()
@@ -315,7 +320,8 @@ def dk(
     given: dict[str, Any] = {"structure": words, "starts": starts, "seed": seed, **vars(effort)}
     with output.shown("synth dk", verbose=output.verbose) as report:
         found = rl.dk(plant, rows, direct=direct, mixed=mixed, max_order=max_order, progress=report, **given)
-    output.finish("synth dk", found, file)
+        kept = output.keep("synth dk", found, file, report)
+    output.finish("synth dk", found, kept)
 
 
 @app.command()
@@ -356,7 +362,8 @@ def fixed(
     options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, **vars(effort)}
     with output.shown("synth fixed", verbose=output.verbose) as report:
         found = design(plant, words, progress=report, **options)
-    output.finish("synth fixed", found, file)
+        kept = output.keep("synth fixed", found, file, report)
+    output.finish("synth fixed", found, kept)
 
 
 @app.command()
@@ -404,7 +411,8 @@ def tune(
     options: dict[str, Any] = {"starts": starts, "seed": seed, **vars(effort)}
     with output.shown("synth tune", verbose=output.verbose) as report:
         found = rl.tune(models, words, goals, progress=report, **options)
-    output.finish("synth tune", found, files[0])
+        kept = output.keep("synth tune", found, files[0], report)
+    output.finish("synth tune", found, kept)
 
 
 @app.command()
@@ -446,7 +454,8 @@ def mixsyn(
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
     with output.shown("synth mixsyn", verbose=output.verbose) as report:
         found = rl.mixsyn(kept, *weights, gamma_rel=gamma_rel, **vars(effort), progress=report)
-    output.finish("synth mixsyn", found, file)
+        kept = output.keep("synth mixsyn", found, file, report)
+    output.finish("synth mixsyn", found, kept)
 
 
 @app.command()

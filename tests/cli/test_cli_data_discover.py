@@ -253,3 +253,17 @@ def test_lines_of_json_say_how_far_the_search_is(files, run):
         assert "what could be added to " in s["text"]
         assert "so far" not in s["text"]  # times stand in keys of their own
     assert states[-1]["ended"]
+
+
+@pytest.mark.parametrize("what", ["--out", "--model-out", "--figure"])
+def test_files_are_written_while_progress_is_shown(run, files, real, answer, tmp_path, what):
+    """The last line of progress said the end before they were."""
+    answer(real)
+    target = {"--out": "out", "--model-out": "plant.h5", "--figure": "f.svg"}[what]
+    words = ("discover", "servo-axis", files / "run7.h5", what, tmp_path / target, "--progress", "json")
+    *lines, last = run(*words)[2].splitlines()
+    assert json.loads(last)["progress"]["ended"]
+    assert any(str(tmp_path) in line for line in lines)
+    told = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
+    assert told[-1]["text"] == "figures and files"
+    assert not any(state["ended"] for state in told)

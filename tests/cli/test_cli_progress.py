@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from patience import PATIENCE
 
@@ -185,6 +186,23 @@ def test_json_lines_of_commands_that_said_nothing(robustlab, words):
     last = json.loads(robustlab(*words.split(), "--progress", "json").err.splitlines()[-1])["progress"]
     assert last["ended"]
     assert words.startswith(last["command"])
+
+
+@pytest.mark.parametrize("words", ["h2 plant.h5 --n-meas 1 --n-con 1", "ncf one.h5", "lqg one.h5"])
+def test_figures_of_a_design_are_drawn_while_progress_is_shown(robustlab, words):
+    """The last line of progress said the end before they were."""
+    model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    rl.save("one.h5", model)
+    ones = np.ones((2, 2)) - np.eye(2)
+    rl.save("plant.h5", rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], ones))
+    err = robustlab("synth", *words.split(), "--figure", "f.svg", "--out", "k.h5", "--progress", "json").err
+    *lines, last = err.splitlines()
+    assert json.loads(last)["progress"]["ended"]
+    assert "written: f.svg" in lines
+    told = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
+    assert told[-1]["text"] == "figures"
+    assert not any(state["ended"] for state in told)
+    assert rl.load("k.h5").K.n_inputs == 1
 
 
 KEYS = {"command", "text", "elapsed_s", "done", "total", "remaining_s", "at_most", "part", "ended"}
