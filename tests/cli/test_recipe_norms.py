@@ -69,7 +69,7 @@ def test_norms_of_a_damped_mass(tmp_path, monkeypatch):
     # A resonance of damping 0.1: its Hankel values are (sqrt(1 + z^2) +- z) / (4 z) with z = 0.1.
     values = (np.sqrt(1.01) + np.array([0.1, -0.1])) / 0.4
     assert steps["constant"]["hankel"] == pytest.approx(values, rel=1e-9)
-    assert steps["constant"]["bound"] == pytest.approx(values[1], rel=1e-9)
+    assert values[1] * (1 - 1e-12) <= steps["constant"]["bound"] <= values[1] * (1 + 2e-9)  # attained, proved to 1e-9
     assert steps["constant"]["error"] == pytest.approx(values[1], rel=1e-5)
     assert steps["gap"]["order"] == 0
     assert steps["gap"]["bound"] is None
