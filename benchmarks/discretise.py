@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.partition import GeneralizedPlant

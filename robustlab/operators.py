@@ -116,7 +116,7 @@ class Behaviour:
         NoTrustworthyNumber
             A number is a pole.
         """
-        return import_module("robustlab.frequency").value_at(self, s)
+        return import_module("robustlab.linear_analysis.frequency").value_at(self, s)
 
     def poles(self) -> NDArray[np.complex128]:
         """Poles in rad/s (in the z plane of a discrete model), shape (n_x,); of a set those of the nominal model.
@@ -136,7 +136,7 @@ class Behaviour:
         InputError
             As `poles`.
         """
-        return import_module("robustlab.invariant_zeros").zeros(self).values
+        return import_module("robustlab.linear_analysis.invariant_zeros").zeros(self).values
 
     def step(self, t_end: float | None = None, input: str | None = None) -> Record:
         """Response to a unit step on one input, from rest.

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, told_as
-from robustlab.magnitude import balancing_factors
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.signals import SignalLike, is_constant, real_array
 from robustlab.statespace import StateSpaceModel, as_model
 

@@ -228,7 +228,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> StateSpaceModel:
         """The same model with the named inputs and outputs only, in that order; all states are kept.
 
-        See `robustlab.structural.drop_unconnected` for removing states that no longer matter.
+        See `robustlab.linear_analysis.structural.drop_unconnected` for removing states that no longer matter.
         """
         i = indices(inputs, self.input_names, "input")
         o = indices(outputs, self.output_names, "output")

@@ -27,12 +27,9 @@ MAX_SAMPLES = 10**12
 _CODE = (
     "campaign/evaluation.py",
     "dynamics/simulation.py",
-    "exact_stability.py",
-    "frequency.py",
-    "matrix_equations.py",
+    "linear_analysis",
     "norms",
     "statespace.py",
-    "structural.py",
     "uncertainty",
     "worst_case_analysis",
 )

@@ -208,7 +208,7 @@ def _chosen(uncertain: Any, file: str, inputs: str | None, outputs: str | None) 
 
 def _grid(uncertain: rl.UncertainModel, figure: str | None) -> Any:
     """Frequencies for the curves of a figure; none where nothing is drawn."""
-    from robustlab.frequency import default_grid
+    from robustlab.linear_analysis.frequency import default_grid
 
     return default_grid(uncertain.M, 60) if figure is not None and uncertain.M.n_states else None
 

@@ -437,7 +437,7 @@ def mixsyn(
 
     Example: robustlab synth mixsyn motor.h5 --outputs omega --w1 bandwidth=100,error=0.01 --w2 limit=2 --out k.h5
     """
-    from robustlab.structural import drop_unconnected
+    from robustlab.linear_analysis.structural import drop_unconnected
 
     weights = (
         weight_of("--w1", w1, rl.performance_weight),

@@ -25,7 +25,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.channels import chained, closed, covering, in_order, named
 from robustlab.delays.pade import SHORTEST, checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
-from robustlab.frequency import CHUNK, frequency_response
+from robustlab.linear_analysis.frequency import CHUNK, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units

@@ -35,9 +35,9 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.signals import Signal, SignalLike, real_array, signals
 from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
-from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 

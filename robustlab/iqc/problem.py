@@ -17,12 +17,12 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.frequency import frequency_response
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Channels, Inequality, Judgement, Point
 from robustlab.iqc.multipliers import Basis, Term, nonlinear_terms, rate_terms, repeated_terms
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.iqc.tuning import TUNING, IqcTuning
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.norms.level_set import well_scaled
 from robustlab.result import Evidence

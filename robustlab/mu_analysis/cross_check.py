@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain
 from robustlab.result import Status

@@ -23,8 +23,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import response_within
-from robustlab.modal_response import ModalResponse
+from robustlab.linear_analysis.frequency import response_within
+from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.shown import Tuning
 from robustlab.statespace import StateSpaceModel
 

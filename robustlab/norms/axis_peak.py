@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError, told_as
-from robustlab.exact_stability import exactly_on_boundary
-from robustlab.magnitude import moderated
+from robustlab.linear_analysis.exact_stability import exactly_on_boundary
+from robustlab.linear_analysis.magnitude import moderated
 from robustlab.norms.hinfinity import (
     FAR,
     HinfNorm,

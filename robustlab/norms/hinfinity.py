@@ -10,8 +10,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.exact_stability import exactly_stable
-from robustlab.magnitude import Moderated, balancing_factors, moderated
+from robustlab.linear_analysis.exact_stability import exactly_stable
+from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.level_set import (
     TUNING,

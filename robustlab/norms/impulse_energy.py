@@ -9,10 +9,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber, told_as
-from robustlab.exact_stability import exactly_stable
-from robustlab.magnitude import Moderated, balancing_factors, moderated
-from robustlab.matrix_equations import SchurForm, lyapunov
-from robustlab.modal_response import ModalResponse
+from robustlab.linear_analysis.exact_stability import exactly_stable
+from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
+from robustlab.linear_analysis.matrix_equations import SchurForm, lyapunov
+from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.norms.axis_integral import TUNING, mean_square_gain
 from robustlab.norms.hinfinity import unstable_norm
 from robustlab.norms.level_set import well_scaled

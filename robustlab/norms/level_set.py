@@ -16,9 +16,9 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import solved_response
-from robustlab.matrix_equations import balanced_eigenvalues, lapack
-from robustlab.modal_response import ModalResponse, largest_gain
+from robustlab.linear_analysis.frequency import solved_response
+from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, lapack
+from robustlab.linear_analysis.modal_response import ModalResponse, largest_gain
 from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.shown import Tuning
 from robustlab.statespace import StateSpaceModel

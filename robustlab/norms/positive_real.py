@@ -9,8 +9,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import frequency_response
-from robustlab.magnitude import Moderated, moderated, refuse_overflow, scaled_down
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.magnitude import Moderated, moderated, refuse_overflow, scaled_down
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.hinfinity import (
     QUIET,

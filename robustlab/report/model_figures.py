@@ -19,8 +19,8 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.delays import DelayedModel
 from robustlab.dynamics.simulation import LOOK, default_clock, simulate
 from robustlab.errors import InputError
-from robustlab.frequency import default_grid, frequency_response
-from robustlab.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.report.figures import (
     COLOURS,
     axis_label,

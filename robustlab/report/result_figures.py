@@ -12,8 +12,9 @@ from matplotlib.ticker import MaxNLocator
 from robustlab.campaign.result import CampaignResult, exceedance_curve
 from robustlab.campaign.store import Store
 from robustlab.errors import InputError
-from robustlab.frequency import default_grid, frequency_response
 from robustlab.identification.validation import FrequencyData
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.structural import StructuralTest
 from robustlab.mu_analysis import MuBounds
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins
 from robustlab.mu_analysis.margins.small_gain import SmallGain
@@ -32,7 +33,6 @@ from robustlab.report.figures import (
     zero_line,
 )
 from robustlab.report.robustness_figures import exceedance_figure, response_figure
-from robustlab.structural import StructuralTest
 from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
 from robustlab.synthesis.h2.kalman_filter import KalmanFilter
 from robustlab.synthesis.h2.state_feedback import StateFeedback

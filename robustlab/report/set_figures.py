@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.frequency import default_grid, frequency_response
 from robustlab.identification.comparison.envelope import SignalCoverage
 from robustlab.identification.validation import Validation
 from robustlab.identification.validation.data_cover import DataCover
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report.figures import (
     COLOURS,

@@ -30,9 +30,9 @@ from robustlab.dynamics.plants.motors import dc_motor, linear_actuator
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.kinematics import inverse_kinematics
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart_platform
+from robustlab.linear_analysis.structural import controllability, drop_unconnected, observability
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.structural import controllability, drop_unconnected, observability
 from robustlab.thesis.runs import UP_TO, Case, SineRun, cases, lowest_stable_pole, sine_run, track
 
 # Appendix B in mm, without the misprints of b6 (y 114,5) and of m2, m3 (x 163,3).

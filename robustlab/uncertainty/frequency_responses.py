@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import SHOWN, Facts, Shown, listed, matrix_lines, number, short, with_units

@@ -20,7 +20,7 @@ from robustlab.arrays import is_rank_deficient
 from robustlab.closing import fed_back
 from robustlab.closing import wired as wired_controller
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, with_units

@@ -28,7 +28,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array, Indices
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
 from robustlab.uncertainty.upper_lft import balancing_scale, closed_response

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.statespace import StateSpaceModel
-from robustlab.structural import strong_components
 
 # I - M11 Delta with a condition number above this has no digits left that could be trusted.
 ILL_POSED = 1e12

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array, Mask
 from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.magnitude import is_moderate, refuse_overflow
+from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
 from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import UncertainModel

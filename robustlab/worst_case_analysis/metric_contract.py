@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import StateSpaceModel
-from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, members
 

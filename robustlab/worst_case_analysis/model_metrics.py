@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import default_grid
-from robustlab.magnitude import refuse_overflow
+from robustlab.linear_analysis.frequency import default_grid
+from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.statespace import StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
@@ -211,7 +211,7 @@ class HankelValue(Metric):
         return Evaluation(float(self._all(model).min()))
 
     def _all(self, model: StateSpaceModel) -> Array:
-        from robustlab.matrix_equations import lyapunov
+        from robustlab.linear_analysis.matrix_equations import lyapunov
 
         reach = lyapunov(model.A, model.B @ model.B.T, model.is_discrete)
         see = lyapunov(model.A.T, model.C.T @ model.C, model.is_discrete)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.magnitude import refuse_overflow
+from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, lft_parts, transitions
 

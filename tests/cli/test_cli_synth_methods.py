@@ -10,7 +10,7 @@ import pytest
 import robustlab as rl
 from robustlab.cli.ending import main_guard
 from robustlab.cli.synth import app
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import lower_lft
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.matrix_equations import hamiltonian_riccati
+from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft

@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.statespace import StateSpaceModel
 
 OMEGA = np.geomspace(0.01, 100.0, 40)
@@ -58,7 +58,7 @@ def test_static_gain_is_flat():
 def test_chunks_do_not_change_the_answer(monkeypatch):
     model = random_model(7, 6, 2, 2)
     whole = frequency_response(model, OMEGA)
-    monkeypatch.setattr("robustlab.frequency.CHUNK", 36 * 7)
+    monkeypatch.setattr("robustlab.linear_analysis.frequency.CHUNK", 36 * 7)
     np.testing.assert_array_equal(frequency_response(model, OMEGA), whole)
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import UncertainModel

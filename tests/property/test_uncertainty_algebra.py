@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import algebra, lft
 from robustlab.uncertainty.algebra import centred

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar, delta_matrix, delta_values
 from robustlab.uncertainty.elementwise import elementwise

@@ -8,7 +8,7 @@ import pytest
 from robustlab.dynamics.control.controllers import TorqueGains, TwoLayerController
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import (

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.exact_arithmetic import common_factor, determinant, from_the_circle, normal_rank, product, roots, value
 from robustlab.exact_arithmetic.polynomials import square_free
-from robustlab.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.magnitude import equilibrating_exponents
 
 
 def leibniz(M, n, s):

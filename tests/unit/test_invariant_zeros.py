@@ -188,7 +188,7 @@ def test_multiple_zeros_of_whole_numbers_are_exact():
 
 def test_large_models_are_solved_in_floating_point_and_say_so(monkeypatch):
     wide = rl.zeros(random_model(7, 8, 3, 3))
-    monkeypatch.setattr("robustlab.invariant_zeros.MOST_STATES", 7)
+    monkeypatch.setattr("robustlab.linear_analysis.invariant_zeros.MOST_STATES", 7)
     found = rl.zeros(random_model(7, 8, 3, 3))
     assert found.status == "inaccurate"
     assert found.reason == "8 states: more than 7 are not solved exactly"

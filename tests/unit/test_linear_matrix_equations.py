@@ -67,7 +67,7 @@ def test_empty_equations():
 
 def test_a_residual_of_huge_terms_is_still_a_residual():
     """Squares of 1e200 overflow: the quotient of such norms would be 0 or NaN for any X."""
-    from robustlab.matrix_equations import accepted_residual
+    from robustlab.linear_analysis.matrix_equations import accepted_residual
 
     huge = np.array([[1e200]])
     assert accepted_residual("lyap", (huge, huge, -2 * huge), 1e-6) == 0.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.magnitude import moderated
+from robustlab.linear_analysis.magnitude import moderated
 from robustlab.norms import h2_norm
 
 Model = rl.StateSpaceModel

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from robustlab import matrix_equations
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.matrix_equations import SchurForm, care, dare, hamiltonian_riccati, lyapunov
+from robustlab.linear_analysis import matrix_equations
+from robustlab.linear_analysis.matrix_equations import SchurForm, care, dare, hamiltonian_riccati, lyapunov
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 12])

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from robustlab.modal_response import ModalResponse, largest_gain
+from robustlab.linear_analysis.modal_response import ModalResponse, largest_gain
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel
 

@@ -10,7 +10,7 @@ import pytest
 from slicot_examples import model_of_ab09ad
 
 import robustlab as rl
-from robustlab.matrix_equations import lyapunov, lyapunov_factors
+from robustlab.linear_analysis.matrix_equations import lyapunov, lyapunov_factors
 from robustlab.result import Status, plain
 from robustlab.synthesis.reduction.balancing import split_stable
 

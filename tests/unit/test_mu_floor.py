@@ -5,7 +5,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.budget import Budget
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
 from robustlab.synthesis.problem.partition import GeneralizedPlant

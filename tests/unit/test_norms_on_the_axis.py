@@ -8,8 +8,8 @@ from attack_cases import make_case
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.exact_stability import exactly_on_boundary
-from robustlab.modal_response import ModalResponse
+from robustlab.linear_analysis.exact_stability import exactly_on_boundary
+from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.norms import h2_by_gramians
 from robustlab.norms.axis_integral import AxisTuning, mean_square_gain
 from robustlab.norms.level_set import NormTuning
@@ -226,7 +226,7 @@ def test_a_refined_integral_next_to_a_pole_of_next_to_no_damping(index):
 
 def wrong_gramians(monkeypatch, share):
     """Both Gramians too large by the same share: they agree."""
-    from robustlab.matrix_equations import SchurForm
+    from robustlab.linear_analysis.matrix_equations import SchurForm
 
     gramian = SchurForm.gramian
     monkeypatch.setattr(SchurForm, "gramian", lambda self, *a, **k: (1 + share) * gramian(self, *a, **k))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
-from robustlab.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.statespace import StateSpaceModel, series
 from robustlab.synthesis.h2.gaussian_regulator import lqg
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
@@ -198,7 +198,7 @@ def test_a_far_zero_hides_no_near_one():
 
 
 def test_limits_of_zeros_that_are_not_solved_exactly_are_inaccurate(monkeypatch):
-    monkeypatch.setattr("robustlab.invariant_zeros.MOST_STATES", 1)
+    monkeypatch.setattr("robustlab.linear_analysis.invariant_zeros.MOST_STATES", 1)
     limits = performance_limits(ZERO_AND_POLE)
     assert limits.status == "inaccurate"
     assert "Not to be trusted: 2 states: more than 1" in limits.summary()

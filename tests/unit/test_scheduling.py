@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import lower_lft
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError, UnitMismatch
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, feedback, lower_lft, series
 
 GOOD = {"A": np.diag([-1.0, -2.0, -3.0]), "B": np.ones((3, 2)), "C": np.ones((4, 3)), "D": np.zeros((4, 2))}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import plain
-from robustlab.structural import drop_unconnected
 
 
 def model(a, b, c=None, dt=0.0, **names):

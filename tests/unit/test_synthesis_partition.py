@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.hinf_synthesis import hinf

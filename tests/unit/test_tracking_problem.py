@@ -8,7 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.control.controlled_plant import actuator_cascade
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
 from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, error_weight

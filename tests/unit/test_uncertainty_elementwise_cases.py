@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError, UnitMismatch
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import generalized_plant
 from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, elementwise, endpoint_residual

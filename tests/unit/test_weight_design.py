@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.specifications.weight_design import (

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.matrix_equations import lapack
+from robustlab.linear_analysis.matrix_equations import lapack
 
 __all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
 

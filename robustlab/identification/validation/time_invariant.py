@@ -37,7 +37,7 @@ from robustlab.identification.validation.contraction_kernel import (
 )
 from robustlab.identification.validation.sampled_problem import SampledProblem
 from robustlab.identification.validation.tuning import Search
-from robustlab.matrix_equations import lapack
+from robustlab.linear_analysis.matrix_equations import lapack
 
 __all__ = ["PulseResponses", "smallest_pulse_responses"]
 

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.statespace import StateSpaceModel
-from robustlab.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 

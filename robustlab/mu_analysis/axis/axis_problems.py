@@ -12,7 +12,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget, dense
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
 from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk

@@ -19,8 +19,8 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
-from robustlab.frequency import frequency_response
-from robustlab.magnitude import balancing_factors
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work

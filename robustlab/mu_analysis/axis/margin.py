@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.branch_and_bound import Region

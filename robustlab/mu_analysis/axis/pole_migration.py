@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
 from robustlab.mu_analysis.matrix.lower import lower_bounds

@@ -23,7 +23,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import check_nominal, continuous, model_frequency, seed_frequencies
 from robustlab.mu_analysis.axis.axis_problems import GainMarginProblem
 from robustlab.mu_analysis.axis.intervals import Piece

@@ -30,7 +30,7 @@ from robustlab.budget import one_thread
 from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
 from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, Seen, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import delay_stability

@@ -23,7 +23,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, gain_and_phase

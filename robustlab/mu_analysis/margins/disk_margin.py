@@ -26,7 +26,7 @@ import numpy as np
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.closing import Closing, closing
 from robustlab.errors import InputError, told_as
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.margins.small_gain import replayed_pole, signed, small_gain
 from robustlab.mu_analysis.matrix.bounds import mu

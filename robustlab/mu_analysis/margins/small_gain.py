@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm, hinf_norm

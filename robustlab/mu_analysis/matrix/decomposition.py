@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices
-from robustlab.structural import strong_components
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 
 

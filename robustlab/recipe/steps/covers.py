@@ -487,8 +487,8 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[N
 def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
     """A model as it is, a plant linearised; with the outputs that are kept."""
     from robustlab.dynamics import Plant
+    from robustlab.linear_analysis.structural import drop_unconnected
     from robustlab.statespace import as_model
-    from robustlab.structural import drop_unconnected
 
     model = linearise(given) if isinstance(given, Plant) else as_model(given)
     return model if outputs is None else drop_unconnected(model.select(outputs=outputs))

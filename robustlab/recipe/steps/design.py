@@ -525,7 +525,7 @@ def _draw_functions(found: Any, of: str, work: Workspace, proved: bool = True) -
 def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:
     import numpy as np
 
-    from robustlab.frequency import default_grid
+    from robustlab.linear_analysis.frequency import default_grid
     from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
     from robustlab.statespace import as_model
 

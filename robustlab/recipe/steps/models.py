@@ -147,7 +147,7 @@ class LineariseStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics import LinearPlant
-        from robustlab.structural import drop_unconnected
+        from robustlab.linear_analysis.structural import drop_unconnected
 
         given = work.values[self.of]
         if self.at is not None and isinstance(given, LinearPlant):
@@ -301,8 +301,8 @@ class SteadyStateStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
 
+        from robustlab.linear_analysis.structural import drop_unconnected
         from robustlab.statespace import as_model
-        from robustlab.structural import drop_unconnected
 
         model = as_model(work.values[self.of])
         if self.outputs is not None:

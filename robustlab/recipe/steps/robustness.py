@@ -124,7 +124,7 @@ class RobustStabilityStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.frequency import default_grid
+        from robustlab.linear_analysis.frequency import default_grid
         from robustlab.report.robustness_figures import mu_figure, shares_figure
 
         uncertain = work.uncertain(self.of)

@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.budget import Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import default_grid
+from robustlab.linear_analysis.frequency import default_grid
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE

@@ -26,7 +26,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.matrix_equations import balanced_eigenvalues, care
+from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem

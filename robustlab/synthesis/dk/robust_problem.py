@@ -22,7 +22,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.certificate import level as certificate_level
 from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete

@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import (

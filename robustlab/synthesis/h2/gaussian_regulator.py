@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
 from robustlab.mu_analysis.margins.classical import ClassicalMargins, classical_margins
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargins,

@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.matrix_equations import care, dare
+from robustlab.linear_analysis.matrix_equations import care, dare
 from robustlab.norms import H2Norm, h2_by_channels, h2_by_gramians
 from robustlab.result import Status
 from robustlab.shown import Facts

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.structural import controllability
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
-from robustlab.structural import controllability
 from robustlab.synthesis.h2.state_feedback import lqr
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.partition import signal_positions

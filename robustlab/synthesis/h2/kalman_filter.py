@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.magnitude import refuse_overflow
-from robustlab.matrix_equations import RiccatiSolution, care, dare, lyapunov
+from robustlab.linear_analysis.magnitude import refuse_overflow
+from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care, dare, lyapunov
+from robustlab.linear_analysis.structural import observability
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
-from robustlab.structural import observability
 from robustlab.synthesis.h2.state_feedback import checked_weight, require_definite, require_semidefinite
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 

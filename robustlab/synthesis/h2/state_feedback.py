@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.magnitude import balancing_exponents, is_moderate, refuse_overflow
-from robustlab.matrix_equations import RiccatiSolution, care, dare
+from robustlab.linear_analysis.magnitude import balancing_exponents, is_moderate, refuse_overflow
+from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care, dare
+from robustlab.linear_analysis.structural import controllability
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, real_array
-from robustlab.structural import controllability
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import refuse_overflow
-from robustlab.matrix_equations import care
+from robustlab.linear_analysis.magnitude import refuse_overflow
+from robustlab.linear_analysis.matrix_equations import care
 from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts

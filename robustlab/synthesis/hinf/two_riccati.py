@@ -15,7 +15,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.matrix_equations import care, hamiltonian_riccati
+from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
 from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 

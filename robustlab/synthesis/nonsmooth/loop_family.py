@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.matrix_equations import lapack
+from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.objectives import PeakFinder, bilinear, bilinear_pullback, entropy, resolvent_point
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.matrix_equations import lapack
+from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import Realisation
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.magnitude import is_moderate, refuse_overflow
+from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
@@ -60,7 +60,8 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
         raise NoTrustworthyNumber(
             where,
             f"no stabilising controller exists: {faults[0]}",
-            hint="add an actuator or a sensor for it, or take it out (robustlab.structural.drop_unconnected)",
+            hint="add an actuator or a sensor for it, or take it out "
+            "(robustlab.linear_analysis.structural.drop_unconnected)",
             more=tuple(dict.fromkeys(faults[1:])),
         )
 

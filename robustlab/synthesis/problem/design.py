@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
 from robustlab.errors import InputError
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.magnitude import LARGEST, is_moderate
+from robustlab.linear_analysis.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning

@@ -15,8 +15,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import response_within
-from robustlab.magnitude import times_power
+from robustlab.linear_analysis.frequency import response_within
+from robustlab.linear_analysis.magnitude import times_power
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.norms.axis_integral import AxisTuning, axis_integral
 from robustlab.statespace import StateSpaceModel

@@ -12,13 +12,13 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError, told_as
-from robustlab.invariant_zeros import ROUNDING, zeros
-from robustlab.matrix_equations import lyapunov
+from robustlab.linear_analysis.invariant_zeros import ROUNDING, zeros
+from robustlab.linear_analysis.matrix_equations import lyapunov
+from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
 
 # Zeros this close to the boundary, relative to themselves, and poles, relative to the largest, bind nothing; nor do

@@ -17,7 +17,7 @@ import numpy as np
 
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, with_performance

@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse

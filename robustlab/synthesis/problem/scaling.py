@@ -15,7 +15,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import LARGEST, SMALLEST, TINY, balancing_exponents, times_power
+from robustlab.linear_analysis.magnitude import LARGEST, SMALLEST, TINY, balancing_exponents, times_power
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.modal_response import ModalResponse
+from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant

@@ -17,7 +17,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.matrix_equations import lyapunov
+from robustlab.linear_analysis.matrix_equations import lyapunov
 
 EPS = float(np.finfo(float).eps)
 EXTENDED = float(np.finfo(np.longdouble).eps)

@@ -15,8 +15,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.magnitude import balancing_factors
-from robustlab.matrix_equations import SchurForm, lyapunov_factors
+from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.matrix_equations import SchurForm, lyapunov_factors
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.synthesis.problem.double_double import sum_of_products

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import AxisTuning, panel_ends
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import triangular_root

@@ -10,9 +10,9 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import default_grid, frequency_response, response_within
-from robustlab.magnitude import Moderated, moderated, scaled_down
-from robustlab.modal_response import ModalResponse, largest_gain
+from robustlab.linear_analysis.frequency import default_grid, frequency_response, response_within
+from robustlab.linear_analysis.magnitude import Moderated, moderated, scaled_down
+from robustlab.linear_analysis.modal_response import ModalResponse, largest_gain
 from robustlab.norms import (
     HinfNorm,
     bilinear_to_continuous,

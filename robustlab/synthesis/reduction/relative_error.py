@@ -26,8 +26,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import balancing_exponents
-from robustlab.matrix_equations import care, lyapunov_factors
+from robustlab.linear_analysis.magnitude import balancing_exponents
+from robustlab.linear_analysis.matrix_equations import care, lyapunov_factors
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, inverse, series

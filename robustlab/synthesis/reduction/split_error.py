@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

@@ -24,8 +24,8 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.frequency import frequency_response
-from robustlab.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.synthesis.sampled.held_delays import held_delays

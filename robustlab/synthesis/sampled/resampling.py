@@ -27,7 +27,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robustlab.budget import Budget, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts

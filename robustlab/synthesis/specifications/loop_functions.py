@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.closing import closing
 from robustlab.errors import InputError, told_as
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.specifications.weight_design import smallest_gain
 

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.closing import wired
 from robustlab.errors import InputError, did_you_mean
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant

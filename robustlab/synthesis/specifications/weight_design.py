@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, told_as
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, append, as_model, real_array, series
 from robustlab.synthesis.problem.performance_limits import performance_limits

@@ -19,7 +19,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.matrix_equations import lyapunov
+from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.statespace import StateSpaceModel
 
 # Modes are mirrored at exp(-MIRROR dt / T): a little inside of where a mode counts as slow, so that none lies on it.

@@ -23,7 +23,7 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import RobustlabError
 from robustlab.exact_arithmetic import MOST_STATES, determinant, roots, wired
-from robustlab.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.unstructured import Form

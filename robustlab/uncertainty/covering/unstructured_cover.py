@@ -42,8 +42,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
-from robustlab.frequency import frequency_response
-from robustlab.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series

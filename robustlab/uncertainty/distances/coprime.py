@@ -19,14 +19,14 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.frequency import frequency_response
-from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
-from robustlab.matrix_equations import RiccatiSolution, care
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
+from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care
+from robustlab.linear_analysis.structural import controllability, observability
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.structural import controllability, observability
 
 # How far the factors may be from inner, evaluated at frequencies around the model's poles.
 INNER = 1e-7

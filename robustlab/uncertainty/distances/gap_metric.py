@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.matrix_equations import care, lyapunov
+from robustlab.linear_analysis.matrix_equations import care, lyapunov
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed, number

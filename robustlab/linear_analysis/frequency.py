@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.magnitude import Moderated, moderated, refuse_overflow
-from robustlab.modal_response import ModalResponse
+from robustlab.linear_analysis.magnitude import Moderated, moderated, refuse_overflow
+from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 # (n_omega, n, n) complex systems are solved in chunks of about this many numbers: more cost fresh pages of memory.

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.errors import told_as
-from robustlab.matrix_equations import lapack
+from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model

@@ -30,7 +30,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.exact_arithmetic import MOST_STATES, Root, common_factor, determinant, normal_rank, roots
-from robustlab.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.magnitude import refuse_overflow
+from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 

@@ -1,6 +1,6 @@
 r"""Lyapunov and Sylvester equations for users: the solution with its residual.
 
-The rooms take `robustlab.matrix_equations.lyapunov` and its factored forms.
+The rooms take `robustlab.linear_analysis.matrix_equations.lyapunov` and its factored forms.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.matrix_equations import MIRRORED, accepted_residual, judged_afterwards, lyapunov
+from robustlab.linear_analysis.matrix_equations import MIRRORED, accepted_residual, judged_afterwards, lyapunov
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 

@@ -1,0 +1,1 @@
+"""What is computed of a linear model alone: responses, zeros, stability, controllability, matrix equations."""
