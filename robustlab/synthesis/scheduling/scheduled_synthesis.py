@@ -158,6 +158,7 @@ def lpv_hinf(
 
     Examples
     --------
+    >>> from robustlab.statespace import StateSpaceModel
     >>> def vertex(a):
     ...     return StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     >>> plant = LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)])
