@@ -121,3 +121,26 @@ def test_members_and_worst_case_gains_agree_with_both_ends(seed):
     if all(b.interval for b in blocks):
         member = uncertain.evaluate(found.delta)
         assert not member.is_stable() or rl.hinf_norm(member).upper >= level * (1 - 1e-6)
+
+
+def test_a_range_that_is_wider_below_is_proved_as_wide_as_it_is(monkeypatch):
+    """1 / (s + a), a from 0.2 to 1.1 about 1: delta goes to -8. What is proved must not rest on what was found."""
+    from robustlab.mu_analysis.axis import robust_gain as room
+
+    uncertain = rl.parametric([["-a"]], [[1]], [[1]], [[0]], {"a": (1.0, 0.2, 1.1)})
+    found = rl.robust_gain(uncertain, 2.0)
+    assert found.lower <= 0.625 <= found.upper * (1 + 1e-9)  # a = 0.5
+    assert found.upper <= found.lower * 1.01
+    monkeypatch.setattr(room._Search, "descend", lambda self: None)
+    assert 0.5 < rl.robust_gain(uncertain, 2.0).lower <= 0.625
+
+
+def test_disk_margins_of_a_range_that_is_wider_below():
+    """The worst member, a = 0.2, lies eight times as far from the nominal one as the other end."""
+    uncertain = rl.parametric([["-a"]], [[1]], [[1]], [[0]], {"a": (1.0, 0.2, 1.1)})
+    integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    found = rl.worst_case_disk_margin(uncertain, integrator)
+    worst = rl.disk_margin(StateSpaceModel([[-0.2]], [[1.0]], [[1.0]], [[0.0]]), integrator).simultaneous.upper
+    assert found.status == "certified"
+    assert found.lower <= worst * (1 + 1e-9)
+    assert worst * (1 - 1e-9) <= found.upper <= found.lower * 1.01

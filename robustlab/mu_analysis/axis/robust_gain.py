@@ -29,7 +29,7 @@ from robustlab.mu_analysis.axis.axis_problems import GainMarginProblem
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, performance_inputs, skewed_cover
-from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, root_box, widest
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.gain import gain_at, largest_gain
 from robustlab.mu_analysis.matrix.upper import compile_kernels
@@ -269,11 +269,11 @@ class _Search:
         """Cover the axis with D, G at a set nearly as large; then cut it into regions where they leave a gap."""
         lower = 1 / self.upper
         varying = ~performance_inputs(self.blocks)
-        m, ends = self.model, np.where(varying, 1.0, 1 / self.level)
+        # Of ranges that are wider on one side the smallest set around them that is not.
+        m, ends = self.model, np.where(varying, widest(self.blocks), 1 / self.level)
         sized = StateSpaceModel(m.A, m.B * ends, m.C, m.D * ends)
         hot = self.frequency if self.frequency is not None and np.isfinite(self.frequency) else None
         first = np.unique(np.concatenate([[0.0, np.inf], self.seeds, [] if hot is None else [hot]]))
-        # Of ranges that are wider on one side the smallest set around them that is not.
         found = np.inf
         # The performance block alone leaves no more than this to what D, G may miss.
         room = max(0.5 * (self.level / self.nominal - 1), 1e-9) if self.nominal else np.inf

@@ -132,7 +132,8 @@ class DelayAxis:
         if len(around) and np.abs(np.linalg.eigvals(around)).max() >= 1.0:
             return np.inf
         echo = np.linalg.solve(np.eye(len(around)) - around, size_of(self.B[n:], c1, b2))
-        return float(np.linalg.norm(size_of(self.D - about, c2, b2) + size_of(self.C[:, n:], c2, b1) @ echo, 2))
+        whole = size_of(self.D - about, c2, b2) + size_of(self.C[:, n:], c2, b1) @ echo
+        return float(np.linalg.norm(whole, 2)) if whole.size else 0.0  # numpy 2.0 has no norm of nothing
 
     def end(self, about: Array, level: float) -> float | None:
         """A frequency from which on ``||G - about|| <= level``; None where none is found."""

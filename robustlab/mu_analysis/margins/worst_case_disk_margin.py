@@ -40,6 +40,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     disk_margin_of,
     gain_and_phase,
 )
+from robustlab.mu_analysis.matrix.box import widest
 from robustlab.mu_analysis.matrix.branch_and_bound import tighten
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
@@ -229,15 +230,19 @@ class _Search:
         m, blocks = continuous(self.loop.M), (*self.blocks, *self._disks())
         varying = np.arange(m.n_inputs) >= self.loop.delta_shape[0]
         first = np.unique(np.concatenate([[0.0, np.inf], seed_frequencies(m)]))
-        _, level = skewed_cover(m, blocks, 1 / self.upper, varying, first=first, budget=self.budget, accuracy=room)
+        around = widest(blocks)  # of ranges that are wider on one side, the smallest set around them that is not
+        set_around = StateSpaceModel(m.A, m.B * around, m.C, m.D * around)
+        _, level = skewed_cover(
+            set_around, blocks, 1 / self.upper, varying, first=first, budget=self.budget, accuracy=room
+        )
         self._proved(level)
         if self.upper <= self.lower * (1 + accuracy):
             return
         if self.lower:
             self._step(self.lower * (1 + accuracy / 2))
-        while not self.lower and self.upper and not self.budget.over:
+        while self.lower * (1 + accuracy) < self.upper < np.inf and not self.budget.over:
             before = self.upper
-            self._step(self._next(accuracy))
+            self._step(self.upper / (1 + accuracy / 2))
             if self.upper > 0.5 * before:
                 break
         if self.lower * (1 + accuracy) < self.upper < np.inf and any(b.interval for b in self.blocks):
@@ -326,6 +331,10 @@ class _Search:
 
     def result(self, accuracy: float) -> WorstCaseDiskMargin:
         """The bounds as a result."""
+        if self.lower > self.upper * (1 + 1e-4):
+            text = f"a member has the margin {self.upper:.9g} below the proved {self.lower:.9g}: digits were lost"
+            raise NoTrustworthyNumber("worst_case_disk_margin", text)
+        self.lower = min(self.lower, self.upper)
         met = self.upper <= self.lower * (1 + accuracy) or self.upper == 0
         notes: list[str] = []
         if self.upper == 0:
