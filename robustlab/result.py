@@ -122,3 +122,23 @@ class Evidence(Shown):
     def to_json(self) -> dict[str, object]:
         """All fields."""
         return dict(vars(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Bracket(Shown):
+    """Two bounds of one number, where it is attained, and how far both can be trusted: base of a question's results.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= number <= upper``; a class says which of them is proved, and which attained.
+    frequency
+        Where it is attained, rad/s; None where that is unknown or has no meaning.
+    status
+        CERTIFIED where both were re-derived from their evidence.
+    """
+
+    lower: float
+    upper: float
+    frequency: float | None
+    status: Status

@@ -1,8 +1,15 @@
 """Objects that show themselves: short in a console, as a table in a notebook, in words, and as a picture.
 
-One class, `Shown`, is the base of models, results and their parts. What an object says of itself is its `Shown.facts`:
-labels with texts, numbers with their units. The console, the notebook and `Shown.summary` are three ways to write them;
-pictures are those of `robustlab.report.drawings`.
+One class, `Shown`, is the base of models, results and their parts. A class declares once what it is to its readers, and
+console, notebook, JSON, recipes and reports are generic readers of that:
+
+======================  ==============================================================================================
+`Shown.facts`           labels with texts, numbers with their units; the most important first
+`Shown.headline`        one sentence: what was found
+`Shown.details`         tables that are too long for facts: crossings, blocks, intervals
+`Shown.quantities`      the numbers that a recipe's requirements refer to, attributes of the class with their units
+drawings                the class's row in `robustlab.report.drawings`
+======================  ==============================================================================================
 """
 
 from __future__ import annotations
@@ -13,7 +20,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from html import escape
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 from robustlab.errors import is_function, plain_text
 
@@ -24,8 +31,20 @@ WIDTH = 95  # characters of one of its lines
 SHOWN = 6  # names or values that a text lists
 
 
+class Part(NamedTuple):
+    """A table of texts under a title, below the facts."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+
+
 class Shown:
     """Base of what shows itself; a class says what there is to say in `facts`."""
+
+    # Attributes that requirements refer to -> unit ("1" of a pure number), or a pattern of
+    # `robustlab.recipe.steps.leaves`: float where the unit depends on the signals, bool, {"*": float}, ...
+    quantities: ClassVar[Mapping[str, Any]] = {}
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -38,6 +57,23 @@ class Shown:
         given = fields(self) if is_dataclass(self) else ()
         told = [(f.name.replace("_", " "), in_words(getattr(self, f.name))) for f in given if f.name != "status"]
         return [fact for fact in told if fact[1]]
+
+    def headline(self) -> str:
+        """What was found, in one sentence without its full stop; empty where the facts say it."""
+        return ""
+
+    def details(self) -> list[Part]:
+        """Tables that are too long for facts; none by default."""
+        return []
+
+    def numbers(self) -> dict[str, Any]:
+        """What requirements refer to: the attributes named in ``quantities``."""
+        return {name: getattr(self, name) for name in self.quantities}
+
+    def report(self) -> str:
+        """All that a person may want to read, as plain text: the `summary`, then the tables of `details`."""
+        parts = [(part.title, text_table(part.rows, part.header)) for part in self.details() if part.rows]
+        return "\n\n".join([self.summary(), *(f"{title}\n{text}".lstrip() for title, text in parts)])
 
     def summary(self) -> str:
         """What a person wants to read, as plain text: a heading, then a line for each fact."""
@@ -233,6 +269,27 @@ def in_words(value: Any) -> str:
         short = len(value) <= SHOWN and all(isinstance(v, (str, int, float, complex)) for v in value)
         return ", ".join(map(in_words, value)) if short else f"{len(value)} entries"
     return type(value).__name__
+
+
+def text_table(rows: Sequence[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:
+    """Left-aligned columns as plain text, with a rule under the header.
+
+    Examples
+    --------
+    >>> print(text_table([("u", "1.5"), ("load", "2")], ("name", "gain")))
+    name  gain
+    ----  ----
+    u     1.5
+    load  2
+    """
+    lines = [header, *rows] if header else list(rows)
+    if not lines:
+        return ""
+    widths = [max(len(row[i]) for row in lines) for i in range(len(lines[0]))]
+    out = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in lines]
+    if header:
+        out.insert(1, "  ".join("-" * w for w in widths))
+    return "\n".join(out)
 
 
 def matrix_lines(name: str, rows: Sequence[Sequence[complex]], width: int, most: int = 12) -> list[str]:

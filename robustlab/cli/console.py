@@ -13,6 +13,7 @@ import typer
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
+from robustlab.shown import text_table as table  # noqa: F401  until every command reads its result's own face
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -107,15 +108,3 @@ def save_drawing(figure: Figure, path: str, suffix: str = "") -> None:
 
     for made in save_figure(figure, *figure_place(path, suffix.lstrip("-") or "figure", suffix)):
         note(f"written: {made}")
-
-
-def table(rows: list[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:
-    """Left-aligned columns as plain text, with a rule under the header."""
-    lines = [header, *rows] if header else rows
-    if not lines:
-        return ""
-    widths = [max(len(row[i]) for row in lines) for i in range(len(lines[0]))]
-    out = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in lines]
-    if header:
-        out.insert(1, "  ".join("-" * w for w in widths))
-    return "\n".join(out)
