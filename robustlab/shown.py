@@ -72,8 +72,12 @@ class Shown:
 
     def report(self) -> str:
         """All that a person may want to read, as plain text: the `summary`, then the tables of `details`."""
+        return "\n\n".join(filter(None, (self.summary(), self.tables())))
+
+    def tables(self) -> str:
+        """The tables of `details` as plain text, each below its title."""
         parts = [(part.title, text_table(part.rows, part.header)) for part in self.details() if part.rows]
-        return "\n\n".join([self.summary(), *(f"{title}\n{text}".lstrip() for title, text in parts)])
+        return "\n\n".join(f"{title}\n{text}".lstrip() for title, text in parts)
 
     def summary(self) -> str:
         """What a person wants to read, as plain text: a heading, then a line for each fact."""

@@ -13,7 +13,7 @@ import robustlab as rl
 from robustlab.cli.console import table
 from robustlab.cli.members import delta_value, stands_for
 from robustlab.cli.offers import one_of
-from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, frequencies, grouped, load_model
+from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, frequencies, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import NoTrustworthyNumber, UsageError
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.classical import ClassicalMargins
     from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
     from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
-    from robustlab.uncertainty.distances.gap_metric import GapMetric
 
 TransposeOption = Annotated[
     bool, typer.Option("--transpose", help="The files were written column by column: swap A, B, C, D.")
@@ -261,31 +260,3 @@ def _polar(factor: complex) -> str:
     if cmath.isinf(factor):
         return "infinite"
     return f"{abs(factor):.6g} at {math.degrees(cmath.phase(factor)):+.4g} deg"
-
-
-@grouped
-def gap(
-    *,
-    first: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="A")],
-    second: Annotated[str, typer.Argument(help="The other file.", metavar="B")],
-    transpose: TransposeOption = False,
-    progress: ProgressOptions,
-    output: OutputOptions,
-) -> None:
-    """Distance of two models as feedback sees it, gap and nu-gap metric: 0 equal, 1 nothing in common.
-
-    Example: robustlab model gap before.h5 after.h5
-    """
-    with progress.shown("model gap"):
-        result = rl.gap(*(load_model(path, transpose) for path in (first, second)))
-    output.finish("model gap", result, _gap_text(result))
-
-
-def _gap_text(result: GapMetric) -> str:
-    nu = result.nu
-    lines = [
-        f"gap     {result.value:.6g}  ({result.status})",
-        f"nu-gap  {nu.value:.6g}  ({nu.status})",
-        f"largest distance at one frequency: {nu.chordal:.6g} at {nu.frequency:.6g} rad/s",
-    ]
-    return "\n".join([*lines, *(f"note: {text}" for text in dict.fromkeys((result.reason, nu.reason)) if text)])

@@ -10,7 +10,8 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust, table
-from robustlab.cli.margins import gap, margins
+from robustlab.cli.generated import add_commands
+from robustlab.cli.margins import margins
 from robustlab.cli.members import named
 from robustlab.cli.offers import NORMS, REDUCTIONS, one_of, plant_or_file
 from robustlab.cli.options import (
@@ -300,28 +301,6 @@ def norm(
 
 @app.command()
 @grouped
-def zeros(*, file: FileArgument, options: ReadOptions, progress: ProgressOptions, as_json: JsonOption = False) -> None:
-    """Finite invariant zeros of a model with their kinds: transmission zeros, and modes that are hidden.
-
-    Exit code 4: rounding of the entries decides where a zero is, or there are more than 200 states.
-
-    Example: robustlab model zeros motor.h5
-    """
-    with progress.shown("model zeros"):
-        found = [(name, rl.zeros(model)) for name, model in _models(options.read(file))]
-    text = "\n".join(
-        f"{name}{value.summary()}" + "".join(
-            f"\n  zero {_complex(z)}  {kind}" for z, kind in zip(value.values, value.kinds, strict=True)
-        )
-        for name, value in found
-    )  # fmt: skip
-    emit("model zeros", {"file": file, **{name.rstrip(": ") or "model": value for name, value in found}}, text, as_json)
-    for _, value in found:
-        require_trust(value.status)
-
-
-@app.command()
-@grouped
 def connect(
     *,
     files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],
@@ -343,7 +322,7 @@ def connect(
 
 
 app.command()(margins)
-app.command()(gap)
+add_commands(app, "model", "analysis")
 app.command("delay")(delay_model)
 app.command("plot")(plot_model)
 app.command("response")(frequency_response)

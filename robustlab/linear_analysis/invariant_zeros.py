@@ -22,8 +22,9 @@ componentwise distance to the nearest singular matrix", SIAM J. Matrix Anal. App
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.exact_arithmetic import MOST_STATES, Root, common_factor, determinant, normal_rank, roots
 from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, number
+from robustlab.shown import Facts, Part, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 # Relative changes of the entries that earlier calculations may have left in them.
@@ -100,8 +101,24 @@ class Zeros(Shown):
     status: Status
     reason: str = ""
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "values": [{"re": float, "im": float}],
+        "kinds": [str],
+        "normal_rank": "1",
+    }
+
     def __len__(self) -> int:
         return len(self.values)
+
+    def headline(self) -> str:
+        """How many there are."""
+        return f"{len(self)} finite invariant zero{'s' * (len(self) != 1)}"
+
+    def details(self) -> list[Part]:
+        """Each zero with its kind and how near to it the model is singular."""
+        found = zip(self.values.tolist(), self.kinds, self.residuals.tolist(), strict=True)
+        rows = [(f"{complex(z):.6g}" if z.imag else f"{z.real:.6g}", kind, f"{r:.2g}") for z, kind, r in found]
+        return [Part("zeros:", ("zero", "kind", "residual"), rows)]
 
     def facts(self) -> Facts:
         """The zeros, how many of each kind, and the normal rank."""
@@ -119,7 +136,7 @@ class Zeros(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""
-        return {"type": "Zeros", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+        return {"type": "Zeros", **{field.name: getattr(self, field.name) for field in fields(self)}}
 
 
 @told_as("zeros")

@@ -18,8 +18,9 @@ the gap metric", Systems and Control Letters 11 (1988); Zhou, Doyle, Glover (199
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -120,6 +121,16 @@ class GapMetric(Shown):
     nu: NuGap
     status: Status
     reason: str = ""
+    quantities: ClassVar[Mapping[str, Any]] = {"value": "1", "lower": "1", "upper": "1", "nu_gap": "1"}
+
+    @property
+    def nu_gap(self) -> float:
+        """The nu-gap: that of ``nu``."""
+        return self.nu.value
+
+    def headline(self) -> str:
+        """The two distances."""
+        return f"gap {number(self.value)}, nu-gap {number(self.nu_gap)}"
 
     @property
     def value(self) -> float:

@@ -1,0 +1,192 @@
+"""One declaration of a capability for all its doors: `door` marks a function, `DOORS` has them all.
+
+A door's function has a light signature: each parameter is annotated ``Annotated[type, kind, "help"]`` (those that many
+share are in `robustlab.doors.words`), and the work is imported inside. From it come the command with its options, help
+and completion (`robustlab.cli.generated`), the step of recipes with its checks and its schema
+(`robustlab.recipe.steps.generated`), and the pages of the reference. Adding a capability is: its function, its result
+class, and its door here.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+from robustlab.doors.kinds import Kind, Thing
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+REQUIRED = inspect.Parameter.empty
+# Word of a step, and words of a command -> the door.
+STEPS: dict[str, Door] = {}
+COMMANDS: dict[str, Door] = {}
+
+
+@dataclass(frozen=True)
+class Named:
+    """In an annotation: what a command or a recipe calls the parameter, where it is not its own name."""
+
+    option: str = ""  # ``--filter-order``, or ``-k,--controller``
+    key: str = ""
+    # The one door that has the parameter, where the other needs none.
+    only: str = ""
+
+
+class InLoop(NamedTuple):
+    """What a door's function may return in the place of a result: the result, and the loop that it is of, in words."""
+
+    result: Any
+    loop: str
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a door."""
+
+    name: str
+    kind: Kind
+    default: Any
+    help: str
+    called: Named = Named()
+
+    @property
+    def needed(self) -> bool:
+        """Whether it has no default."""
+        return self.default is REQUIRED
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """The words of a command's option."""
+        return tuple(self.called.option.split(",")) if self.called.option else (f"--{self.name.replace('_', '-')}",)
+
+    @property
+    def key(self) -> str:
+        """The key of a recipe's step."""
+        return self.called.key or self.name
+
+
+@dataclass(frozen=True)
+class Door:
+    """What one function offers to the command line and to recipes."""
+
+    function: Callable[..., Any]
+    command: str  # words behind ``robustlab``; empty where there is none
+    step: str  # what a recipe says with ``do``; empty where there is none
+    gives: str  # kind of what later steps get of it
+    made: str  # attribute of the result that is what was made, for ``--out`` and later steps; "" is the result itself
+    result: str  # ``module.Class`` of the result, below ``robustlab``
+    title: str  # first paragraph of the docstring
+    more: str  # the rest of it
+    example: str
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """The parameters that a user gives; not ``progress`` and ``seed`` of a step, which are at hand."""
+        return _parameters(self.function)
+
+    @property
+    def takes_progress(self) -> bool:
+        """Whether the function tells how far it is."""
+        return "progress" in inspect.signature(self.function).parameters
+
+    @property
+    def result_class(self) -> Any:
+        """The class of the result; it says what requirements may refer to."""
+        module, _, name = self.result.rpartition(".")
+        return getattr(import_module(f"robustlab.{module}"), name)
+
+    def made_of(self, result: Any) -> Any:
+        """What was made, of a result."""
+        return getattr(result, self.made) if self.made else result
+
+    def __call__(self, **values: Any) -> InLoop:
+        """The result, with the words of its loop where it has one of its own."""
+        found = self.function(**values)
+        return found if isinstance(found, InLoop) else InLoop(found, "")
+
+
+def door(command: str = "", step: str = "", *, result: str, gives: str = "nothing", made: str = "") -> Callable[[F], F]:
+    """Decorator: the function is what a command and a step of recipes do.
+
+    ``result``: ``module.Class`` of what it returns; ``gives``: what later steps get, ``made`` the attribute that it is.
+    """
+
+    def declared(function: F) -> F:
+        paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+        example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
+        rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
+        found = Door(function, command, step, gives, made, result, paragraphs[0], rest, example)
+        if command:
+            COMMANDS[command] = found
+        if step:
+            STEPS[step] = found
+        return function
+
+    return declared
+
+
+@cache
+def _parameters(function: Callable[..., Any]) -> list[Parameter]:
+    hints = get_type_hints(function, include_extras=True)
+    found: list[Parameter] = []
+    for name, given in inspect.signature(function).parameters.items():
+        if name == "progress":
+            continue
+        marks = getattr(hints[name], "__metadata__", ())
+        kind = next((m for m in marks if isinstance(m, Kind)), None)
+        if kind is None:
+            raise TypeError(f"{function.__module__}.{function.__name__}: {name} has no kind in its annotation")
+        texts = [m for m in marks if isinstance(m, str)]
+        called = next((m for m in reversed(marks) if isinstance(m, Named)), Named())
+        found.append(Parameter(name, kind, given.default, texts[-1] if texts else "", called))
+    return found
+
+
+def objects(of: Door) -> list[Parameter]:
+    """The parameters that are files of a command and earlier steps of a recipe."""
+    return [p for p in of.parameters if isinstance(p.kind, Thing)]
+
+
+def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[Any, str]:
+    """A system with a controller around it, and the loop in words; the system itself where there is no controller.
+
+    Raises InputError: a sign without a controller. NoTrustworthyNumber: the nominal loop is not stable.
+    """
+    from robustlab.closing import fed_back
+    from robustlab.errors import InputError, NoTrustworthyNumber
+    from robustlab.statespace import StateSpaceModel
+
+    if controller is None:
+        if sign is not None:
+            raise InputError(f"{where}: sign", "without a controller", "a controller to close the loop with")
+        return system, ""
+    around, sign, words = fed_back(system, controller, sign, where, None)
+    loop = system.feedback(around, sign)
+    nominal = getattr(loop, "nominal", None)
+    if isinstance(nominal, StateSpaceModel) and not nominal.is_stable():
+        poles = nominal.poles()
+        worst = poles[(abs(poles) if nominal.is_discrete else poles.real).argmax()]
+        found = f"the nominal loop {words} is unstable (pole {worst:.4g})"
+        hint = "was this controller designed for this plant? --feedback negative or positive closes it otherwise"
+        raise NoTrustworthyNumber(where, found, "a stable loop", hint)
+    return loop, words
+
+
+def load_family(family: str) -> None:
+    """Import the module of doors."""
+    import_module(f"robustlab.doors.{family}")
+
+
+def every_door() -> list[Door]:
+    """All doors, each once."""
+    for family in ALL:
+        load_family(family)
+    return list(dict.fromkeys([*COMMANDS.values(), *STEPS.values()]))
+
+
+# The modules of doors.
+ALL = ("analysis",)

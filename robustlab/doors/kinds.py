@@ -1,0 +1,354 @@
+"""Kinds of values that a door takes: how a command reads them from words, and what a key of a recipe may hold.
+
+A parameter of a door is annotated ``Annotated[type, kind, "help"]``; `robustlab.doors.declaration` reads that. Nothing
+heavy is imported here: ``--help`` and TAB must not wait for numerical libraries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
+
+from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.units import amount
+
+Given = list[str] | None  # of an option that may be repeated
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Base: a text as it is given."""
+
+    def annotation(self) -> Any:
+        """What the parser of commands takes."""
+        return str
+
+    @property
+    def metavar(self) -> str | None:
+        """How the help of a command writes the value; None: as the parser does."""
+        return None
+
+    def read(self, option: str, given: Any) -> Any:
+        """The value that a command's words say; None where nothing was given."""
+        return given
+
+    def field(self) -> Any:
+        """What a recipe may say there, as pydantic checks it."""
+        from robustlab.recipe.steps.vocabulary import Text
+
+        return Text
+
+    def of_field(self, given: Any) -> Any:
+        """The value that a recipe's key says."""
+        return given
+
+
+@dataclass(frozen=True)
+class Number(Kind):
+    """A number; a command takes it with another unit, too, where it has one."""
+
+    unit: str = ""
+    above: float | None = None
+    least: float | None = None
+    below: float | None = None
+    most: float | None = None
+
+    def annotation(self) -> Any:
+        """With a unit the text is read here."""
+        return str if self.unit else float
+
+    @property
+    def metavar(self) -> str | None:
+        """As the parser of commands writes a number."""
+        return "FLOAT" if self.unit else None
+
+    def read(self, option: str, given: Any) -> Any:
+        """``2Hz`` where the unit is rad/s."""
+        return amount(option, given, self.unit) if isinstance(given, str) else given
+
+    def field(self) -> Any:
+        """A number between the bounds."""
+        from pydantic import Field
+
+        return Annotated[float, Field(gt=self.above, ge=self.least, lt=self.below, le=self.most)]
+
+
+@dataclass(frozen=True)
+class Whole(Kind):
+    """A whole number."""
+
+    least: int = 0
+    most: int = 1_000_000
+
+    def annotation(self) -> Any:
+        """The parser reads it."""
+        return int
+
+    def field(self) -> Any:
+        """A whole number between the bounds."""
+        from pydantic import Field
+
+        return Annotated[int, Field(ge=self.least, le=self.most)]
+
+
+@dataclass(frozen=True)
+class Flag(Kind):
+    """Yes or no."""
+
+    def annotation(self) -> Any:
+        """The parser reads it."""
+        return bool
+
+    def field(self) -> Any:
+        """``true`` or ``false``."""
+        return bool
+
+
+@dataclass(frozen=True)
+class Choice(Kind):
+    """One of several words."""
+
+    words: tuple[str, ...]
+
+    def read(self, option: str, given: Any) -> Any:
+        """The word, if it is one of them."""
+        if given is not None and given not in self.words:
+            raise UsageError(option, repr(given), f"one of {', '.join(self.words)}", did_you_mean(given, self.words))
+        return given
+
+    @property
+    def metavar(self) -> str | None:
+        """The help lists the words."""
+        return "WORD"
+
+    def field(self) -> Any:
+        """One of the words."""
+        return Literal[self.words]  # pyright: ignore[reportInvalidTypeForm]
+
+
+@dataclass(frozen=True)
+class Feedback(Kind):
+    """The sign of feedback: ``negative`` and ``positive`` of a command, -1 and 1 of a recipe."""
+
+    def read(self, option: str, given: Any) -> Any:
+        """-1 or 1."""
+        if given is None:
+            return None
+        return -1 if Choice(("negative", "positive")).read(option, given) == "negative" else 1
+
+    @property
+    def metavar(self) -> str | None:
+        """The help lists the words."""
+        return "WORD"
+
+    def field(self) -> Any:
+        """-1 or 1."""
+        return Literal[-1, 1]
+
+
+@dataclass(frozen=True)
+class Names(Kind):
+    """Names with commas between them; of signals or parameters of what ``of`` refers to, where a side is said."""
+
+    side: Literal["inputs", "outputs", "signals", "parameters", ""] = ""
+    of: str = "of"
+    one: bool = False  # a single name
+
+    @property
+    def metavar(self) -> str | None:
+        """One, or several."""
+        return "NAME" if self.one else "NAME,..."
+
+    def read(self, option: str, given: Any) -> Any:
+        """``a,b`` as a list."""
+        if given is None or self.one:
+            return given
+        return [part.strip() for part in given.split(",") if part.strip()]
+
+    def field(self) -> Any:
+        """A list of names, checked before the run where the step knows them."""
+        from robustlab.recipe.steps import vocabulary
+
+        taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
+        return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+
+
+@dataclass(frozen=True)
+class Numbers(Kind):
+    """Numbers with commas between them; each may carry another unit."""
+
+    unit: str = ""
+    count: int | None = None
+    words: str = "NUMBER,..."
+
+    @property
+    def metavar(self) -> str | None:
+        """For example ``LOW,HIGH``."""
+        return self.words
+
+    def read(self, option: str, given: Any) -> Any:
+        """``1,10`` or ``2Hz`` as a list; as a tuple where their count is known."""
+        if given is None:
+            return None
+        parts = given.split(",")
+        try:
+            found = [amount(option, part, self.unit) for part in parts]
+        except InputError as error:
+            example = "1,10 or 2Hz" if self.unit == "rad/s" else "1,2.5"
+            raise UsageError(
+                option, repr(given), f"numbers{f' in {self.unit}' if self.unit else ''}: {example}"
+            ) from error
+        if self.count is None:
+            return found
+        if len(found) != self.count:
+            raise UsageError(option, repr(given), f"{self.count} numbers, {self.words}")
+        return tuple(found)
+
+    def field(self) -> Any:
+        """A list of numbers."""
+        from pydantic import Field
+
+        number = Annotated[float, Field(ge=0)] if self.unit == "rad/s" else float
+        if self.count is None:
+            return list[number]  # pyright: ignore[reportInvalidTypeForm]
+        return Annotated[list[number], Field(min_length=self.count, max_length=self.count)]  # pyright: ignore[reportInvalidTypeForm]
+
+    def of_field(self, given: Any) -> Any:
+        """A tuple where their count is known."""
+        return given if given is None or self.count is None else tuple(given)
+
+
+@dataclass(frozen=True)
+class Table(Kind):
+    """Names with a value each: ``NAME=VALUE``, repeatable; a table in a recipe."""
+
+    value: Kind = Number()
+    side: Literal["inputs", "outputs", "signals", "parameters", ""] = ""
+    of: str = "of"
+    words: str = "NAME=VALUE"
+
+    def annotation(self) -> Any:
+        """A repeatable option."""
+        return list[str]
+
+    @property
+    def metavar(self) -> str | None:
+        """How one is written."""
+        return self.words
+
+    def read(self, option: str, given: Given) -> Any:
+        """The table; None where nothing was given."""
+        if not given:
+            return None
+        found: dict[str, Any] = {}
+        for text in given:
+            name, equals, value = (
+                text.partition("=")
+                if isinstance(self.value, Kind) and type(self.value) is Kind
+                else text.rpartition("=")
+            )
+            if not (name and equals and value):
+                raise UsageError(f"{option} {text}", "no name and value", self.words)
+            if name in found:
+                raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
+            found[name] = self._value(f"{option} {text}", value)
+        return found
+
+    def _value(self, where: str, text: str) -> Any:
+        if type(self.value) is Kind:
+            return text
+        if isinstance(self.value, Numbers):
+            parts = text.split(":")
+            if len(parts) != 2:
+                raise UsageError(where, "no name and two numbers", self.words)
+            return tuple(amount(where, part, self.value.unit) for part in parts)
+        number = amount(where, text, getattr(self.value, "unit", ""))
+        if isinstance(self.value, Whole):
+            if not float(number).is_integer():  # nan and inf are none
+                raise UsageError(where, "no whole number", self.words)
+            return int(number)
+        return number
+
+    def field(self) -> Any:
+        """A table of such values."""
+        from robustlab.recipe.steps import vocabulary
+
+        taken = dict[str, self.value.field()]  # pyright: ignore[reportInvalidTypeForm]
+        return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+
+    def of_field(self, given: Any) -> Any:
+        """None where nothing was given."""
+        return {name: self.value.of_field(value) for name, value in given.items()} if given else None
+
+
+class Pair(NamedTuple):
+    """The two models of one file."""
+
+    nominal: Any
+    perturbed: Any
+
+
+@dataclass(frozen=True)
+class Thing(Kind):
+    """An object: a file of a command, an earlier step of a recipe.
+
+    ``gives``: what that step may give, see `robustlab.recipe.steps.vocabulary`.
+    ``model``: a plain model is wanted, that of a controller or a linear plant as well.
+    ``many``: several of them.
+    ``number``: a number may stand in its place.
+    """
+
+    gives: tuple[str, ...] = ("any",)
+    model: bool = False
+    many: bool = False
+    number: bool = False
+
+    def annotation(self) -> Any:
+        """The name of a file."""
+        return list[str] if self.many else str
+
+    @property
+    def metavar(self) -> str | None:
+        """A file."""
+        return "FILE"
+
+    def field(self) -> Any:
+        """The name of an earlier step."""
+        from robustlab.recipe.steps.vocabulary import RefersTo
+
+        name = Annotated[str, RefersTo(self.gives)]
+        taken: Any = list[name] if self.many else name  # pyright: ignore[reportInvalidTypeForm]
+        return float | taken if self.number else taken
+
+    def load(self, file: str, remark: Callable[[str], None], **reading: Any) -> Any:
+        """What stands in a file; ``remark`` hears what is odd about it. Of a file with two models a `Pair`."""
+        from robustlab.storage import read
+
+        if self.number:
+            with suppress(ValueError):
+                return float(file)
+        loaded = read(file, **reading)
+        for text in loaded.warnings:
+            remark(f"warning: {file}: {text}")
+        if loaded.kind == "pair":
+            return Pair(*(self.as_wanted(model, file) for model in loaded.object))
+        return self.as_wanted(loaded.object, file)
+
+    def as_wanted(self, found: Any, where: str) -> Any:
+        """The object as its function takes it.
+
+        Raises InputError: it is of another kind.
+        """
+        import robustlab as rl
+        from robustlab.dynamics.plant_contract import Plant
+        from robustlab.statespace import as_model
+
+        if self.model:
+            return rl.linearise(found) if isinstance(found, Plant) else as_model(found, where)
+        wanted = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
+        if wanted and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
+            held = f"holds a {type(found).__name__}"
+            raise InputError(where, held, "an uncertain model", "robustlab uncertain build --help")
+        return found

@@ -1,0 +1,145 @@
+"""One declaration, three doors: what a function says is what its command and its step offer."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import typer
+
+import robustlab as rl
+from robustlab.cli.generated import command_of
+from robustlab.doors.declaration import ALL, Door, door, every_door
+from robustlab.doors.kinds import Choice, Names, Number, Numbers, Table, Thing, Whole
+from robustlab.errors import InputError, UsageError
+from robustlab.recipe.keys import keys_of_step
+from robustlab.recipe.steps.contract import KINDS
+from robustlab.recipe.steps.leaves import look_ahead
+from robustlab.shown import Shown
+
+DOORS = every_door()
+NAMES = [d.function.__name__ for d in DOORS]
+# What only one door can offer, and why.
+ONE_DOOR: dict[str, str] = {}
+
+
+@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
+def test_every_capability_has_its_command_and_its_step(declared: Door) -> None:
+    name = declared.function.__name__
+    assert (declared.command and declared.step) or name in ONE_DOOR
+
+
+@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
+def test_names_defaults_and_help_are_those_of_the_declaration(declared: Door) -> None:
+    parameters = {p.name: p for p in declared.parameters}
+    if declared.command:
+        offered = inspect.signature(command_of(declared)).parameters
+        for p in parameters.values():
+            if p.called.only != "step":
+                option: Any = offered[p.name].annotation.__metadata__[0]
+                assert option.help.startswith(p.help)
+    if declared.step:
+        keys = {key.name: key for key in keys_of_step(declared.step)}
+        for p in parameters.values():
+            if p.name != "seed" and p.called.only != "command":
+                assert keys[p.key].needed == p.needed
+                if not p.needed and isinstance(p.default, (int, float, str)):
+                    assert keys[p.key].default == p.default
+
+
+@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
+def test_defaults_are_those_of_the_public_function(declared: Door) -> None:
+    function = getattr(rl, declared.function.__name__.rstrip("_"), None)
+    if function is None:
+        pytest.skip("a door of more than one public function")
+    known = inspect.signature(function).parameters
+    for p in declared.parameters:
+        public = known.get(p.name)
+        if public is not None and not p.needed and public.default not in (inspect.Parameter.empty, None):
+            assert p.default == public.default, p.name
+
+
+@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
+def test_a_result_says_itself_in_all_readers(declared: Door) -> None:
+    kind = declared.result_class
+    assert issubclass(kind, Shown)
+    for name in kind.quantities:
+        assert hasattr(kind, name) or name in getattr(kind, "__dataclass_fields__", {}), name
+    if declared.step:
+        assert KINDS[declared.step].leaves is kind.quantities
+        for name in kind.quantities:
+            assert look_ahead(f"s.{name}", kind.quantities) is not None
+
+
+def test_families_declare_doors_without_numerical_libraries() -> None:
+    code = f"import sys\nfrom robustlab.doors.declaration import load_family\nfor f in {ALL!r}: load_family(f)\n"
+    code += (
+        "import json; print(json.dumps([m for m in ('numpy', 'scipy', 'pydantic', 'matplotlib') if m in sys.modules]))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"
+
+
+def test_a_parameter_without_a_kind_is_refused() -> None:
+    @door("model nothing", result="result.Result")
+    def nothing(n: int) -> None:
+        """Nothing."""
+
+    from robustlab.doors.declaration import COMMANDS
+
+    declared = COMMANDS.pop("model nothing")
+    with pytest.raises(TypeError, match="n has no kind"):
+        declared.parameters  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        (Number("rad/s"), "2Hz", 4 * math.pi),
+        (Numbers("rad/s"), "1,2", [1.0, 2.0]),
+        (Numbers("rad/s", 2, "LOW,HIGH"), "1,2", (1.0, 2.0)),
+        (Names(), "a, b", ["a", "b"]),
+        (Table(), ["a=1", "b=2"], {"a": 1.0, "b": 2.0}),
+        (Table(Whole()), ["a=3"], {"a": 3}),
+        (Table(Numbers(), words="NAME=LOW:HIGH"), ["a=1:2"], {"a": (1.0, 2.0)}),
+        (Choice(("a", "b")), "a", "a"),
+    ],
+)
+def test_words_of_a_command(kind: Any, text: Any, value: Any) -> None:
+    assert kind.read("--x", text) == value
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        (Numbers("rad/s"), "1,x"),
+        (Numbers("rad/s", 2, "LOW,HIGH"), "1"),
+        (Table(), ["a"]),
+        (Table(), ["a=1", "a=2"]),
+        (Table(Whole()), ["a=3.5"]),
+        (Table(Numbers(), words="NAME=LOW:HIGH"), ["a=1"]),
+        (Choice(("a", "b")), "c"),
+    ],
+)
+def test_wrong_words_of_a_command(kind: Any, text: Any) -> None:
+    with pytest.raises((UsageError, InputError)):
+        kind.read("--x", text)
+
+
+def test_options_of_a_parser_are_made() -> None:
+    app = typer.Typer()
+    for declared in DOORS:
+        if declared.command:
+            app.command(declared.command.replace(" ", "-"))(command_of(declared))
+    from typer.main import get_command
+
+    assert len(get_command(app).commands) == len({d.command for d in DOORS if d.command})  # type: ignore[attr-defined]
+
+
+def test_a_file_that_holds_another_kind_is_refused() -> None:
+    with pytest.raises(InputError, match="an uncertain model"):
+        Thing(("uncertain", "any")).as_wanted(rl.ss(-1.0, 1.0, 1.0, 0.0), "x.h5")
