@@ -29,6 +29,7 @@ Facts = list[tuple[str, str]]  # label, text
 LINES = 6  # of a repr, the heading included
 WIDTH = 95  # characters of one of its lines
 SHOWN = 6  # names or values that a text lists
+BLOCKS = 40  # of a member that its table lists
 
 
 class Part(NamedTuple):
@@ -241,6 +242,29 @@ def member(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]] |
         else:
             said.append(f"{name}: delta = {in_words(value)}")
     return listed(said)
+
+
+def member_table(title: str, delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> Part:
+    """A member of a set block by block: its normalised value, and the parameter that it stands for.
+
+    Examples
+    --------
+    >>> member_table("worst member:", {"k": -1.0}, {"k": (1.4, "N/m")}).rows
+    [('k', '-1', '1.4 N/m')]
+    """
+    rows = [
+        (name, _block_value(value), "{:.6g} {}".format(*physical[name]).rstrip() if name in physical else "-")
+        for name, value in list(delta.items())[:BLOCKS]
+    ]
+    hidden = len(delta) - len(rows)
+    return Part(
+        title, ("block", "delta", "stands for"), [*rows, *([(f"... and {hidden} more", "", "")] if hidden else [])]
+    )
+
+
+def _block_value(value: Any) -> str:
+    shape = getattr(value, "shape", ())
+    return f"{' x '.join(map(str, shape))} matrix" if len(shape) else f"{value:.6g}"
 
 
 def in_words(value: Any) -> str:

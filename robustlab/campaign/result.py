@@ -20,13 +20,14 @@ from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, member, number
+from robustlab.shown import Facts, Part, Shown, member, member_table, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 CONFIDENCE = 0.95
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100
+LISTED_LOST = 10  # of these in a text
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 
@@ -205,28 +206,49 @@ class CampaignResult(Tabular, Shown):
     seed: int
     label: str
 
+    def headline(self) -> str:
+        """The worst value among how many."""
+        return f"worst {self.metric} {number(self.worst, self.unit, 9)} of {self.done} {_counted(self.kind)}"
+
     def facts(self) -> Facts:
         """The worst value, its member, how many samples there are, what they say of the rest."""
-        worst = f"sample {self.worst_index}: {member(self.delta, self.physical)}" if self.delta else ""
-        gone = [f"{count} {word}" for count, word in ((self.lost, "lost"), (self.unbounded, "unbounded")) if count]
+        what, _, unit = self.location.partition(" ")
+        place = f", at {what} = {number(self.at, unit.strip('[]'), 6)}" if what and not math.isnan(self.at) else ""
+        worst = (
+            f"{number(self.worst, self.unit, 9)} in {_one(self.kind)} {self.worst_index}{place}" if self.done else ""
+        )
+        missing = self.n - self.done - self.lost
+        words = ((self.lost, "lost"), (missing, "missing yet"), (self.unbounded, "without a bounded value"))
+        counts = [f"{self.done} of {self.n} {_counted(self.kind)}", *(f"{c} {word}" for c, word in words if c)]
         limit, v = "", self.violation
         if v is not None:
-            probability = f"probability {number(v.lower)} .. {number(v.upper)} (95 %)"
-            limit = f"{number(v.limit, self.unit)}: {v.count} of {v.of} are worse, {probability}"
+            bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
+            limit = f"{number(v.limit, self.unit, 9)}: {v.count} of {v.of} (lost ones counted); {bounds}"
+        unseen = f"at most {self.unseen:.3g} of the set, with 95 % confidence"
+        lost = self.lost_samples[0].index if self.lost_samples else None
         return [
-            (f"worst {self.metric}", number(self.worst, self.unit)),
-            ("nominal", number(self.nominal, self.unit)),
-            ("worst member", worst),
-            ("samples", ", ".join([f"{self.done} of {self.n}", *gone, f"seed {self.seed}"])),
-            (
-                "probability of a worse member",
-                "" if math.isnan(self.unseen) else f"at most {number(self.unseen)} (95 %)",
-            ),
-            ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
-            ("limit", limit),
-            ("said", self.label),
+            (f"worst {self.metric}", worst if self.done else ""),
+            ("through the second path", number(self.again, self.unit, 9)),
+            ("nominal", number(self.nominal, self.unit, 9)),
+            ("worst member", member(self.delta, self.physical)),
+            (_counted(self.kind), ", ".join([*counts, f"seed {self.seed}"])),
+            ("members worse than all of these", "" if math.isnan(self.unseen) else unseen),
+            ("worse than", limit),
+            ("meaning", self.label),
             ("store", self.store),
+            ("digest", self.digest),
             ("time of all samples", number(self.seconds, "s")),
+            ("look at a lost one", "" if lost is None else f"robustlab campaign replay {self.store} {lost}"),
+        ]
+
+    def details(self) -> list[Part]:
+        """Quantiles, the worst member, and what was lost."""
+        rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.bound:.9g}") for q in self.quantiles]
+        lost = [(str(sample.index), sample.reason) for sample in self.lost_samples[:LISTED_LOST]]
+        return [
+            Part("", ("share", "not worse than", "with 95 % confidence"), rows),
+            member_table("worst member:", self.delta, self.physical),
+            Part("", ("lost", "reason"), lost),
         ]
 
     def table(self) -> Table:
@@ -296,6 +318,14 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         settings.seed,
         _label(worst, evaluator.sense),
     )
+
+
+def _counted(kind: str) -> str:
+    return "searches" if kind == "search" else kind
+
+
+def _one(kind: str) -> str:
+    return {"samples": "sample", "vertices": "vertex"}.get(kind, kind)
 
 
 def _label(worst: Sample | None, sense: int) -> str:

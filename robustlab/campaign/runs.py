@@ -26,6 +26,7 @@ from robustlab.campaign.settings import (
 from robustlab.campaign.store import Store, locked, owner_text
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
+from robustlab.shown import Facts, Part, Shown, member_table, number
 from robustlab.uncertainty.lft import UncertainModel
 
 Existing = Literal["resume", "restart", "fork"]
@@ -137,7 +138,7 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(Shown):
     """One sample computed again in this process."""
 
     status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else
@@ -159,6 +160,23 @@ class Replay:
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
     seconds: float  # time it took
+
+    def facts(self) -> Facts:
+        """The value now beside those of the store and of the second path."""
+        what, _, unit = self.location.partition(" ")
+        place = f" at {what} = {number(self.at, unit.strip('[]'), 6)}" if what and not math.isnan(self.at) else ""
+        stored = number(self.stored, self.unit, 9) or "no value"
+        return [
+            (f"{self.metric} of sample {self.index}", number(self.value, self.unit, 9)),
+            ("in the store", f"{stored} (the same bits)" if self.identical else stored),
+            ("through the second path", f"{number(self.again, self.unit, 9)}{place}"),
+            ("lost", self.reason),
+            ("time", number(self.seconds, "s", 3)),
+        ]
+
+    def details(self) -> list[Part]:
+        """The member."""
+        return [member_table("member:", self.delta, self.physical)]
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""
@@ -297,8 +315,8 @@ def _same_campaign(store: Store, identity: Identity) -> None:
 
 def _free_name(path: Path) -> Path:
     """``NAME-2.sqlite`` or the next number that is free."""
-    for number in range(2, 10_000):
-        candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    for k in range(2, 10_000):
+        candidate = path.with_name(f"{path.stem}-{k}{path.suffix}")
         if not candidate.exists():
             return candidate
     raise EnvironmentFault(str(path), "has more than 9998 forks already")

@@ -6,14 +6,13 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import isnan
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, table
-from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
+from robustlab.cli.console import emit, note, require_trust
+from robustlab.cli.members import MetricOptions, UncertainArgument, load_uncertain
 from robustlab.cli.offers import METRICS, one_of
 from robustlab.cli.options import JsonOption, SeedOption, grouped
 from robustlab.cli.progress import ProgressOptions
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Run samples and searches of any size, stored one by one.", no_args_is_help=True, add_completion=False
 )
-
-SHOWN_LOST = 10
 
 StoreArgument = Annotated[str, typer.Argument(help="Store of a campaign (SQLite).", metavar="STORE")]
 BoundOption = Annotated[float | None, typer.Option("--limit", help="Count how often the metric is worse than this.")]
@@ -180,19 +177,7 @@ def replay(
 
     with progress.shown("campaign replay"):
         found = replay_sample(store, index)
-    lines = [
-        f"sample {found.index}: {found.metric} {_valued(found.value, found.unit)}",
-        f"in the store: {_valued(found.stored, found.unit) if not isnan(found.stored) else 'no value'}"
-        + (" (the same bits)" if found.identical else ""),
-        f"through the second path: {_valued(found.again, found.unit)}{place(found.at, found.location)}",
-    ]
-    if found.reason:
-        lines.append(f"lost: {found.reason}")
-    lines.append(f"status: {found.status}, {found.seconds:.3g} s")
-    if found.delta:
-        lines += ["", *delta_lines(found.delta, found.physical)]
-    emit("campaign replay", {"store": store, **found.to_json()}, "\n".join(lines), as_json)
-    require_trust(found.status)
+    _print("campaign replay", found, as_json, {"store": store})
 
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -227,58 +212,6 @@ def _say_interrupted(store: str) -> None:
     note(f"interrupted: {saved} of {n} samples saved; resume with robustlab campaign resume {store}")
 
 
-# --- printing --------------------------------------------------------------------------------------------------------
-
-
 def _print(command: str, result: Any, as_json: bool, more: Mapping[str, Any]) -> None:
-    emit(command, {**more, **result.to_json()}, _text(result), as_json)
+    emit(command, {**more, **result.to_json()}, result.report(), as_json)
     require_trust(result.status)
-
-
-def _text(result: Any) -> str:
-    missing = result.n - result.done - result.lost
-    counts = f"{result.done} of {result.n} {_counted(result.kind)}"
-    counts += f", {result.lost} lost" if result.lost else ""
-    counts += f", {missing} missing yet" if missing else ""
-    lines = [f"{result.store}: {result.metric}, {counts}, seed {result.seed}"]
-    if result.done:
-        where = f" in {_one(result.kind)} {result.worst_index}{place(result.at, result.location)}"
-        lines.append(f"worst: {_valued(result.worst, result.unit)}{where} ({result.label})")
-        if not isnan(result.again):
-            lines.append(f"through the second path: {_valued(result.again, result.unit)}")
-        if not isnan(result.nominal):
-            lines.append(f"nominal: {_valued(result.nominal, result.unit)}")
-    if result.unbounded:
-        lines.append(f"{result.unbounded} of them have no bounded value")
-    if not isnan(result.unseen):
-        lines.append(f"members worse than all of these: at most {result.unseen:.3g} of the set, with 95 % confidence")
-    if result.violation is not None:
-        v = result.violation
-        bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
-        lines.append(f"worse than {v.limit:.9g}: {v.count} of {v.of} (lost ones counted); {bounds}")
-    lines.append(f"status: {result.status}, {result.seconds:.3g} s of work")
-    lines.append(f"digest: {result.digest}")
-    if result.quantiles:
-        rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.bound:.9g}") for q in result.quantiles]
-        lines += ["", table(rows, ("share", "not worse than", "with 95 % confidence"))]
-    if result.done and result.delta:
-        lines += ["", *delta_lines(result.delta, result.physical)]
-    if result.lost:
-        rows = [(str(sample.index), sample.reason) for sample in result.lost_samples[:SHOWN_LOST]]
-        lines += ["", table(rows, ("lost", "reason"))]
-        if result.lost > len(rows):
-            lines.append(f"... and {result.lost - len(rows)} more (the first hundred with --json)")
-        lines.append(f"robustlab campaign replay {result.store} {result.lost_samples[0].index}")
-    return "\n".join(lines)
-
-
-def _valued(value: float, unit: str) -> str:
-    return f"{value:.9g} {unit}".rstrip()
-
-
-def _counted(kind: str) -> str:
-    return "searches" if kind == "search" else kind
-
-
-def _one(kind: str) -> str:
-    return {"samples": "sample", "vertices": "vertex"}.get(kind, kind)
