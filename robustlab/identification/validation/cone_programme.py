@@ -16,8 +16,6 @@ from robustlab.conic import Cone, solve
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.tuning import ValidationTuning
 
-__all__ = ["ConeSolution", "Rows", "solved_cones", "sparse_matrices"]
-
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
