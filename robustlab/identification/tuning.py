@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 from robustlab.shown import Tuning
 
-__all__ = ["AS_LARGE", "NamingTuning", "TUNING"]
-
 AS_LARGE = 5e-3  # share by which errors differ that are called as large
 
 

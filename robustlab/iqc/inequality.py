@@ -18,12 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
+from robustlab.conic import ACCEPTED, Cone, solve, triangle
 from robustlab.iqc.filtered_model import FilteredModel, Rows
 from robustlab.iqc.multipliers import Term, l1_norm
 from robustlab.uncertainty.upper_lft import balanced
@@ -31,8 +32,6 @@ from robustlab.uncertainty.upper_lft import balanced
 __all__ = ["Channels", "Inequality", "Judgement", "Point"]
 
 EPS = float(np.finfo(float).eps)
-# Endings of the solver whose numbers are worth a look; the proof decides.
-ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 STEPS = 200
 # Least eigenvalue of every multiplier's unknowns as a share of the inequality's slack.
 INSIDE = 1e-2
@@ -181,10 +180,10 @@ class Inequality:
             columns.append([(0, -np.eye(side)), *inside])
         starts = np.concatenate([[0], np.cumsum([s * (s + 1) // 2 for s in sizes])])
         matrix, constant = np.zeros((starts[-1], total)), np.zeros(starts[-1])
-        constant[: starts[1]] = _triangle(base)
+        constant[: starts[1]] = triangle(base)
         for k, parts in enumerate(columns):
             for cone, part in parts:
-                matrix[starts[cone] : starts[cone + 1], k] += _triangle(part)
+                matrix[starts[cone] : starts[cone + 1], k] += triangle(part)
         cost = np.zeros(total)
         cost[-1] = 1.0 if least else -1.0
         if self.has_gain:
@@ -277,43 +276,21 @@ def is_positive(matrix: Array, error: float = 0.0) -> bool:
     return True
 
 
-def _triangle(matrix: Array) -> Array:
-    """Upper triangle by columns, off-diagonal entries times the root of two, as Clarabel's cone asks."""
-    columns, rows = np.tril_indices(len(matrix))
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    return scale * 0.5 * (matrix[rows, columns] + matrix[columns, rows])
-
-
 def _clarabel(
     rows: Array, constant: Array, cost: Array, sizes: list[int], fixed: tuple[Array, float] | None, budget: Budget
 ) -> Array | None:
     """Least ``cost x`` with ``constant + rows x`` in cones of symmetric matrices; None where there is no answer."""
-    import clarabel
-    from scipy import sparse
-
-    solver: Any = clarabel  # its types are not declared
-    cones = [solver.PSDTriangleConeT(size) for size in sizes]
+    cones: list[Cone] = [("semidefinite", size) for size in sizes]
     matrix, right = -rows, constant
     if fixed is not None:
-        cones = [solver.ZeroConeT(1), *cones]
+        cones = [("zero", 1), *cones]
         matrix, right = np.vstack([fixed[0], matrix]), np.append(fixed[1], right)
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-8)
-    settings = solver.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
     work = 2e-4 * matrix.shape[1] ** 2 * matrix.shape[0]  # of a step, as measured
-    settings.max_iter = int(np.clip(budget.left / work, 1, STEPS))
-    if np.isfinite(budget.seconds_left):
-        settings.time_limit = max(budget.seconds_left, 1e-3)
-    nothing = sparse.csc_matrix((len(cost), len(cost)))
-    try:
-        found = solver.DefaultSolver(
-            nothing, cost / scale, sparse.csc_matrix(matrix / scale), right, cones, settings
-        ).solve()
-    except BaseException as error:
-        # Clarabel's own panics derive from BaseException, past every except clause for errors.
-        if type(error).__name__ != "PanicException":
-            raise
+    seconds = max(budget.seconds_left, 1e-3) if np.isfinite(budget.seconds_left) else None
+    most = np.clip(budget.left / work, 1, STEPS)
+    found = solve(cost / scale, matrix / scale, right, cones, steps=most, seconds=seconds)
+    if found is None:
         return None
     budget.spend(found.iterations * work)
     x = np.array(found.x) / scale

@@ -14,8 +14,6 @@ from robustlab.dynamics import effects
 from robustlab.dynamics.effects.contract import Effect
 from robustlab.errors import InputError, unknown_name
 
-__all__ = ["add_effect", "catalogue", "effect", "effect_names"]
-
 _ADDED: dict[str, Effect] = {}
 
 

@@ -9,8 +9,6 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.dynamics.effects.friction_effects import dry_force
 from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
 
-__all__ = ["EFFECTS", "heating_drop"]
-
 
 class BrushDrop(Effect):
     r"""Voltage drop of brushes: a constant voltage against the current.

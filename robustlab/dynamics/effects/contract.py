@@ -23,8 +23,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = ["Effect", "EffectParameter", "Footprint", "Law", "Prior", "Scales", "Site"]
-
 SiteKind = Literal["joint", "current", "input", "output", "parameter"]
 
 

@@ -27,17 +27,6 @@ from robustlab.dynamics.ports.law_kernel import (
     narrowed,
 )
 
-__all__ = [
-    "EFFECTS",
-    "asymmetric_force",
-    "drag_force",
-    "dry_force",
-    "loss_force",
-    "presliding_force",
-    "stribeck_force",
-    "uneven_force",
-]
-
 
 @law
 def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]

@@ -11,9 +11,6 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.dynamics.ports.law_kernel import CLOSE, GQ, Q0, STEP, TIME, Q, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import Port
 
-__all__ = ["EFFECTS", "cogging_force", "order_parameter", "order_prior", "orders_or_usual", "wave_mean"]
-
-
 SMALL_ANGLE = 0.1  # below: the series of sin(x)/x to x^6 is exact to 3e-14
 USUAL_TURNS = (1.0, 2.0, 4.0)  # rad per rad: once, twice, four times a turn
 USUAL_PERIODS = (5.0, 10.0, 20.0)  # periods in the range of a straight axis

@@ -16,8 +16,6 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
 
-__all__ = ["EFFECTS"]
-
 
 class ParameterEffect(Effect):
     """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`)."""

@@ -15,8 +15,6 @@ from robustlab.dynamics.effects.load_effects import order_prior
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError
 
-__all__ = ["EFFECTS", "SignalGain"]
-
 
 class SignalGain(Effect):
     """The signal times s."""

@@ -13,8 +13,6 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import PortModel, with_load_side
 
-__all__ = ["DAMPING", "EFFECTS", "cubic_force", "stop_force"]
-
 
 @nb.njit(cache=True)
 def _cubic_residual(force, args):  # type: ignore[no-untyped-def]

@@ -27,33 +27,6 @@ from numba import njit
 
 from robustlab.errors import EnvironmentFault
 
-__all__ = [
-    "A",
-    "B",
-    "C",
-    "D",
-    "E3",
-    "E5",
-    "EXPONENT",
-    "Inputs",
-    "LARGEST",
-    "MAX_STEPS",
-    "SAFETY",
-    "SMALLEST",
-    "TABLE",
-    "dense",
-    "entry",
-    "error_of",
-    "input_between",
-    "input_within",
-    "leaf",
-    "norm",
-    "polynomial",
-    "stage_point",
-    "step_end",
-]
-
-
 _options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 leaf = njit(**_options)
 
@@ -65,7 +38,7 @@ def entry(*signatures):
 
 try:
     from scipy.integrate._ivp import dop853_coefficients as table
-    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D
+    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, D
 except ImportError as error:
     raise EnvironmentFault(
         "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"

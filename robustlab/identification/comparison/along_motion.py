@@ -44,9 +44,6 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import Signal
 
-__all__ = ["compare_along"]
-
-
 MOSTLY = 10.0  # times what ties it to any other joint: then it belongs to this one
 POINTS = 60  # of the motion: they tell the ties between signals and joints, and how unstable the plant is
 NO_MOTION = Motion(None, None, "", "", "", "")

@@ -37,9 +37,6 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["BestLinearApproximation", "arbitrary_bla", "held_response", "periodic_bla"]
-
-
 EXCITED = 1e-10  # of the strongest line's power: weaker lines are rounding
 SIGNAL_TO_NOISE = 10.0  # power of a line's average input over that of its noise
 LOCAL_LINES = 7  # through which the parabola goes

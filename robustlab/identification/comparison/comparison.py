@@ -50,9 +50,6 @@ from robustlab.identification.response.windowed_simulation import InitialState, 
 from robustlab.record import Record
 from robustlab.result import Status
 
-__all__ = ["compare"]
-
-
 LAGS = 25
 SHORTEST_WINDOW = 20  # samples
 WINDOWS_AT_LEAST = 4  # that a window chosen by us leaves in the record

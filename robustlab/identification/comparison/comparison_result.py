@@ -25,8 +25,6 @@ from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
 
-__all__ = ["Comparison", "FreeRun", "Linearisation", "OutputGap", "ResidualTests", "WindowErrors"]
-
 LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
 MOST_INPUTS_TOLD = 3  # one by one
 ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything

@@ -26,8 +26,6 @@ from robustlab.result import Evidence, Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 
-__all__ = ["SignalCoverage", "cover", "deviations"]
-
 
 @dataclass(frozen=True)
 class SignalCoverage(Evidence):

@@ -20,29 +20,6 @@ from robustlab.identification.response.windowed_simulation import fit_state, win
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = [
-    "Bin",
-    "DirectionError",
-    "Motion",
-    "NoiseGap",
-    "Spectrum",
-    "amplitude_edges",
-    "bins",
-    "directions",
-    "log_bands",
-    "motion_of",
-    "noise_gaps",
-    "position_edges",
-    "repeated",
-    "spectrum",
-    "speed_edges",
-    "time_shares",
-    "uniform_samples",
-    "welch_segments",
-    "windowed_error",
-]
-
-
 SPEED_UNITS = ("m/s", "rad/s", "mm/s", "deg/s", "rpm", "1/min")
 POSITION_UNITS = ("m", "rad", "mm", "deg")
 POLYNOMIAL = 3  # order of the Savitzky-Golay polynomial

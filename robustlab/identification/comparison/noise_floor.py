@@ -35,9 +35,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = ["Excess", "NoiseFloor", "effective_dof", "noise_floor", "period_of"]
-
-
 SHORTEST_PERIOD = 8  # samples
 EXACT = 1e-9  # of the range: differences below are rounding
 FINEST_LEVELS = 200  # a signal with fewer levels than this over its range must repeat exactly

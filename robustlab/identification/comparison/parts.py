@@ -28,8 +28,6 @@ from robustlab.identification.response.windowed_simulation import WindowedSimula
 from robustlab.record import Record
 from robustlab.statespace import Signal
 
-__all__ = ["even_odd_test", "excitation", "kept", "localised", "noise_of", "samples_of", "title"]
-
 
 def noise_of(
     record: Record, others: tuple[Record, ...], outputs: Sequence[str], period: float | None

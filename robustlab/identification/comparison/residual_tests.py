@@ -33,18 +33,6 @@ from robustlab.arrays import Array
 from robustlab.identification.comparison.noise_floor import NoiseFloor
 from robustlab.result import Evidence
 
-__all__ = [
-    "EvenOdd",
-    "InputCorrelation",
-    "Whiteness",
-    "autocorrelation",
-    "even_odd",
-    "input_correlation",
-    "judged_lines",
-    "whiteness",
-]
-
-
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples lie within
 # Directions of the lagged input below this share of its largest eigenvalue are not excited.
 NOT_EXCITED = 1e-10

@@ -19,9 +19,6 @@ from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseMo
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.record import Record
 
-__all__ = ["Bench", "Entry", "Limits", "Pair", "Piece", "SAFE", "distances", "experiment_menu", "noise_of", "trials_of"]
-
-
 SHORTEST_PERIOD = 4.0  # samples of the fastest sine
 HEATING = 7  # lengths of an ordinary experiment that the winding is warmed for
 

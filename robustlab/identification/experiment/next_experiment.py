@@ -45,9 +45,6 @@ from robustlab.identification.experiment.experiment_bench import (
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.result import Evidence
 
-__all__ = ["NextExperiment", "Tried", "propose_experiment"]
-
-
 CANNOT_TELL = 3.0  # noise sigmas
 
 

@@ -23,18 +23,6 @@ from robustlab.identification.hypotheses.nuisance import UNIFORM, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 
-__all__ = [
-    "FEWEST_PERIODS",
-    "candidates",
-    "nuisance_parameters",
-    "periods_seen",
-    "spatial_orders",
-    "stated_tolerances",
-    "timed_lines",
-    "with_absolute_tolerances",
-]
-
-
 LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
 # Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
 # a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.

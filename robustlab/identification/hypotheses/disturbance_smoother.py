@@ -48,8 +48,6 @@ from robustlab.statespace import StateSpaceModel, real_array
 if TYPE_CHECKING:
     from robustlab.identification.hypotheses.smoother_kernels import Filter
 
-__all__ = ["SmoothedRecord", "smooth_disturbance"]
-
 WHERE = "smooth_disturbance"
 
 GRID = 9  # bandwidths tried before the search

@@ -44,20 +44,6 @@ from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
-__all__ = [
-    "Candidate",
-    "Clock",
-    "Fit",
-    "FitPlan",
-    "Hypothesis",
-    "NoiseModel",
-    "Problem",
-    "predicted",
-    "refit_distance",
-    "simulated_outputs",
-]
-
-
 Effects = Sequence[tuple[Effect, Site]]
 WILD = 1e6  # errors beyond this many standard deviations count as this
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error

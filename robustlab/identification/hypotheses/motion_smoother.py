@@ -28,8 +28,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["lacking_forces", "smooth_motion"]
-
 ROUNDS = 2  # of smoothing with known inputs from the motion before
 UNMEASURED_ROUNDS = 4  # of linear runs of the states that no sensor shows
 STATE_SHARE = 0.05  # standard deviation of such a state, of its own size along the record

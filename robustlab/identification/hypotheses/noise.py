@@ -17,22 +17,6 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPl
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
 
-__all__ = [
-    "careful",
-    "clearly_larger",
-    "first_noise",
-    "held_out_fit",
-    "in_phase",
-    "least_squares",
-    "noise_ratio",
-    "restarted",
-    "settled",
-    "spans",
-    "white",
-    "whitening",
-    "window_errors",
-]
-
 
 def first_noise(problem: Problem) -> NoiseModel:
     """White noise of the size the smoother and the resolution of the sensors tell, averaged."""

@@ -23,8 +23,6 @@ import numpy as np
 
 from robustlab.arrays import Array
 
-__all__ = ["Linearised", "damped", "sandwich"]
-
 
 class Reduced(NamedTuple):
     """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""

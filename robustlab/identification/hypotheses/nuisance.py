@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-__all__ = ["Nuisance", "UNIFORM"]
-
-
 UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
 
 

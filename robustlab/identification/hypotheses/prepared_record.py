@@ -21,9 +21,6 @@ from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["PreparedRecord", "alike", "averaged", "ports_of", "prepare", "start_std", "window_length"]
-
-
 POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 CONTENT = 0.99  # share of an output's power up to which its frequencies count as seen
 

@@ -38,18 +38,6 @@ from robustlab.dynamics.ports.law_kernel import TIME, law
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
-__all__ = [
-    "FittedWindows",
-    "ForceResponse",
-    "NoiseLevel",
-    "PortMotion",
-    "START",
-    "eliminated",
-    "force_response",
-    "plain_places",
-]
-
-
 SEGMENTS = 60  # of a window, at most: finer ones tell faster forces, each is a simulation a port
 PULSES = 120  # of a window at all ports together, at most
 PULSE = 0.02  # of the force that moves the port: small against it, large against rounding

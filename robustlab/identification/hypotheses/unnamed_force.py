@@ -43,9 +43,6 @@ from robustlab.identification.hypotheses.random_force import (
     plain_places,
 )
 
-__all__ = ["PRIOR", "UNTOLD", "Unnamed", "UnnamedEvidence", "fitted_windows", "unnamed_force"]
-
-
 Over = Literal[
     "speed", "position", "time", "input", "input rate", "line over time", "line over position", "jumps over time"
 ]

@@ -61,8 +61,6 @@ if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
 
-__all__ = ["Gaps", "held_out_gaps", "Case", "answer"]
-
 
 @dataclass(frozen=True, eq=False)
 class Gaps:

@@ -50,9 +50,6 @@ from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["Progress", "admissible", "beyond_tolerance", "discover"]
-
-
 LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simulation shows
 
 

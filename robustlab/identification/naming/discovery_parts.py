@@ -9,18 +9,6 @@ from typing import Literal
 
 from robustlab.result import Evidence
 
-__all__ = [
-    "EffectValue",
-    "Gap",
-    "InputClock",
-    "NamedEffect",
-    "NominalValue",
-    "Rival",
-    "SearchEntry",
-    "SetProbability",
-    "wave_amplitude",
-]
-
 WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of what is periodic in the position
 
 

@@ -31,19 +31,6 @@ if TYPE_CHECKING:
     from robustlab.identification.unnamed.unnamed_effect import ResidualForce, UnnamedForce
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "Discovery",
-    "LINEAR",
-    "Verdict",
-    "chance",
-    "compared",
-    "headline",
-    "in_words",
-    "overall",
-    "with_interval",
-]
-
-
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 

@@ -28,9 +28,6 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import Linearised
 
-__all__ = ["Start", "akin", "may_follow", "promising", "stretched", "without"]
-
-
 NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
 
 

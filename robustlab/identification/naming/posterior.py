@@ -50,8 +50,6 @@ from robustlab.identification.hypotheses.unnamed_force import (
 from robustlab.identification.naming.search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["Alternative", "Posterior", "weigh"]
-
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 HARDLY = 0.005  # probability below which a set changes no verdict
 

@@ -63,8 +63,6 @@ from robustlab.identification.unnamed.unnamed_effect import (
 )
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["LeftOver", "left_over", "remaining_lines"]
-
 
 @dataclass(frozen=True, eq=False)
 class JointResiduals:

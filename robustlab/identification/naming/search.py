@@ -55,18 +55,6 @@ from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_win
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.tuning import NamingTuning
 
-__all__ = [
-    "Found",
-    "Key",
-    "Visited",
-    "clock_nuisances",
-    "held_inputs",
-    "log_prior",
-    "search_sets",
-    "short_steps",
-    "step_error",
-]
-
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float, tuning: NamingTuning) -> tuple[Nuisance, ...]:
     """A shift of each input against the outputs, a part of a sample: clocks are not told more exactly than that."""

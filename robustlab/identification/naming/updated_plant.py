@@ -20,9 +20,6 @@ from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 
-__all__ = ["uncertain_from", "updated_plant"]
-
-
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
 MOST = 0.99  # a tolerance stays below the value itself

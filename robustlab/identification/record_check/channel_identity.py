@@ -41,9 +41,6 @@ from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
 
-__all__ = ["Contradiction", "contradictions", "derivative_pairs", "derivative_slope", "turned_channels", "unit_factors"]
-
-
 LONGEST = 600  # samples that are looked at
 WINDOW = 100  # samples
 SUSPECT = 10.0  # times the sensors' scatter: a smaller error is no channel's

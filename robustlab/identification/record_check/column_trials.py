@@ -23,8 +23,6 @@ from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import factor_between
 
-__all__ = ["Trial", "best_assignment"]
-
 WINDOWS = 4  # over the record
 LONGEST = 1000  # samples of a window
 SEEN = 200  # of them that are compared

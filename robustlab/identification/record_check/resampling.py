@@ -41,8 +41,6 @@ from robustlab.errors import InputError
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = ["UniformRecord", "counted_from", "join_clocks", "position_datum", "uniform"]
-
 
 class Gap(NamedTuple):
     """No sample between ``start`` and ``stop`` (the stamps on both sides, in s); ``missing`` samples are lost."""

@@ -27,9 +27,6 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.result import Evidence, Status
 
-__all__ = ["SheetPoint", "compare_steady_state"]
-
-
 QUANTITIES = ("voltage", "speed", "current", "torque")
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a speed -> unit of the torque or force against it
 MOST_UNCERTAIN = 14  # parameters and quantities with tolerances in one balance; all corners of their box are looked at

@@ -44,9 +44,6 @@ from robustlab.identification.response.windowed_simulation import response_windo
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = ["Finding", "channel_warnings", "check_record", "clipped_runs", "quantisation_step", "suitability"]
-
-
 SHORTEST_CLIP = 5  # samples that must stand still at the end of the range
 FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) cannot be judged
 CLIPPED_SHARE = 1e-3

@@ -31,8 +31,6 @@ from robustlab.identification.response.windowed_simulation import (
     window_edges,
 )
 
-__all__ = ["FitOfWindows", "MotionResponse", "WindowResponses", "fit_windows", "start_along", "windows_along"]
-
 STEPS = 2  # a sample: the motion's curvature within a sample is then far below what deviates from it
 AT_ONCE = 4_000_000  # numbers in the responses of the windows that go side by side: bounds the memory
 SHORTEST_START = 20  # samples

@@ -8,8 +8,6 @@ import math
 import numpy as np
 from numba import njit, types
 
-__all__ = ["predict"]
-
 _1, _2 = (types.Array(types.float64, k, "C") for k in (1, 2))
 
 

@@ -18,18 +18,6 @@ from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.units import factor_to_si, same_unit
 
-__all__ = [
-    "Response",
-    "Stretch",
-    "longest_period",
-    "matched",
-    "response_of",
-    "slowest_time_constant",
-    "stretch_of",
-    "with_units",
-]
-
-
 # A pole slower than this share of the fastest one counts as an integrator.
 INTEGRATOR = 1e-9
 

@@ -50,25 +50,6 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 
-__all__ = [
-    "InitialState",
-    "RANK_TOLERANCE",
-    "ResponseWindows",
-    "SHORTEST_START",
-    "StateFit",
-    "WindowedSimulation",
-    "consistent_start",
-    "explained",
-    "fit_state",
-    "recursive_residual",
-    "response_windows",
-    "starting_state",
-    "weighted_least_squares",
-    "window_edges",
-    "windowed_simulation",
-]
-
-
 SHORTEST_START = 20  # samples
 # Singular values of the column-scaled sensitivity below this share of the largest are not observed.
 RANK_TOLERANCE = 1e-10

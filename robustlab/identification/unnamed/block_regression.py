@@ -16,20 +16,6 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import real_array
 
-__all__ = [
-    "Basis",
-    "BlockRegression",
-    "MovingSamples",
-    "STIFFNESS",
-    "coordinate_bases",
-    "held_out",
-    "hysteresis_basis",
-    "moving_samples",
-    "p_value",
-    "random_signs",
-    "role",
-]
-
 WHERE = "unnamed effect"
 
 FEWEST_BLOCKS = 8

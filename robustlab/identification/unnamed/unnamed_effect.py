@@ -48,17 +48,6 @@ from robustlab.identification.unnamed.block_regression import (
 )
 from robustlab.result import Evidence
 
-__all__ = [
-    "ForceCurve",
-    "ForceTable",
-    "ResidualForce",
-    "StructureTest",
-    "UnnamedForce",
-    "fit_unnamed",
-    "residual_force",
-    "structure_left",
-]
-
 WHERE = "unnamed effect"
 
 BLOCKS = 24

@@ -1,4 +1,4 @@
-"""Cone programmes: rows, the cones they lie in, and Clarabel's answer within a budget. The one door to the solver."""
+"""Cone programmes: rows, the cones they lie in, and the solver's answer within a budget."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget
+from robustlab.conic import Cone, solve
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.tuning import ValidationTuning
-
-__all__ = ["ConeSolution", "Rows", "solved_cones", "sparse_matrices"]
 
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
@@ -57,30 +56,19 @@ def solved_cones(
 
     Raises NoTrustworthyNumber: the solver breaks down, or gives no numbers.
     """
-    clarabel: Any = import_module("clarabel")  # its types are not published
     sparse = sparse_matrices()
     A = sparse.vstack([part.matrix for part in rows]).tocsc()
     b = np.concatenate([part.offset for part in rows])
-    cones: list[Any] = []
+    cones: list[Cone] = []
     for part in rows:
         count = part.matrix.shape[0]
-        if part.cone == "second-order":
-            cones += [clarabel.SecondOrderConeT(part.height)] * (count // part.height)
-        else:
-            cones.append((clarabel.ZeroConeT if part.cone == "zero" else clarabel.NonnegativeConeT)(count))
-    P = sparse.csc_matrix((len(cost), len(cost))) if squares is None else sparse.diags(squares).tocsc()
+        cones += [(part.cone, part.height)] * (count // part.height) if part.height else [(part.cone, count)]
     each = 50 + tuning.iteration_work * A.nnz
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    settings.max_iter = int(min(max(budget.left / each, tuning.fewest_iterations), tuning.most_iterations))
-    if budget.seconds_left < 1e6:
-        settings.time_limit = max(budget.seconds_left, 1.0)
-    try:
-        found = clarabel.DefaultSolver(P, cost, A, b, cones, settings).solve()
-    except BaseException as error:  # a panic of its native code is no Exception
-        if isinstance(error, (KeyboardInterrupt, SystemExit)):
-            raise
-        raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
+    most = min(max(budget.left / each, tuning.fewest_iterations), tuning.most_iterations)
+    seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
+    found = solve(cost, A, b, cones, steps=most, seconds=seconds, squares=squares)
+    if found is None:
+        raise NoTrustworthyNumber("validate", "the solver broke down")
     budget.spend(200 + tuning.building_work * A.nnz + found.iterations * each)
     status = str(found.status)
     if status == "MaxTime":

@@ -37,9 +37,6 @@ from robustlab.identification.validation.sampled_problem import Recorded, held, 
 from robustlab.identification.validation.tuning import Search, ValidationTuning
 from robustlab.uncertainty.blocks import Block
 
-__all__ = ["Parameters", "WindowFit", "smallest_parameters"]
-
-
 # Rounding in the noise of an explanation, over its bound, and of the fits in the largest deviation.
 SLACK = ENOUGH = 1e-9
 # A loop whose condition is larger counts as ill-posed.

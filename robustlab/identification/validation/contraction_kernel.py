@@ -30,8 +30,6 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.linear_analysis.matrix_equations import lapack
 
-__all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
-
 
 def toeplitz(h: Array) -> Array:
     """Block lower-triangular Toeplitz matrix (r n, c n), channel after channel, of pulse responses (n, r, c)."""

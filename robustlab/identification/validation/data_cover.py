@@ -33,8 +33,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, product
 
-__all__ = ["DataCover", "data_cover"]
-
 # Loads along a record are means over its samples, known to this share of their bounds.
 LOADS_TOLD = 1e-3
 

@@ -52,9 +52,6 @@ from robustlab.identification.validation.tuning import Search
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["fits_frequency_domain", "line_lagrangian", "smallest_by_lines", "validate_by_lines"]
-
-
 # Rounding in the noise of an explanation, over its bound.
 SLACK = 1e-9
 # A multiplier of this share of the largest keeps the Lagrangian of a line strictly concave.

@@ -29,8 +29,6 @@ from robustlab.identification.validation.tuning import TUNING, Search, Validatio
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["validate"]
-
 
 @told_as("validate")
 def validate(

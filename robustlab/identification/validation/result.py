@@ -16,8 +16,6 @@ from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
 
-__all__ = ["BlockSize", "Validation", "concluded", "each_alone", "in_own_units", "require_replay"]
-
 # Sizes below this count as zero.
 SMALLEST = 1e-6
 # Largest difference between an explanation and its replay, over the noise bound.
@@ -205,7 +203,7 @@ def concluded(lower: float, upper: float, precision: float, budget: Budget, *, c
     return Status.INCONCLUSIVE
 
 
-class Bounded(Protocol):
+class _Bounded(Protocol):
     """A lower and an upper bound of gamma, inf where nothing explains the record."""
 
     @property
@@ -215,7 +213,7 @@ class Bounded(Protocol):
 
 
 def each_alone(
-    names: Sequence[str], search: Search, bounds: Callable[[Search], Bounded], progress: Callable[[str], None]
+    names: Sequence[str], search: Search, bounds: Callable[[Search], _Bounded], progress: Callable[[str], None]
 ) -> dict[str, tuple[float, float]]:
     """Bounds over each block alone, the others kept within 1."""
     found = {}

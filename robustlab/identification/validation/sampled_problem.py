@@ -30,21 +30,6 @@ from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "NoiseNorm",
-    "Recorded",
-    "SampledProblem",
-    "held",
-    "noise_bounds",
-    "powers",
-    "prepared",
-    "sampled",
-    "shown",
-    "states",
-    "with_delta_of",
-]
-
-
 NoiseNorm = Literal["peak", "rms"]
 
 # Responses below this share of the largest one are rounding.
@@ -300,7 +285,7 @@ def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tup
     return closed, tuple(uncertain.blocks[k] for k in kept)
 
 
-class Matrices(Protocol):
+class _Matrices(Protocol):
     """State-space matrices and the sample time."""
 
     @property
@@ -315,7 +300,7 @@ class Matrices(Protocol):
     def dt(self) -> float: ...
 
 
-def held(M: Matrices, dt: float) -> tuple[Array, Array, Array, Array]:
+def held(M: _Matrices, dt: float) -> tuple[Array, Array, Array, Array]:
     """The model at the record's sample time with all inputs held between samples."""
     if M.dt or not len(M.A):
         return M.A, M.B, M.C, M.D

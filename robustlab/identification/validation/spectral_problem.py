@@ -43,9 +43,6 @@ from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["FrequencyData", "SpectralProblem", "Spectrum", "spectrum_of_record", "spectrum_of_response"]
-
-
 # Below this share of the largest one z is rounding: Delta cannot act there.
 SILENT = 1e-10
 

@@ -36,8 +36,6 @@ from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
-__all__ = ["DeltaKind", "validate_by_samples"]
-
 DeltaKind = Literal["time-invariant", "time-varying"]
 
 # Sizes below this count as zero; rounding in the noise of an explanation, over its bound; and between a lower and an

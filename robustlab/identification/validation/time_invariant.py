@@ -39,9 +39,6 @@ from robustlab.identification.validation.sampled_problem import SampledProblem
 from robustlab.identification.validation.tuning import Search
 from robustlab.linear_analysis.matrix_equations import lapack
 
-__all__ = ["PulseResponses", "smallest_pulse_responses"]
-
-
 # Rounding in the noise of an explanation, over its bound.
 SLACK = 1e-9
 # Sizes below and above these count as zero and as infinite.

@@ -43,9 +43,6 @@ from robustlab.identification.validation.sampled_problem import SampledProblem
 from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence
 
-__all__ = ["Contractions", "largest_disproved", "smallest_contractions"]
-
-
 # A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
 FLOOR = 1e-7
 # Curvatures below this share of the largest are rounding: they count as zero, and what is linear there must vanish.

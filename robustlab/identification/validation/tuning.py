@@ -14,8 +14,6 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import MILLION, Budget
 from robustlab.shown import Tuning
 
-__all__ = ["Search", "TUNING", "ValidationTuning"]
-
 
 @dataclass(frozen=True)
 class ValidationTuning(Tuning):

@@ -18,11 +18,12 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
+from robustlab.conic import triangle
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.problem.partition import PlantMatrices
-from robustlab.synthesis.problem.semidefinite import solve_semidefinite, triangle
+from robustlab.synthesis.problem.semidefinite import solve_semidefinite
 
 __all__ = ["CommonLyapunov", "solver_work"]
 

@@ -1,4 +1,4 @@
-"""Linear matrix inequalities handed to Clarabel directly: one door, the triangles of its cones, rows of one size."""
+"""Linear matrix inequalities handed to Clarabel directly, in rows of one size."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.budget import Budget
+from robustlab.conic import ACCEPTED, Cone, solve, triangle
 
-# Endings whose numbers are worth a look; whoever asked checks them outside of the solver.
-ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
 # Residual up to which that holds where its arithmetic ends before its tolerances do.
 RESIDUAL = 1e-8
 
@@ -23,16 +22,6 @@ class SemidefiniteAnswer:
 
     x: Array | None
     text: str
-
-
-def triangle(matrix: AnyArray) -> AnyArray:
-    """Upper triangles of a stack (..., n, n) by columns, off the diagonal times the root of two: Clarabel's way."""
-    n = matrix.shape[-1]
-    rows, columns = np.triu_indices(n)
-    order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    return scale * 0.5 * (matrix[..., rows, columns] + matrix[..., columns, rows])
 
 
 def symmetric_basis(n: int) -> Array:
@@ -90,27 +79,15 @@ def solve_semidefinite(
 ) -> SemidefiniteAnswer:
     r"""Minimise ``cost x`` with ``right - rows x`` in the cone of ``positive`` numbers, then matrices of ``sizes``.
 
-    ``rows``: dense or sparse, by triangles (`triangle`).
+    ``rows``: dense or sparse, by triangles (`conic.triangle`).
     ``budget``, ``steps``, ``work``: every step of the solver counts as ``work``; ``steps`` of them at most.
     """
-    import clarabel
-    from scipy import sparse
-
-    solver: Any = clarabel  # its types are not declared
-    settings = solver.DefaultSettings()
-    settings.verbose = False
-    settings.max_iter = int(np.clip(budget.left / work, 1, steps))
-    if np.isfinite(budget.seconds_left):
-        settings.time_limit = max(budget.seconds_left, 1e-3)
-    cones = [solver.NonnegativeConeT(positive)] if positive else []
-    cones += [solver.PSDTriangleConeT(size) for size in sizes]
-    nothing = sparse.csc_matrix((len(cost), len(cost)))
-    try:
-        solution = solver.DefaultSolver(nothing, cost, sparse.csc_matrix(rows), right, cones, settings).solve()
-    except BaseException as error:
-        # Clarabel's own panics derive from BaseException, past every except clause for errors.
-        if type(error).__name__ != "PanicException":
-            raise
+    seconds = max(budget.seconds_left, 1e-3) if np.isfinite(budget.seconds_left) else None
+    cones: list[Cone] = [("positive", positive), *(("semidefinite", size) for size in sizes)]
+    most = np.clip(budget.left / work, 1, steps)
+    cones = [cone for cone in cones if cone[1]]
+    solution = solve(cost, rows, right, cones, steps=most, seconds=seconds, threads=0)
+    if solution is None:
         return SemidefiniteAnswer(None, "panicked")
     budget.spend(solution.iterations * work)
     x, status = np.array(solution.x), str(solution.status)
