@@ -108,8 +108,6 @@ _PUBLIC = {
     "Nonlinearity": "iqc",
     # synthesis
     "hinf": "synthesis.hinf.hinf_synthesis",
-    "delay_hinf": "synthesis.hinf.delayed_design",
-    "verify_delayed_loop": "synthesis.hinf.delayed_design",
     "h2": "synthesis.h2.h2_synthesis",
     "h2_hinf": "synthesis.h2.mixed_h2_hinf",
     "loop_functions": "synthesis.specifications.loop_functions",
@@ -138,7 +136,6 @@ _PUBLIC = {
     "LPVModel": "synthesis.scheduling.parameter_varying",
     "lpv_model": "synthesis.scheduling.lpv_sources",
     "lpv_gain": "synthesis.scheduling.induced_gain",
-    "lpv_hinf": "synthesis.scheduling.scheduled_synthesis",
     "LPVController": "synthesis.scheduling.scheduled_controller",
     # reduction and discretisation
     "hankel_singular_values": "synthesis.reduction.model_reduction",

@@ -170,7 +170,7 @@ def scheduled_plant() -> rl.LPVModel:
 
 @cache
 def scheduled() -> Any:
-    return rl.lpv_hinf(scheduled_plant(), 1, 1)
+    return rl.hinf(scheduled_plant(), 1, 1)
 
 
 @cache
@@ -242,7 +242,7 @@ OBJECTS: dict[str, Any] = {
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,
-    "DelayedDesign": lambda: rl.delay_hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
+    "DelayedDesign": lambda: rl.hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
     "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
     "MixedSynthesis": lambda: rl.h2_hinf(
         problem(), 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]

@@ -122,7 +122,7 @@ def hinf(
     """
     model, kind = scheduling.model(file), _kind(lyapunov)
     with progress.shown("lpv hinf") as report:
-        found = rl.lpv_hinf(model, n_meas, n_con, kind, **vars(effort), progress=report)
+        found = rl.hinf(model, n_meas, n_con, lyapunov=kind, **vars(effort), progress=report)
     output.finish_made("lpv hinf", found, found.controller, [file])
 
 
