@@ -67,7 +67,6 @@ _PUBLIC = {
     "violation_probability": "worst_case_analysis",
     "sample_size": "worst_case_analysis",
     "mu": "mu_analysis",
-    "skew_mu": "mu_analysis",
     "robust_stability": "mu_analysis",
     "robust_performance": "mu_analysis",
     "worst_case_gain": "mu_analysis",

@@ -369,7 +369,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
     def close(self, K: Any) -> DelayedModel:
         """The closed loop ``u = K y``, its delays exact: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
-        ``rl.robust_stability`` and ``rl.peak_gain`` prove its stability and its gain. Signals of K and of the plant meet
+        ``rl.robust_stability`` and ``rl.peak_gain`` prove its stability and its gain. Signals of K and plant meet
         by name where they can, and by what K says it takes (`robustlab.closing`); K may have delays itself.
         """
         given = getattr(K, "K", K)

@@ -81,7 +81,7 @@ class DelayedDesign(Design):
 def judged(P: Any, K: Any, where: str = "hinf", tolerance: float = 0.01) -> DelayedDesign:
     """Stability and gain of the loop of a generalised plant with exact delays and a controller, proved.
 
-    Raises InputError: sizes that do not fit, a plant without w or z. NoTrustworthyNumber: a loop that is not well posed.
+    Raises InputError: sizes that do not fit, no w or z. NoTrustworthyNumber: a loop that is not well posed.
     """
     plant, given = as_delayed(P, f"{where}: P"), getattr(K, "K", K)
     k = given if isinstance(given, DelayedModel) else as_model(given, f"{where}: K")

@@ -24,7 +24,6 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.norms import hinf_norm
-from robustlab.result import Status
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, lower_lft
@@ -352,9 +351,7 @@ class _Task:
             return None
         frozen = self._frozen(K)
         if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
-            raise NoTrustworthyNumber(
-                "hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}"
-            )
+            raise NoTrustworthyNumber("hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
             K=K, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen, status=gain.status,
             reason=f"{how}; loop rebuilt from plant and controller",
