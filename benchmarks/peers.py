@@ -74,7 +74,7 @@ def cases() -> Iterator[Case]:
         yield (
             "balanced_truncation / control.balred",
             n,
-            lambda G=G, r=r: rl.balanced_truncation(G, r),
+            lambda G=G, r=r: rl.reduce_model(G, r),
             lambda G=theirs, r=r: control.balred(G, r),
         )
         yield (

@@ -12,6 +12,7 @@ import shown_objects
 from scipy.linalg import expm
 
 import robustlab as rl
+from robustlab.synthesis import LPVController
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Status
@@ -421,7 +422,7 @@ def test_models_and_controllers_come_back_from_files(tmp_path):
     np.testing.assert_array_equal(back.deviation, model.deviation)
     rl.save(tmp_path / "k.h5", shown_objects.scheduled().controller)
     controller = rl.load(tmp_path / "k.h5")
-    assert isinstance(controller, rl.LPVController)
+    assert isinstance(controller, LPVController)
     assert controller.gamma == shown_objects.scheduled().gamma
     assert controller.status is Status.CERTIFIED
     rl.save(tmp_path / "g.h5", shown_objects.scheduled().gain)

@@ -32,7 +32,7 @@ from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.sampled.discretisation import discretise
+from robustlab.synthesis.sampled.discretisation import by_formula
 
 Hold = Literal["zoh", "foh", "tustin"]
 HOLDS: tuple[Hold, ...] = ("zoh", "foh", "tustin")
@@ -124,7 +124,7 @@ def d2c(model: Any, method: Hold = "zoh") -> Resampled:
     m = _discrete(model, method, "d2c")
     found = bilinear_to_continuous(m) if method == "tustin" else _held(m, method)
     found = _labelled(found, m, method)
-    error = _difference(discretise(found, m.dt, method), m)
+    error = _difference(by_formula(found, m.dt, method), m)
     return Resampled(found, method, 0, error, _judged(error))
 
 
@@ -173,7 +173,7 @@ def d2d(model: Any, dt: float, method: Hold = "zoh") -> Resampled:
     if method == "zoh" and steps >= 1 and abs(dt / m.dt - steps) <= WHOLE * steps:
         return _whole_multiple(m, float(dt), steps)
     continuous = d2c(m, method)
-    found = _labelled(discretise(continuous.model, float(dt), method), m, method)
+    found = _labelled(by_formula(continuous.model, float(dt), method), m, method)
     return Resampled(found, method, 0, continuous.error, continuous.status)
 
 
