@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.synthesis.hinf.delayed_design import judged
 from robustlab.mu_analysis.margins.delay_axis import DelayAxis
+from robustlab.synthesis.hinf.delayed_design import judged
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 INTEGRATOR = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])

@@ -121,7 +121,7 @@ def test_a_discrete_delay_is_a_row_of_states():
         (lambda: rl.neglected_dynamics(delay=0.0), "positive"),
         (lambda: rl.neglected_dynamics(delay=1.0, order=2), "1 or 3"),
         (lambda: rl.neglected_dynamics(lag=-1.0), "positive"),
-        (lambda: rl.neglected_dynamics(), "one of the two"),
+        (rl.neglected_dynamics, "one of the two"),
         (lambda: rl.neglected_dynamics(lag=1.0, order=3), "with a lag"),
     ],
 )

@@ -12,11 +12,11 @@ import shown_objects
 from scipy.linalg import expm
 
 import robustlab as rl
-from robustlab.synthesis import LPVController
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import lower_lft
+from robustlab.synthesis import LPVController
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality, _closely_definite
 

@@ -77,7 +77,8 @@ def test_what_does_not_go_with_fixed_blocks_is_refused(options):
 
 
 @pytest.mark.parametrize(
-    ("fixed", "message"), [(["d9"], "no block 'd9'"), ([9], "no block 9"), (["d0", "d1", "d2", "p"], "all blocks are fixed")]
+    ("fixed", "message"),
+    [(["d9"], "no block 'd9'"), ([9], "no block 9"), (["d0", "d1", "d2", "p"], "all blocks are fixed")],
 )
 def test_names_are_checked(fixed, message):
     M, blocks = gain_problem(0, rl.RealScalar)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.synthesis import LPVController
 from robustlab.errors import InputError
 from robustlab.files.tree import KINDS, Tree
 from robustlab.storage.codecs import CODECS, codec_of
 from robustlab.storage.matrices import Problems
+from robustlab.synthesis import LPVController
 
 G = rl.ss([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
 H = rl.ss([[-1.5, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])

@@ -13,7 +13,7 @@ from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import Facts, Part, Shown, number
 from robustlab.signals import law
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.controller import Controller
@@ -79,6 +79,10 @@ class Synthesis(Design):
         What made it.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "order": "1", "stable": bool, "gamma": float, "fastest_controller_pole": float, "closed_loop_abscissa": float,
+    }  # fmt: skip
+
     K: StateSpaceModel
     closed_loop: StateSpaceModel
     limit: str
@@ -93,6 +97,16 @@ class Synthesis(Design):
     def controller(self) -> Controller:
         """K with what was verified about it, as it is stored."""
         return Controller(self.K, self.gamma, self.status, self.method)
+
+    @property
+    def order(self) -> int:
+        """Number of states of K."""
+        return self.K.n_states
+
+    @property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable."""
+        return self.closed_loop_abscissa < 0
 
     @property
     def fastest_controller_pole(self) -> float:
@@ -118,6 +132,12 @@ class Synthesis(Design):
             ("what limits it", self.limit),
             ("how", self.reason),
         ]
+
+    def details(self) -> list[Part]:
+        """What limits any controller of this plant, and the floors of gamma of a mixed-sensitivity design."""
+        from robustlab.synthesis.problem.performance_limits import limits_in_words
+
+        return [Part("What limits any controller of this plant", (), [(line,) for line in limits_in_words(self)])]
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
@@ -160,6 +180,12 @@ class HinfSynthesis(Synthesis):
     weights
         Weights of a mixed-sensitivity problem, by name.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities,
+        **dict.fromkeys(("smallest_gamma", "peak_frequency", "scalings_disagree", "gamma_lower"), float),
+        **dict.fromkeys(("estimated_optimum", "regularisation_cost"), float),
+    }  # fmt: skip
 
     peak_frequency: float
     smallest_gamma: float

@@ -20,8 +20,9 @@ Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -64,15 +65,27 @@ class Resampled(Shown):
         CONVERGED where ``error`` is below 1e-8, INACCURATE otherwise.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {"dt": "s", "error": float}
+
     model: StateSpaceModel
     method: str
     steps: int
     error: float
     status: Status
 
+    @property
+    def dt(self) -> float:
+        """Sample time of the model in s; 0 in continuous time."""
+        return self.model.dt
+
     def to_model(self) -> StateSpaceModel:
         """The model."""
         return self.model
+
+    def headline(self) -> str:
+        """Its time, and how well the given model comes back."""
+        time = f"A model with a sample time of {number(self.dt, 's')}" if self.dt else "A continuous model"
+        return f"{time} by {self.method}, relative error {number(self.error)}"
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""

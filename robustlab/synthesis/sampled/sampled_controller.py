@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,10 @@ class SampledController(Synthesis):
         The method of K.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
+    }  # fmt: skip
+
     original: StateSpaceModel
     continuous_norm: HinfNorm
     norm: SampledDataNorm
@@ -92,6 +96,11 @@ class SampledController(Synthesis):
     antialiasing: float | None
     pathological: tuple[MergedModes, ...]
     chosen: str
+
+    @property
+    def dt(self) -> float:
+        """Sample time in s."""
+        return self.K.dt
 
     @property
     def loss(self) -> float:
@@ -120,7 +129,7 @@ class SampledController(Synthesis):
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
         return super().to_json() | {
-            "dt": self.K.dt,
+            "dt": self.dt,
             "chosen": self.chosen,
             "loss": self.loss,
             "allowed_loss": self.allowed_loss,
