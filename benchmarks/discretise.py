@@ -18,7 +18,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.sampled.sampled_controller import discretise_controller
+from robustlab.synthesis.sampled.discretisation import discretise
 
 RATIOS = (6, 12, 20, 30, 60)
 METHODS = ("tustin", "tustin-prewarp", "zoh", "foh", "matched", "direct")
@@ -62,7 +62,7 @@ def main() -> None:
             losses = {}
             for method in METHODS:  # each by itself: none is cut short because another is better
                 try:
-                    found = discretise_controller(design, dt, method=method)
+                    found = discretise(design, dt, method=method)
                     losses[method] = f"{100 * found.loss:.2f} %"
                 except ArithmeticError:  # not stable
                     losses[method] = "-"

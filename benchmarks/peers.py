@@ -72,9 +72,9 @@ def cases() -> Iterator[Case]:
             lambda n=n, A=A, B=B, C=C, D=D: slycot.ab13bd("C", "H", n, 2, 2, A.copy(), B.copy(), C.copy(), D.copy()),
         )
         yield (
-            "balanced_truncation / control.balred",
+            "reduce_model / control.balred",
             n,
-            lambda G=G, r=r: rl.balanced_truncation(G, r),
+            lambda G=G, r=r: rl.reduce_model(G, r),
             lambda G=theirs, r=r: control.balred(G, r),
         )
         yield (

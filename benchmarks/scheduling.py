@@ -53,7 +53,7 @@ def one_for_all(name: str, plant: rl.LPVModel) -> None:
 
 def compared(name: str, plant: rl.LPVModel, n_meas: int, n_con: int) -> tuple[rl.LPVModel, rl.StateSpaceModel]:
     start = time.perf_counter()
-    design = rl.lpv_hinf(plant, n_meas, n_con)
+    design = rl.hinf(plant, n_meas, n_con)
     spent = time.perf_counter() - start
     one, K = best_constant(plant)
     floor = max(rl.hinf(model, n_meas, n_con, gamma_rel=1.0).gamma for _, model in plant.nodes())
@@ -159,7 +159,7 @@ def reported(name: str, plant: rl.LPVModel, end: str = "") -> None:
     """A design of two measurements and one control: the LMIs' optimum in rounds of balancing, and what is proved."""
     said: list[str] = []
     start = time.perf_counter()
-    design = rl.lpv_hinf(plant, 2, 1, progress=said.append)
+    design = rl.hinf(plant, 2, 1, progress=said.append)
     spent = time.perf_counter() - start
     rounds = [text.rpartition(" ")[2] for text in said if "balanced" in text]
     print(

@@ -1,18 +1,14 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
 from robustlab.delays import DelayedModel as DelayedModel
 from robustlab.delays import delay as delay
-from robustlab.delays import neglected_delay as neglected_delay
-from robustlab.delays import neglected_lag as neglected_lag
-from robustlab.delays import uncertain_delays as uncertain_delays
+from robustlab.delays import neglected_dynamics as neglected_dynamics
 from robustlab.delays import with_delays as with_delays
 from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
 from robustlab.dynamics import trim as trim
 from robustlab.dynamics.descriptor_elimination import descriptor as descriptor
-from robustlab.dynamics.effects.catalogue import effect_names as effect_names
 from robustlab.dynamics.extended.extended_plant import with_effects as with_effects
-from robustlab.dynamics.fmu import FmuPlant as FmuPlant
 from robustlab.dynamics.symbolic.equations import PlantEquations as PlantEquations
 from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
@@ -22,7 +18,6 @@ from robustlab.identification.naming.discovery import discover as discover
 from robustlab.identification.naming.updated_plant import uncertain_from as uncertain_from
 from robustlab.identification.validation import FrequencyData as FrequencyData
 from robustlab.identification.validation import validate as validate
-from robustlab.identification.validation.data_cover import DataCover as DataCover
 from robustlab.identification.validation.data_cover import data_cover as data_cover
 from robustlab.iqc import Nonlinearity as Nonlinearity
 from robustlab.iqc import Varying as Varying
@@ -41,7 +36,6 @@ from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis import robust_stability as robust_stability
-from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
 from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
 from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at as disk_margin_at
@@ -81,8 +75,6 @@ from robustlab.synthesis.h2.kalman_filter import kalman as kalman
 from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
 from robustlab.synthesis.h2.state_feedback import place as place
-from robustlab.synthesis.hinf.delayed_design import delay_hinf as delay_hinf
-from robustlab.synthesis.hinf.delayed_design import verify_delayed_loop as verify_delayed_loop
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
@@ -90,22 +82,17 @@ from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.problem.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
-from robustlab.synthesis.reduction.model_reduction import balanced_truncation as balanced_truncation
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.discretisation import discretise as discretise
 from robustlab.synthesis.sampled.resampling import d2c as d2c
 from robustlab.synthesis.sampled.resampling import d2d as d2d
-from robustlab.synthesis.sampled.sampled_controller import discretise_controller as discretise_controller
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
 from robustlab.synthesis.scheduling.induced_gain import lpv_gain as lpv_gain
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
-from robustlab.synthesis.scheduling.scheduled_controller import LPVController as LPVController
-from robustlab.synthesis.scheduling.scheduled_synthesis import lpv_hinf as lpv_hinf
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
-from robustlab.synthesis.specifications.loop_functions import loop_functions_of as loop_functions_of
 from robustlab.synthesis.specifications.weight_design import check_weights as check_weights
 from robustlab.synthesis.specifications.weight_design import complementary_weight as complementary_weight
 from robustlab.synthesis.specifications.weight_design import control_weight as control_weight
@@ -115,8 +102,6 @@ from robustlab.synthesis.specifications.weight_design import noise_weight as noi
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
 from robustlab.synthesis.windup.static_anti_windup import anti_windup as anti_windup
 from robustlab.uncertainty.algebra import beside as beside
-from robustlab.uncertainty.algebra import centred as centred
-from robustlab.uncertainty.algebra import reduction as reduction
 from robustlab.uncertainty.algebra import stacked as stacked
 from robustlab.uncertainty.algebra import star as star
 from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
@@ -127,16 +112,12 @@ from robustlab.uncertainty.covering.overbound import overbound as overbound
 from robustlab.uncertainty.distances.coprime import coprime_margin as coprime_margin
 from robustlab.uncertainty.distances.gap_metric import gap as gap
 from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
-from robustlab.uncertainty.elementwise import by_cause as by_cause
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
 from robustlab.uncertainty.frequency_responses import frequency_data as frequency_data
-from robustlab.uncertainty.frequency_responses import response_radius as response_radius
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
 from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
-from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
-from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
 from robustlab.uncertainty.unstructured import unstructured as unstructured
 from robustlab.uncertainty.well_posedness import well_posedness as well_posedness
 from robustlab.worst_case_analysis import sample as sample
@@ -158,30 +139,22 @@ __all__ = [
     "DelayedModel",
     "delay",
     "with_delays",
-    "uncertain_delays",
-    "neglected_delay",
-    "neglected_lag",
+    "neglected_dynamics",
     "plant",
-    "FmuPlant",
     "PlantEquations",
     "trim",
     "linearise",
     "simulate",
     "with_effects",
-    "effect_names",
     "RealScalar",
     "ComplexScalar",
     "FullBlock",
     "ParameterRange",
     "UncertainModel",
     "elementwise",
-    "by_cause",
     "parametric",
     "UncertainFrequencyData",
     "frequency_data",
-    "response_radius",
-    "centred",
-    "reduction",
     "well_posedness",
     "star",
     "beside",
@@ -191,14 +164,11 @@ __all__ = [
     "cover",
     "conservatism",
     "overbound",
-    "realise_delta",
-    "perturbed_model",
     "sample",
     "worst_case",
     "violation_probability",
     "sample_size",
     "mu",
-    "skew_mu",
     "robust_stability",
     "robust_performance",
     "worst_case_gain",
@@ -237,12 +207,9 @@ __all__ = [
     "Varying",
     "Nonlinearity",
     "hinf",
-    "delay_hinf",
-    "verify_delayed_loop",
     "h2",
     "h2_hinf",
     "loop_functions",
-    "loop_functions_of",
     "lqr",
     "lqg",
     "place",
@@ -266,22 +233,17 @@ __all__ = [
     "LPVModel",
     "lpv_model",
     "lpv_gain",
-    "lpv_hinf",
-    "LPVController",
     "hankel_singular_values",
-    "balanced_truncation",
     "reduce_model",
     "reduce_controller",
     "anti_windup",
     "discretise",
     "d2c",
     "d2d",
-    "discretise_controller",
     "sampled_data_norm",
     "sampled_robustness",
     "compare",
     "discover",
-    "DataCover",
     "data_cover",
     "uncertain_from",
     "validate",

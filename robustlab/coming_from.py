@@ -22,7 +22,7 @@ MATLAB = {
     "not there; set.physical(delta) is the other way": "actual2normalized",
     "not there; give other ranges": "uscale",
     "set.M, set.blocks": "lftdata",
-    "set.reduce(), rl.reduction": "simplify",
+    "set.reduce(), rl.reduce_model": "simplify",
     "rl.star": "lft",
     'rl.connect(..., sums=["e = r - y"])': "sumblk iconnect sysic",
     "rl.beside, rl.stacked": "append",
@@ -40,12 +40,12 @@ MATLAB = {
     "rl.worst_case_gain": "wcgain",
     "rl.worst_case_gain(set, omega=...)": "wcsigma",
     "not there; close the loop, then rl.worst_case_gain": "wcsens",
-    "not there; rl.skew_mu of the matrix": "wcnorm",
+    "not there; rl.mu of the matrix, with fixed=": "wcnorm",
     "rl.disk_margin": "diskmargin loopmargin",
     "rl.classical_margins": "allmargin margin",
     "rl.zeros": "tzero",
     "rl.worst_case_disk_margin": "wcdiskmargin wcmargin",
-    "rl.mu, rl.skew_mu": "mussv",
+    "rl.mu": "mussv",
     "fields D, G, delta of the result": "mussvextract",
     "rl.gap, rl.nu_gap": "gapmetric",
     "rl.coprime_margin": "ncfmargin",
@@ -58,7 +58,7 @@ MATLAB = {
     "not there; branch and bound handles purely real problems": "complexify",
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn",
-    "rl.lpv_hinf, rl.LPVModel, rl.lpv_model": "hinfgs psys aff2pol",
+    "rl.hinf of an rl.LPVModel, rl.lpv_model": "hinfgs psys aff2pol",
     "rl.h2_hinf": "h2hinfsyn",
     "not there; rl.mixsyn builds it; rl.generalized_plant names the channels of a plant of your own": "augw",
     "rl.ncf": "ncfsyn",
@@ -68,20 +68,20 @@ MATLAB = {
     "arguments of rl.dk": "dkitopt",
     "rl.fixed_structure": "hinfstruct",
     "rl.tune": "systune TuningGoal",
-    "rl.discretise_controller": "sdhinfsyn",
+    "rl.discretise of a design": "sdhinfsyn",
     "rl.sampled_data_norm": "sdhinfnorm",
     "rl.kalman": "lqe estim",
     "rl.care": "icare",
     "rl.dare": "idare",
     "not there; cvxpy": "lmireg msfsyn feasp mincx",
-    "rl.reduce_model, rl.balanced_truncation": "reduce balancmr balred",
+    "rl.reduce_model": "reduce balancmr balred",
     'rl.reduce_model(..., method="coprime")': "ncfmr",
     'rl.reduce_model(..., method="hankel")': "hankelmr",
     'rl.reduce_model(..., method="stochastic")': "bstmr",
-    "not there; the same models as balancmr: rl.balanced_truncation": "schurmr",
+    "not there; the same models as balancmr: rl.reduce_model": "schurmr",
     "rl.hankel_singular_values": "hankelsv",
     "rl.overbound": "fitmagfrd",
-    "rl.discretise, rl.discretise_controller": "c2d",
+    "rl.discretise": "c2d",
     "rl.simulate": "lsim initial",
     'G.step(), G.plot("step")': "step",
     'not there; G.step() is the record, rl.worst_case(set, "overshoot") the worst of a set': "stepinfo",
@@ -149,6 +149,29 @@ PYTHON_CONTROL = {
     "not there; use python-control": "root_locus_map root_locus describing_function_response flatsys optimal",
 }
 
+# Names of earlier versions -> what asks the same now.
+EARLIER = {
+    "balanced_truncation": "rl.reduce_model(model, order)",
+    "by_cause": "rl.elementwise(nominal, {cause: model})",
+    "centred": "set.centred(level)",
+    "delay_hinf": "rl.hinf(P, n_meas, n_con)",
+    "discretise_controller": "rl.discretise(design, dt), or rl.discretise(K, dt, plant=P)",
+    "effect_names": "robustlab.dynamics.effects.catalogue.effect_names()",
+    "loop_functions_of": "rl.loop_functions(design)",
+    "lpv_hinf": "rl.hinf(P, n_meas, n_con)",
+    "neglected_delay": "rl.neglected_dynamics(delay=...)",
+    "neglected_lag": "rl.neglected_dynamics(lag=...)",
+    "perturbed_model": "set.evaluate(delta)",
+    "realise_delta": "set.realised(delta, frequency)",
+    "reduction": "rl.reduce_model(set)",
+    "response_radius": "rl.frequency_data(response, omega, coherence=..., averages=...)",
+    "skew_mu": "rl.mu(M, blocks, fixed=...)",
+    "uncertain_delays": "rl.with_delays(G, inputs={name: (shortest, longest)})",
+    "verify_delayed_loop": "rl.peak_gain(P.close(K)), rl.robust_stability(P.close(K))",
+    "DataCover": "what rl.data_cover gives",
+    "FmuPlant": 'rl.plant("machine.fmu")',
+    "LPVController": "robustlab.synthesis.LPVController; rl.hinf of an LPVModel gives one",
+}
 PROGRAMS = {"MATLAB": MATLAB, "python-control": PYTHON_CONTROL}
 
 
@@ -161,8 +184,12 @@ def unknown_public_name(name: str, known: Iterable[str]) -> str:
     "robustlab has no 'wcgain'; MATLAB's wcgain is rl.worst_case_gain"
     >>> unknown_public_name("worst_case_gian", ["worst_case_gain"])
     "robustlab has no 'worst_case_gian'; did you mean worst_case_gain?"
+    >>> unknown_public_name("skew_mu", [])
+    "robustlab has no 'skew_mu' any more; it is rl.mu(M, blocks, fixed=...)"
     """
     found = f"robustlab has no {name!r}"
+    if name in EARLIER:
+        return f"{found} any more; it is {EARLIER[name]}"
     if said := _elsewhere(name):
         return f"{found}; {said}"
     names = [other for table in PROGRAMS.values() for text in table.values() for other in text.split()]

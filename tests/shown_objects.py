@@ -170,7 +170,7 @@ def scheduled_plant() -> rl.LPVModel:
 
 @cache
 def scheduled() -> Any:
-    return rl.lpv_hinf(scheduled_plant(), 1, 1)
+    return rl.hinf(scheduled_plant(), 1, 1)
 
 
 @cache
@@ -201,7 +201,7 @@ OBJECTS: dict[str, Any] = {
     "PlantSamples": lambda: rl.sample(rl.plant("stewart-platform", c=(0.01, 0.1)), 3),
     "Responses": lambda: rl.sample(spring(), 20, 1, 8).respond(np.linspace(0.0, 20.0, 201)),
     "StreamedResponses": lambda: rl.sample(spring(), 50).stream(np.linspace(0.0, 20.0, 51)),
-    "Reduction": lambda: rl.reduction(spring() + spring()),
+    "Reduction": lambda: rl.reduce_model(spring() + spring()),
     "WellPosedness": lambda: rl.well_posedness(spring()),
     "Cover": lambda: rl.cover(four_models(), "output-multiplicative"),
     "Conservatism": lambda: rl.conservatism(rl.cover(four_models(), "elements").model, four_models()),
@@ -242,7 +242,7 @@ OBJECTS: dict[str, Any] = {
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,
-    "DelayedDesign": lambda: rl.delay_hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
+    "DelayedDesign": lambda: rl.hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
     "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
     "MixedSynthesis": lambda: rl.h2_hinf(
         problem(), 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]
@@ -264,9 +264,9 @@ OBJECTS: dict[str, Any] = {
     "PerformanceLimits": lambda: rl.performance_limits(spring().nominal),
     "DesignWeights": lambda: rl.design_weights(bandwidth=10.0, control_limit=5.0, noise_from=2.0),
     "Conflict": lambda: rl.design_weights(bandwidth=10.0, noise_from=2.0).conflicts[0],
-    "ReducedModel": lambda: rl.balanced_truncation((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
+    "ReducedModel": lambda: rl.reduce_model((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
     "ReducedController": lambda: rl.reduce_controller(mixsyn().plant, mixsyn().K),
-    "SampledController": lambda: rl.discretise_controller(mixsyn(), dt=0.01),
+    "SampledController": lambda: rl.discretise(mixsyn(), dt=0.01),
     "SampledDataNorm": lambda: rl.sampled_data_norm(problem(), digital()),
     "SampledRobustness": lambda: rl.sampled_robustness(first_order(), digital()),
     "Comparison": comparison,

@@ -127,9 +127,7 @@ class DesignOutput(ProgressOptions):
 
     def finish(self, command: str, found: Synthesis, kept: list[tuple[str, str]]) -> None:
         """Print the design with what was kept of it, and leave with the exit code of its status."""
-        from robustlab.synthesis.problem.performance_limits import limits_in_words
-
-        limits = limits_in_words(found)
+        limits = [line for part in found.details() for (line,) in part.rows]
         rows = found.facts()
         rows += [("" if k else "limits of any controller", line) for k, line in enumerate(limits)]
         emit(command, {**found.to_json(), "limits": limits}, table([*rows, *kept]), self.as_json)

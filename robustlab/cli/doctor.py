@@ -101,6 +101,7 @@ def _discovery() -> None:
     import numpy as np
 
     import robustlab as rl
+    from robustlab.dynamics.effects.catalogue import effect_names
 
     # An axis with dry friction, noise of a micrometre, and few candidates: the least that goes through every stage.
     t, rng = 2.5e-3 * np.arange(500), np.random.default_rng(0)
@@ -110,7 +111,7 @@ def _discovery() -> None:
     q = rl.simulate(rl.with_effects(axis, {"coulomb-friction": {"Fc": 20.0}}), t, u)["q"]
     record = rl.Record(t, {"u": u}, {"q": q + 1e-6 * rng.standard_normal(t.size)}, {"u": "V", "q": "m"})
     rl.compare(axis, record)
-    rl.discover(axis, record, exclude=sorted(set(rl.effect_names()) - {"coulomb-friction", "constant-load"}))
+    rl.discover(axis, record, exclude=sorted(set(effect_names()) - {"coulomb-friction", "constant-load"}))
 
 
 def _platform() -> None:

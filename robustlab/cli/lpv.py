@@ -122,7 +122,7 @@ def hinf(
     """
     model, kind = scheduling.model(file), _kind(lyapunov)
     with progress.shown("lpv hinf") as report:
-        found = rl.lpv_hinf(model, n_meas, n_con, kind, **vars(effort), progress=report)
+        found = rl.hinf(model, n_meas, n_con, lyapunov=kind, **vars(effort), progress=report)
     output.finish_made("lpv hinf", found, found.controller, [file])
 
 
@@ -138,8 +138,10 @@ def at(
 
     Example: robustlab lpv at controller.h5 k=2.5 --out frozen.h5
     """
+    from robustlab.synthesis import LPVController
+
     found: Any = rl.load(file)
-    if not isinstance(found, (rl.LPVModel, rl.LPVController)):
+    if not isinstance(found, (rl.LPVModel, LPVController)):
         raise InputError(file, f"a {type(found).__name__}", "an LPV model or a scheduled controller")
     model = found.at(assignments("NAME=VALUE", values))
     rows = [*model.facts(), *output.keep_made("lpv at", model, [file])]

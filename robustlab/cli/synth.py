@@ -536,7 +536,7 @@ def discretise(
     given = channels.plant(plant, K)
     robust = None
     with progress.shown("synth discretise") as report:
-        found = rl.discretise_controller(_nominal(given), K=K, **vars(sampling), **vars(effort), progress=report)
+        found = rl.discretise(K, plant=_nominal(given), **vars(sampling), **vars(effort), progress=report)
         if given.blocks:
             robust = rl.sampled_robustness(
                 given, found.K, delay=sampling.delay, antialiasing=sampling.antialiasing, **vars(effort),

@@ -155,6 +155,8 @@ def cover_delays(
 
     Example: robustlab uncertain delays motor.h5 --input-delay u=0.005:0.015 --out set.h5
     """
+    from robustlab.delays import uncertain_delays
+
     given, model = _read(file)
     units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
     sides: list[dict[str, Any]] = []
@@ -163,7 +165,7 @@ def cover_delays(
         ranged = [text for text in texts or [] if text not in whole]
         sides.append({**assignments(option, whole, units), **ends(option, ranged, units)})
     with progress.shown("uncertain delays"):
-        found = rl.uncertain_delays(model, *sides, order=pade, weight_order=weight_order)
+        found = uncertain_delays(model, *sides, order=pade, weight_order=weight_order)
     rows = [
         ("set", repr(found)),
         *((block.name, block.origin) for block in found.blocks),
@@ -188,7 +190,8 @@ def neglected_weight(
 
     if (delay is None) == (lag is None):
         raise UsageError("uncertain neglected", "--delay and --lag" if lag is not None else "neither", "one of them")
-    found = rl.neglected_delay(delay, weight_order) if delay is not None else rl.neglected_lag(float(lag or 0.0))
+    order = weight_order if delay is not None else None
+    found = rl.neglected_dynamics(delay=delay, lag=lag if delay is None else None, order=order)
     proof = PROOFS["delay" if delay is not None else "lag"]
     rows = [("weight", repr(found)), ("status", str(rl.Status.CERTIFIED)), ("proof", proof)]
     rows += output.keep_made("uncertain neglected", found, [])

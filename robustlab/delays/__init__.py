@@ -6,7 +6,7 @@ outputs, `pade` the rational delay and the proof of its error,
 """
 
 from robustlab.delays.model import DelayedModel
-from robustlab.delays.neglected import neglected_delay, neglected_lag
+from robustlab.delays.neglected import neglected_dynamics
 from robustlab.delays.signal_delays import delay, uncertain_delays, with_delays
 
-__all__ = ["DelayedModel", "delay", "neglected_delay", "neglected_lag", "uncertain_delays", "with_delays"]
+__all__ = ["DelayedModel", "delay", "neglected_dynamics", "uncertain_delays", "with_delays"]

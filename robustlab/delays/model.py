@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.closing import wired
 from robustlab.delays.channels import chained, closed, covering, in_order, named
 from robustlab.delays.pade import SHORTEST, checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
@@ -31,6 +32,7 @@ from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.algebra import star
 from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, inverse, parallel, product
@@ -363,6 +365,23 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         """``G[outputs, inputs]`` by numbers, slices, names or lists of these; states and delays are kept."""
         outputs, inputs = picked(key, self.output_names, self.input_names)
         return self.select(inputs, outputs)
+
+    def close(self, K: Any) -> DelayedModel:
+        """The closed loop ``u = K y``, its delays exact: y are the last ``K.n_inputs`` outputs, u the last inputs.
+
+        ``rl.robust_stability`` and ``rl.peak_gain`` prove its stability and its gain. Signals of K and plant meet
+        by name where they can, and by what K says it takes (`robustlab.closing`); K may have delays itself.
+        """
+        given = getattr(K, "K", K)
+        k = given if isinstance(given, DelayedModel) else as_model(given, "close: K")
+        if k.n_inputs > self.n_outputs or k.n_outputs > self.n_inputs:
+            found = f"K of {k.n_outputs} x {k.n_inputs}"
+            raise InputError("close", found, f"{self.n_inputs} x {self.n_outputs} at most")
+        k = wired(k, self.outputs[self.n_outputs - k.n_inputs :], self.inputs[self.n_inputs - k.n_outputs :], "close")
+        if isinstance(k, StateSpaceModel):  # without units, which a controller's file may not state
+            ins, outs = [f"k.y{i}" for i in range(k.n_inputs)], [f"k.u{i}" for i in range(k.n_outputs)]
+            k = StateSpaceModel(k.A, k.B, k.C, k.D, k.dt, ins, outs)
+        return as_delayed(star(self, k, k.n_inputs, k.n_outputs), "close")
 
     def to_json(self) -> dict[str, object]:
         """H and delays as plain types."""

@@ -61,99 +61,79 @@ _FORMS: dict[int, tuple[list[Fraction], list[Fraction]]] = {
 }
 
 
-@told_as("neglected_delay")
-def neglected_delay(tau_max: float, order: int = 1) -> StateSpaceModel:
-    r"""Weight of the relative error when a delay of at most ``tau_max`` is left out of a model.
+@told_as("neglected_dynamics")
+def neglected_dynamics(
+    *, delay: float | None = None, lag: float | None = None, order: int | None = None
+) -> StateSpaceModel:
+    r"""Weight of the relative error when a delay or a first-order lag of at most a given length is left out of a model.
 
-    .. math:: |e^{-j \omega \tau} - 1| \le |W(j\omega)| \quad \text{for all } 0 \le \tau \le \tau_{\max} \text{ and
-       all } \omega
+    .. math:: |e^{-j \omega \tau} - 1| \le |W(j\omega)| \qquad \text{or} \qquad
+       \left| \frac{1}{1 + j \omega \tau} - 1 \right| \le |W(j\omega)|
 
-    It is proved for all frequencies, in rational numbers: see `robustlab.delays.neglected`. Use it as the weight of
-    `robustlab.unstructured` in the form "input-multiplicative" or "output-multiplicative".
+    for all :math:`0 \le \tau \le \tau_{\max}` and all frequencies. Of a delay it is proved in rational numbers, see
+    `robustlab.delays.neglected`; of a lag :math:`W(s) = \tau_{\max} s / (1 + \tau_{\max} s)`: the error rises with
+    :math:`\tau`, so that equality at :math:`\tau_{\max}` is the proof. Use it as the weight of `robustlab.unstructured`
+    in the form "input-multiplicative" or "output-multiplicative".
 
     Parameters
     ----------
-    tau_max
-        The longest delay in s, positive.
+    delay, lag
+        The longest delay or the longest time constant in s, positive; one of the two.
     order
-        1: 5 % above the error at low frequencies, 2.83 at high ones. 3: equal to the error at low frequencies, and 2 at
-        high ones, as the error itself; nowhere more than 2.1 % above it.
+        Of the weight of a delay; 1 where left out: 5 % above the error at low frequencies, 2.83 at high ones. 3: equal
+        to the error at low frequencies, and 2 at high ones, as the error itself; nowhere more than 2.1 % above it.
 
     Returns
     -------
     StateSpaceModel
-        A stable weight with ``order`` states.
+        A stable weight with ``order`` states; of a lag with one.
 
     Raises
     ------
     InputError
-        A delay that is not positive and finite, or another order.
+        Both or neither, a length that is not positive and finite, another order.
 
     References
     ----------
-    Wang, Lundström, Skogestad (1994).
+    Wang, Lundström, Skogestad (1994); Skogestad, Postlethwaite, *Multivariable Feedback Control* (2005), section 7.4.
 
     Examples
     --------
-    >>> weight = neglected_delay(0.1)
+    >>> weight = neglected_dynamics(delay=0.1)
     >>> weight.n_states, float(weight.D[0, 0].round(3))
     (1, 2.83)
+    >>> neglected_dynamics(lag=0.5).poles()
+    array([-2.+0.j])
     """
-    _check_time("neglected_delay: tau_max", tau_max)
+    if (delay is None) == (lag is None):
+        raise InputError("neglected_dynamics", f"delay={delay}, lag={lag}", "one of the two")
+    if lag is not None:
+        _check_time("neglected_dynamics: lag", lag)
+        if order is not None:
+            raise InputError("neglected_dynamics: order", f"{order!r} with a lag", "none: its weight has one state")
+        return _first_order(1.0 + ROUNDING, 1.0 / lag)
+    assert delay is not None
+    _check_time("neglected_dynamics: delay", delay)
+    return _delay_weight(delay, 1 if order is None else order)
+
+
+def _delay_weight(delay: float, order: int) -> StateSpaceModel:
     if isinstance(order, bool) or order not in _FORMS:
-        raise InputError("neglected_delay: order", f"{order!r}", "1 or 3")
+        raise InputError("neglected_dynamics: order", f"{order!r}", "1 or 3")
     if not _proved(order):
-        raise NoTrustworthyNumber("neglected_delay", f"the weight of order {order} is not proved to cover")
+        raise NoTrustworthyNumber("neglected_dynamics", f"the weight of order {order} is not proved to cover")
     size = 1.0 + ROUNDING
     if order == 1:
         _, (_, low) = (_FORMS[1][0], _FORMS[1][1])
-        corner = 1.0 / (float(low) * tau_max)
+        corner = 1.0 / (float(low) * delay)
         return _first_order(size * 2.83, corner)
-    first = _first_order(size * 2.0, 2.0 / tau_max)
-    rate = float(_CORNER) / tau_max
+    first = _first_order(size * 2.0, 2.0 / delay)
+    rate = float(_CORNER) / delay
     second = StateSpaceModel(
         [[-2 * 0.685 * rate, -rate], [rate, 0.0]], [[rate], [0.0]], [[2 * (0.838 - 0.685), 0.0]], [[1.0]]
     )
     whole = series(first, second)
     return StateSpaceModel(whole.A, whole.B, whole.C, whole.D)
-
-
-@told_as("neglected_lag")
-def neglected_lag(tau_max: float) -> StateSpaceModel:
-    r"""Weight of the relative error when a first-order lag of at most ``tau_max`` is left out of a model.
-
-    .. math:: \left| \frac{1}{1 + j \omega \tau} - 1 \right| \le |W(j\omega)|, \qquad W(s) = \frac{\tau_{\max} s}{1 +
-       \tau_{\max} s}
-
-    for all :math:`0 \le \tau \le \tau_{\max}` and all frequencies: the left side, :math:`\omega \tau / \sqrt{1 +
-    \omega^2 \tau^2}`, rises with :math:`\tau`, so that equality at :math:`\tau_{\max}` is the proof.
-
-    Parameters
-    ----------
-    tau_max
-        The longest time constant in s, positive.
-
-    Returns
-    -------
-    StateSpaceModel
-        A stable weight with one state.
-
-    Raises
-    ------
-    InputError
-        A time constant that is not positive and finite.
-
-    References
-    ----------
-    Skogestad, Postlethwaite, *Multivariable Feedback Control* (2005), section 7.4.
-
-    Examples
-    --------
-    >>> neglected_lag(0.5).poles()
-    array([-2.+0.j])
-    """
-    _check_time("neglected_lag: tau_max", tau_max)
-    return _first_order(1.0 + ROUNDING, 1.0 / tau_max)
 
 
 def _first_order(gain: float, corner: float) -> StateSpaceModel:

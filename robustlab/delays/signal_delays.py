@@ -62,38 +62,57 @@ def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSp
 
 @told_as("with_delays")
 def with_delays(
-    G: Any, inputs: Mapping[Any, float] | None = None, outputs: Mapping[Any, float] | None = None
-) -> DelayedModel | StateSpaceModel:
-    r"""The model with exact delays of some of its inputs and outputs.
+    G: Any,
+    inputs: Mapping[Any, float | Sequence[float]] | None = None,
+    outputs: Mapping[Any, float | Sequence[float]] | None = None,
+    order: int | None = None,
+    weight_order: int | None = None,
+) -> DelayedModel | StateSpaceModel | UncertainModel:
+    r"""The model with exact delays of some of its inputs and outputs; with delays within ranges, a set that holds it.
+
+    What is proved of the set is proved of the model with every such delay; see `DelayedModel.uncertain`. Delays in a
+    range vary each on its own.
 
     Parameters
     ----------
     G
-        A StateSpaceModel, a plant, a python-control object or a DelayedModel.
+        A StateSpaceModel, a plant, a python-control object, a DelayedModel or an UncertainModel.
     inputs, outputs
-        Name or number of a signal -> its delay in s, 0 or more.
+        Name or number of a signal -> its delay in s, 0 or more, or its shortest and its longest delay.
+    order, weight_order
+        Of a set: of the approximations and of the weights of their error, 3 where left out; see
+        `DelayedModel.uncertain`.
 
     Returns
     -------
-    DelayedModel or StateSpaceModel
-        For a discrete G a model with a state :math:`z^{-1}` for each sample of delay, else a DelayedModel.
+    DelayedModel, StateSpaceModel or UncertainModel
+        For a discrete G a model with a state :math:`z^{-1}` for each sample of delay, else a DelayedModel. Where G is
+        uncertain or a delay is a range, a set with the blocks of G and those of the delays.
 
     Raises
     ------
     InputError
-        No such signal; a delay that is negative or not finite, or for a discrete G no whole number of samples.
+        No such signal; a delay that is negative or not finite, a range that ends before it begins; for a discrete G no
+        whole number of samples, or a range.
 
     Examples
     --------
     >>> motor = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["omega"])
     >>> with_delays(motor, inputs={"u": 0.01}, outputs={"omega": 0.02})
     DelayedModel(1 state, delays of 0.01, 0.02 s, [u] -> [omega])
+    >>> [b.name for b in with_delays(motor, inputs={"u": (0.1, 0.3)}).blocks]
+    ['u: spread 1 of 0.2 s +- 0.1 s']
     """
+    ranges = any(np.ndim(length) for side in (inputs, outputs) for length in (side or {}).values())
+    if ranges or isinstance(G, UncertainModel):
+        orders = {"order": order, "weight_order": weight_order}
+        return uncertain_delays(G, inputs, outputs, **{key: n for key, n in orders.items() if n is not None})
+    if order is not None or weight_order is not None:
+        found = "given with exact delays"
+        raise InputError(f"with_delays: {'weight_order' if order is None else 'order'}", found, "a range of delays")
     model = G if isinstance(G, DelayedModel) else as_model(G, "with_delays")
-    before, longest = _ranges("input", inputs, model.input_names, "with_delays")
-    after, latest = _ranges("output", outputs, model.output_names, "with_delays")
-    if (before, after) != (longest, latest):
-        raise InputError("with_delays", "a range of delays", "one length each", "uncertain_delays takes ranges")
+    before, _ = _ranges("input", inputs, model.input_names, "with_delays")
+    after, _ = _ranges("output", outputs, model.output_names, "with_delays")
     if isinstance(model, StateSpaceModel) and model.is_discrete:
         whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
         return whole.renamed(model.inputs, model.outputs)
@@ -105,7 +124,6 @@ def with_delays(
     )
 
 
-@told_as("uncertain_delays")
 def uncertain_delays(
     G: Any,
     inputs: Mapping[Any, float | Sequence[float]] | None = None,
@@ -113,43 +131,12 @@ def uncertain_delays(
     order: int = 3,
     weight_order: int = 3,
 ) -> UncertainModel:
-    r"""An uncertain model, or any other, with delays of its inputs and outputs, exact or within a range, covered.
-
-    What is proved of the result is proved of the model with every such delay; see `DelayedModel.uncertain`. Delays in
-    a range vary each on its own.
-
-    Parameters
-    ----------
-    G
-        An UncertainModel, a StateSpaceModel, a plant or a DelayedModel; continuous.
-    inputs, outputs
-        Name or number of a signal -> its delay in s, or its shortest and its longest delay.
-    order, weight_order
-        Of the approximations and of the weights of their error, as in `DelayedModel.uncertain`.
-
-    Returns
-    -------
-    UncertainModel
-        With the blocks of G, and those of the delays.
-
-    Raises
-    ------
-    InputError
-        No such signal, a delay that is negative or not finite, a range that ends before it begins, a discrete model.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> [b.name for b in uncertain_delays(lag, inputs={0: (0.1, 0.3)}).blocks]
-    ['u1: spread 1 of 0.2 s +- 0.1 s']
-    """
+    """A set that holds the model with its delays, exact or within a range; see `with_delays`."""
     model = (
-        G.uncertain(order, weight_order=weight_order)
-        if isinstance(G, DelayedModel)
-        else as_uncertain(G, "uncertain_delays")
+        G.uncertain(order, weight_order=weight_order) if isinstance(G, DelayedModel) else as_uncertain(G, "with_delays")
     )
     if model.dt:
-        raise InputError("uncertain_delays", f"a discrete model, dt = {model.dt:g} s", "a continuous one")
+        raise InputError("with_delays", f"a discrete model, dt = {model.dt:g} s", "a continuous one")
     banks: list[UncertainModel] = []
     for side, given, signals in (("input", inputs, model.inputs), ("output", outputs, model.outputs)):
         low, high = _ranges(side, given, tuple(s.name for s in signals))
@@ -161,7 +148,7 @@ def uncertain_delays(
         ]
         n = len(parts)
         wiring = Wiring(np.zeros((n, n)), np.eye(n), np.eye(n))
-        banks.append(interconnected(parts, wiring, signals, signals, "uncertain_delays"))
+        banks.append(interconnected(parts, wiring, signals, signals, "with_delays"))
     whole = product(banks[1], product(model, banks[0]))
     return UncertainModel(whole.M, whole.blocks)
 
@@ -182,7 +169,7 @@ def _apart(names: Sequence[Any], n: int) -> list[Any]:
 
 
 def _ranges(
-    side: str, given: Mapping[Any, Any] | None, names: tuple[str, ...], where: str = "uncertain_delays"
+    side: str, given: Mapping[Any, Any] | None, names: tuple[str, ...], where: str = "with_delays"
 ) -> tuple[list[float], list[float]]:
     """Shortest and longest delay of each signal; zero where none is given."""
     low, high = [0.0] * len(names), [0.0] * len(names)

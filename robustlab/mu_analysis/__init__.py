@@ -4,7 +4,6 @@ from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, robust_performance, worst_case_gain
 from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
-from robustlab.mu_analysis.matrix.skew import skew_mu
 
 __all__ = [
     "Margin",
@@ -13,6 +12,5 @@ __all__ = [
     "mu",
     "robust_performance",
     "robust_stability",
-    "skew_mu",
     "worst_case_gain",
 ]

@@ -314,9 +314,9 @@ def loop_picture(design: Synthesis) -> Figure:
 
 def functions_picture(design: Synthesis) -> Figure:
     """S, T, K S and S G of the loop at what the controller measures, against 1 / |W| and gamma / |W| where known."""
-    from robustlab.synthesis.specifications.loop_functions import loop_functions_of
+    from robustlab.synthesis.specifications.loop_functions import loop_functions
 
-    return gangs_picture(loop_functions_of(design), around=getattr(design, "peak_frequency", None))
+    return gangs_picture(loop_functions(design), around=getattr(design, "peak_frequency", None))
 
 
 def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:

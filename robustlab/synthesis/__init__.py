@@ -45,8 +45,10 @@ _WORDS = {
     "VarianceGoal": "fixed.design_goals",
     "GeneralizedPlant": "problem.partition",
     "Controller": "problem.controller",
+    "Design": "problem.design",
     "Synthesis": "problem.design",
     "HinfSynthesis": "problem.design",
+    "LPVController": "scheduling.scheduled_controller",
 }
 
 __all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -177,46 +177,13 @@ def _check_inside(where: str, inner: UncertainModel, outer: UncertainModel) -> N
         raise InputError(where, found, "what is closed in must be no larger than the other transposed")
 
 
-@told_as("centred")
 def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
-    r"""The set scaled by ``level``, with every real range symmetric about its own middle.
-
-    Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. Block names, full
-    and complex blocks stay (the latter scaled by ``level``). The new nominal model is the member at the middles.
+    r"""`UncertainModel.centred`, which see.
 
     A range that is wider on one side fills :math:`[-\rho m, m]` in Delta at level m; an affine change of Delta, which
     is an LFT, gives it an interval around zero:
 
     .. math:: \Delta = C + R \, \Delta', \qquad c = \tfrac{m}{2} (1 - \rho), \quad r = \tfrac{m}{2} (1 + \rho)
-
-    Parameters
-    ----------
-    uncertain
-        The set.
-    level
-        Positive: 2 takes each end twice as far from the nominal value.
-
-    Returns
-    -------
-    UncertainModel
-        The same members at other values of the same blocks.
-
-    Raises
-    ------
-    InputError
-        A level that is not positive and finite.
-    NoTrustworthyNumber
-        The member at the middles is not well posed.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.parametric import parametric
-    >>> lag = parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
-    >>> middle = centred(lag)
-    >>> middle.blocks[0].parameter
-    ParameterRange(nominal=1.125, radius=0.375, unit='', below=None)
-    >>> [float(m.evaluate({"tau": -1.0}).A[0, 0].round(12)) for m in (lag, middle)]
-    [-1.333333333333, -1.333333333333]
     """
     if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:
         raise InputError("centred", f"level {level!r}", "a positive finite number")
@@ -287,35 +254,10 @@ class Reduction(Shown):
         return f"{said}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
-@told_as("reduction")
 def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
-    """Remove repetitions that cannot be reached or do not show: block by block, then all blocks jointly, until none.
+    """`reduce_model` of a set, which see; ``seed`` is that of the Deltas and frequencies at which both are compared.
 
-    Parameters
-    ----------
-    uncertain
-        The set.
-    tolerance
-        Singular values below ``tolerance`` times the largest count as zero.
-    seed
-        Of the Deltas and frequencies at which both sets are compared.
-
-    Returns
-    -------
-    Reduction
-        The reduced set as ``model``, sizes and evidence.
-
-    Raises
-    ------
-    InputError
-        A tolerance that is not between 0 and 1.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.parametric import parametric
-    >>> gain = parametric([], [], [], [["k"]], {"k": (1.0, 0.1)})
-    >>> print(reduction(gain @ gain.inverse()))
-    k 1 -> 0; invariance 0.0e+00, difference 0.0e+00 (converged)
+    Raises InputError: a tolerance that is not between 0 and 1.
     """
     found = reduced(uncertain.M, uncertain.blocks, tolerance, seed)
     same = found.blocks == uncertain.blocks

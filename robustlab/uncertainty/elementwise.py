@@ -43,12 +43,23 @@ def elementwise(
 ) -> UncertainModel:
     r"""The set of models between (and mirrored beyond) a nominal and a maximally perturbed model.
 
+    With one perturbed model for each physical cause it has one real parameter a cause,
+
+    .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
+              \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + \sum_i \delta_i L_i R_i, \qquad
+              L_i R_i = perturbed_i - nominal
+
+    repeated as often as the rank of its difference, found jointly in A, B, C, D: what moves together stays together,
+    and causes superpose linearly (their products are not in it).
+
     Parameters
     ----------
     nominal, perturbed
         Two models of equal sizes, sample time and signals (StateSpaceModel, control.StateSpace, or with ``to_model``).
+        ``perturbed`` may be a table: name of a cause -> model at the upper end of that cause alone. One that changes
+        nothing gives no block.
     structure
-        What moves together:
+        What moves together; of causes it is what each of them moves:
 
         ========== ===================================================================== =============================
         elements   each differing entry of A, B, C, D by itself                          rank one each
@@ -66,12 +77,12 @@ def elementwise(
     -------
     UncertainModel
         With real scalars named by their signals: ``A[omega,i]``, ``A[:,i]``, ``A[omega,:]``, ``A``, ``single``.
-        No block at all where the two models are equal.
+        No block at all where the two models are equal. Of causes, one a cause, of its name.
 
     Raises
     ------
     InputError
-        Sizes, sample times or signal names differ; unknown structure.
+        Sizes, sample times or signal names differ; unknown structure; no cause, or causes with a structure.
     UnitMismatch
         A signal carries different units in the two models.
 
@@ -83,7 +94,20 @@ def elementwise(
     >>> model = elementwise(nominal, perturbed)
     >>> model.blocks[0].name, float(model.evaluate({"A[omega,i]": 1.0}).A[0, 1])
     ('A[omega,i]', 2.5)
+
+    By physical cause:
+
+    >>> nominal = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> heavy = StateSpaceModel([[-0.8]], [[0.8]], [[1.0]], [[0.0]])
+    >>> strong = StateSpaceModel([[-1.0]], [[1.3]], [[1.0]], [[0.0]])
+    >>> both = elementwise(nominal, {"mass": heavy, "motor": strong})
+    >>> [(b.name, b.repeats) for b in both.blocks], both.evaluate({"mass": 1.0, "motor": 1.0}).B.round(12).tolist()
+    ([('mass', 1), ('motor', 1)], [[1.1]])
     """
+    if isinstance(perturbed, Mapping):
+        if structure != "elements":
+            raise InputError("elementwise: structure", f"{structure!r} with causes", "none: a cause is one parameter")
+        return by_cause(nominal, perturbed, tolerance)
     first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
     if structure not in STRUCTURES:
         raise InputError(
@@ -100,53 +124,16 @@ def elementwise(
     return _assemble(first, parts)
 
 
-@told_as("by_cause")
 def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None = None) -> UncertainModel:
-    r"""One real parameter for each physical cause, from one perturbed model of each.
-
-    .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
-              \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + \sum_i \delta_i L_i R_i, \qquad
-              L_i R_i = perturbed_i - nominal
-
-    Each cause is repeated as often as the rank of its difference, found jointly in A, B, C, D: what moves together
-    stays together, and causes superpose linearly (their products are not in it).
-
-    Parameters
-    ----------
-    nominal
-        The model at Delta = 0: StateSpaceModel, or what has ``to_model``.
-    perturbed
-        Name of the cause -> model at the upper end of that cause alone. A cause that changes nothing gives no block.
-    tolerance
-        As in `elementwise`.
-
-    Returns
-    -------
-    UncertainModel
-        One `RealScalar` a cause, of its name; delta = 1 is the perturbed model, 0 the nominal one.
-
-    Raises
-    ------
-    InputError
-        No cause, sizes, sample times or signal names that differ.
-
-    Examples
-    --------
-    >>> nominal = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> heavy = StateSpaceModel([[-0.8]], [[0.8]], [[1.0]], [[0.0]])
-    >>> strong = StateSpaceModel([[-1.0]], [[1.3]], [[1.0]], [[0.0]])
-    >>> both = by_cause(nominal, {"mass": heavy, "motor": strong})
-    >>> [(b.name, b.repeats) for b in both.blocks], both.evaluate({"mass": 1.0, "motor": 1.0}).B.round(12).tolist()
-    ([('mass', 1), ('motor', 1)], [[1.1]])
-    """
-    first = as_model(nominal, "by_cause: nominal")
+    """`elementwise` of one perturbed model for each physical cause; see there."""
+    first = as_model(nominal, "elementwise: nominal")
     if not isinstance(perturbed, Mapping) or not perturbed:
-        raise InputError("by_cause", "no cause", "at least one: {name: perturbed model}")
+        raise InputError("elementwise", "no cause", "at least one: {name: perturbed model}")
     if tolerance is not None and not 0 <= tolerance < 1:
-        raise InputError("by_cause", f"tolerance {tolerance}", "a number in [0, 1)")
+        raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
     parts: list[_Part] = []
     for name, model in perturbed.items():
-        second = as_model(model, f"by_cause: {name}")
+        second = as_model(model, f"elementwise: {name}")
         check_pair(first, second)
         parts += [part._replace(name=name) for part in _single(_difference(first, second, tolerance or 0.0))]
     return _assemble(first, parts)

@@ -300,6 +300,9 @@ def frequency_data(
     omega: ArrayLike,
     *,
     radius: ArrayLike | None = None,
+    coherence: ArrayLike | None = None,
+    averages: int | None = None,
+    confidence: float = 0.95,
     name: str = "measured",
     inputs: Sequence[SignalLike] | None = None,
     outputs: Sequence[SignalLike] | None = None,
@@ -308,6 +311,12 @@ def frequency_data(
 
     .. math:: |G_{ij}(j\omega_k) - \hat G_{k,ij}| \le r_{k,ij} \qquad \text{or} \qquad \bar\sigma(G(j\omega_k) - \hat
        G_k) \le r_k
+
+    For a response of one input that was estimated with a coherence :math:`\gamma^2` from n independent averages (the
+    estimate :math:`\hat G = S_{yu} / S_{uu}`, Gaussian noise at the output, none at the input), r is the quantile of
+    the F distribution with 2 and 2n - 2 degrees of freedom in closed form:
+
+    .. math:: r^2 = |\hat G|^2 \, \frac{1 - \gamma^2}{\gamma^2} \left( (1 - c)^{-1/(n-1)} - 1 \right)
 
     Parameters
     ----------
@@ -319,7 +328,13 @@ def frequency_data(
     radius
         Of a measured response: one number or shape (N,), the largest singular value of the error, a full block; or
         shape (N, n_y, n_u), each entry by itself, a complex scalar for each. An ellipse is held by the circle of its
-        longer half axis. `response_radius` gives it from a coherence. None: the response is exact.
+        longer half axis. None: the response is exact, or its radius is that of the coherence.
+    coherence, averages
+        In place of a radius: the coherence at the same points as the response, between 0 and 1, and the number n of
+        independent records, 2 or more; overlapping ones count as fewer.
+    confidence
+        c, between 0 and 1: the probability that r holds the true response, at each frequency on its own; for all N at
+        once take ``1 - (1 - c) / N``.
     name
         Beginning of the names of the blocks. Equal names are one uncertainty.
     inputs, outputs
@@ -333,7 +348,8 @@ def frequency_data(
     Raises
     ------
     InputError
-        Shapes that do not fit, a radius that is negative, a radius of a model.
+        Shapes that do not fit, a radius that is negative, a radius of a model, a coherence outside [0, 1] or without
+        averages.
     NoTrustworthyNumber
         A pole of a model lies at a frequency.
 
@@ -342,7 +358,19 @@ def frequency_data(
     >>> found = frequency_data([1.0, 0.5 - 0.5j], [0.0, 1.0], radius=[0.01, 0.02])
     >>> [b.name for b in found.blocks], found.delta_channels.shape
     (['measured y1 from u1'], (2, 1, 1))
+    >>> frequency_data([2.0], [1.0], coherence=[0.9], averages=20).delta_channels.shape
+    (1, 1, 1)
+
+    References
+    ----------
+    Bendat, Piersol, *Random Data* (2010), section 9.2.3.
     """
+    if coherence is not None or averages is not None:
+        if coherence is None or averages is None or radius is not None:
+            parts = {"radius": radius, "coherence": coherence, "averages": averages}
+            found = ", ".join(part for part, value in parts.items() if value is not None)
+            raise InputError("frequency_data", found, "a radius, or coherence and averages")
+        radius = response_radius(given, coherence, averages, confidence)
     w = real_array("omega", np.atleast_1d(omega), 1, "frequency_data")
     if isinstance(given, UncertainModel) or not _is_response(given):
         if radius is not None:
@@ -400,53 +428,22 @@ def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) 
     return UncertainFrequencyData(plain.omega, M, blocks, plain.inputs, plain.outputs)
 
 
-@told_as("response_radius")
 def response_radius(response: ArrayLike, coherence: ArrayLike, averages: int, confidence: float = 0.95) -> Array:
-    r"""Radius about a measured response of one input that holds the true one with a given probability.
-
-    .. math:: r^2 = |\hat G|^2 \, \frac{1 - \gamma^2}{\gamma^2} \left( (1 - c)^{-1/(n-1)} - 1 \right)
-
-    for n independent averages and the coherence :math:`\gamma^2`, as they are estimated together (the estimate
-    :math:`\hat G = S_{yu} / S_{uu}`, Gaussian noise at the output, none at the input): the quantile of the F
-    distribution with 2 and 2n - 2 degrees of freedom in closed form. The probability is that of each frequency on its
-    own; for all N at once take ``1 - (1 - c) / N`` for c.
-
-    Parameters
-    ----------
-    response, coherence
-        Estimates at the same points, of any one shape; the coherence between 0 and 1.
-    averages
-        Number n of independent records, 2 or more; overlapping ones count as fewer.
-    confidence
-        c, between 0 and 1.
-
-    Returns
-    -------
-    ndarray
-        The radii; inf where the coherence is 0.
-
-    Raises
-    ------
-    InputError
-        Shapes that differ, a coherence outside [0, 1], fewer than two averages, a probability out of range.
-
-    References
-    ----------
-    Bendat, Piersol, *Random Data* (2010), section 9.2.3.
+    """Radius about a measured response of one input that holds the true one with a probability; see `frequency_data`.
 
     Examples
     --------
     >>> response_radius([2.0], [0.9], 20).round(4)
     array([0.2755])
     """
-    G, given = (_complex(k, v, "response_radius") for k, v in (("response", response), ("coherence", coherence)))
+    G, given = (_complex(k, v, "frequency_data") for k, v in (("response", response), ("coherence", coherence)))
     g2 = np.where(given.imag == 0, given.real, np.nan)
     if G.shape != g2.shape or not ((g2 >= 0) & (g2 <= 1)).all():
-        raise InputError("response_radius: coherence", f"shape {g2.shape}", f"numbers from 0 to 1, shape {G.shape}")
+        raise InputError("frequency_data: coherence", f"shape {g2.shape}", f"numbers from 0 to 1, shape {G.shape}")
     if isinstance(averages, bool) or not isinstance(averages, (int, np.integer)) or averages < 2:
-        raise InputError("response_radius: averages", f"{averages!r}", "a whole number, 2 or more")
+        raise InputError("frequency_data: averages", f"{averages!r}", "a whole number, 2 or more")
     if not 0 < confidence < 1:
-        raise InputError("response_radius: confidence", f"{confidence!r}", "a number between 0 and 1")
+        raise InputError("frequency_data: confidence", f"{confidence!r}", "a number between 0 and 1")
     with np.errstate(divide="ignore"):
         noise = np.where(g2 > 0, (1.0 - g2) / g2, np.inf)
     return np.abs(G) * np.sqrt(noise * np.expm1(-np.log1p(-confidence) / (averages - 1)))

@@ -312,6 +312,77 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         some_outs = [outs[p + k] for k in indices(outputs, outs[p:], "output")]
         return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
+    def centred(self, level: float = 1.0) -> UncertainModel:
+        r"""The set scaled by ``level``, with every real range symmetric about its own middle.
+
+        Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. Block names,
+        full and complex blocks stay (the latter scaled by ``level``). The nominal model is the member at the middles.
+
+        Parameters
+        ----------
+        level
+            Positive: 2 takes each end twice as far from the nominal value.
+
+        Raises
+        ------
+        InputError
+            A level that is not positive and finite.
+        NoTrustworthyNumber
+            The member at the middles is not well posed.
+
+        Examples
+        --------
+        >>> from robustlab.uncertainty.parametric import parametric
+        >>> lag = parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
+        >>> middle = lag.centred()
+        >>> middle.blocks[0].parameter
+        ParameterRange(nominal=1.125, radius=0.375, unit='', below=None)
+        >>> [float(m.evaluate({"tau": -1.0}).A[0, 0].round(12)) for m in (lag, middle)]
+        [-1.333333333333, -1.333333333333]
+        """
+        from robustlab.uncertainty.algebra import centred  # it is built on this class
+
+        return centred(self, level)
+
+    def realised(self, delta: Mapping[str, Any], frequency: float) -> dict[str, float | StateSpaceModel]:
+        r"""A stable system for each block of a complex Delta, of the same norm, equal to it at one frequency.
+
+        With a critical Delta of `robust_stability` the member ``set.evaluate(set.realised(delta, frequency))`` has a
+        pole at :math:`j \omega_0`, so the loss of stability can be replayed in the time domain.
+
+        Parameters
+        ----------
+        delta
+            One value per block name: a number, or a matrix for a full block; what `robust_stability` returns.
+        frequency
+            In rad/s; ``inf`` for a direct term in continuous time, ``pi / dt`` at most in discrete time.
+
+        Returns
+        -------
+        dict
+            For a real scalar its number; for a complex scalar a single-input single-output model of at most two states;
+            for a full block a model with ``cols`` inputs and ``rows`` outputs. Blocks left out stay out.
+
+        Raises
+        ------
+        InputError
+            A frequency outside the axis, values that do not fit the blocks, or a complex value where systems with real
+            coefficients are real: at ``frequency = 0`` or at the end of the axis.
+        NoTrustworthyNumber
+            A realisation misses its value.
+
+        Examples
+        --------
+        >>> M = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+        >>> from robustlab.uncertainty.blocks import ComplexScalar
+        >>> made = UncertainModel(M, [ComplexScalar("d")]).realised({"d": 0.5j}, frequency=2.0)["d"]
+        >>> made.poles(), frequency_response(made, [2.0]).round(12)
+        (array([-2.+0.j]), array([[[0.+0.5j]]]))
+        """
+        from robustlab.uncertainty.realised_delta import realise_delta  # it is built on this class
+
+        return realise_delta(self.blocks, delta, frequency, self.dt)
+
     def close(self, K: StateSpaceModel) -> UncertainModel:
         """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
@@ -322,7 +393,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return UncertainModel(lower_lft(self.M, wired_controller(k, y, u, "close")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
-        """The same set with each scalar block repeated as rarely as its channels allow; `reduction` shows the evidence.
+        """The same set with each scalar block repeated as rarely as its channels allow; evidence: `reduce_model`.
 
         Like the states of a transfer function in 1/s, repetitions that the channels cannot reach or that do not show
         are removed (Kalman decomposition, block by block and then jointly). A scalar block without any effect vanishes

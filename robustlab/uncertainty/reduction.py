@@ -59,7 +59,7 @@ def reduced(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float, seed:
     Raises InputError: a tolerance that is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
-        raise InputError("reduction", f"tolerance {tolerance}", "a number between 0 and 1")
+        raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
     given = M, tuple(blocks)
     invariance = 0.0
     while True:

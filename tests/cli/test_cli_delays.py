@@ -71,7 +71,7 @@ def test_margins_of_a_loop_with_its_delay(run):
 def test_a_set_that_holds_the_delays(run):
     run("uncertain", "delays", "lag.h5", "--input", "u=0.1:0.3", "--output", "y=0.2", "--out", "set.h5")
     found = rl.load(run.folder / "set.h5")
-    expected = rl.uncertain_delays(LAG, {"u": (0.1, 0.3)}, {"y": 0.2})
+    expected = rl.with_delays(LAG, {"u": (0.1, 0.3)}, {"y": 0.2})
     assert [b.name for b in found.blocks] == [b.name for b in expected.blocks]
     assert np.abs(found.M.A - expected.M.A).max() == 0.0
 
@@ -80,7 +80,7 @@ def test_rational_delays_and_weights(run):
     run("model", "delay", "lag.h5", "--input", "u=0.5", "--pade", "4", "--out", "rational.h5")
     assert rl.load(run.folder / "rational.h5").n_states == 5
     run("uncertain", "neglected", "--delay", "0.2", "--order", "3", "--out", "w.h5")
-    assert np.array_equal(rl.load(run.folder / "w.h5").A, rl.neglected_delay(0.2, 3).A)
+    assert np.array_equal(rl.load(run.folder / "w.h5").A, rl.neglected_dynamics(delay=0.2, order=3).A)
     assert "1 states" in run("uncertain", "neglected", "--lag", "0.2")
 
 

@@ -37,10 +37,7 @@ CALLS: dict[str, Any] = {
         "plant": made.lag().select(),
         "controller": rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]]),
     },
-    "balanced_truncation": lambda: {"model": TWO, "order": 1},
-    "by_cause": lambda: {"nominal": made.spring().nominal, "perturbed": {"a": made.four_models()[1]}},
     "care": lambda: {"A": [[0.0]], "B": ONE, "Q": ONE, "R": ONE},
-    "centred": lambda: {"uncertain": made.spring(), "level": 0.5},
     "check_weights": lambda: {"W1": rl.performance_weight(1.0, 0.01, 2.0), "W2": 0.1},
     "classical_margins": lambda: {"plant": made.lag(), "K": GAIN},
     "compare": lambda: {"plant": made.lag(), "record": run()},
@@ -60,18 +57,22 @@ CALLS: dict[str, Any] = {
     "delay_classical_margins": lambda: {"plant": delayed(), "K": GAIN},
     "delay_disk_margin": lambda: {"loop": 2.0 * delayed()},
     "delay_gain": lambda: {"model": delayed()},
-    "delay_hinf": lambda: {"P": rl.with_delays(made.problem(), inputs={"u": 0.1}), "n_meas": 1, "n_con": 1},
     "delay_stability": lambda: {"model": delayed().feedback()},
     "DelayedModel": lambda: {"H": delayed().H, "delays": delayed().delays},
     "descriptor": lambda: {"A": [[-1.0]], "B": ONE, "C": ONE, "D": [[0.0]], "E": [[2.0]]},
     "design_weights": lambda: {"bandwidth": 10.0, "control_limit": 5.0, "noise_from": 200.0},
     "discretise": lambda: {"model": made.lag(), "dt": 0.1},
+    "discretise of a loop": lambda: {"model": made.mixsyn(), "dt": 0.1, "method": "tustin"},
     "disk_margin": lambda: {"plant": made.lag(), "K": GAIN},
     "disk_margin_at": lambda: {"plant": made.lag(), "K": GAIN, "frequency": [0.5, 1.0]},
     "dlyap": lambda: {"A": [[0.5]], "Q": ONE},
     "elementwise": lambda: dict(zip(("nominal", "perturbed"), made.four_models(), strict=False)),
+    "elementwise of causes": lambda: {"nominal": made.spring().nominal, "perturbed": {"a": made.four_models()[1]}},
     "fixed_structure": lambda: {"P": made.problem(), "structure": "static", "n_meas": 1, "n_con": 1, "starts": 1},
     "frequency_data": lambda: {"given": made.lag(), "omega": OMEGA},
+    "frequency_data of a coherence": lambda: {
+        "given": [1.0, 2.0], "omega": [1.0, 2.0], "coherence": [0.9, 0.9], "averages": 10,
+    },
     "frequency_response": lambda: {"model": made.lag(), "omega": OMEGA},
     "FrequencyData": lambda: {"omega": [1.0, 2.0], "response": [1.0, 1.0], "input": "u", "outputs": ["y"]},
     "FullBlock": lambda: {"name": "a", "rows": 1, "cols": 1},
@@ -89,6 +90,8 @@ CALLS: dict[str, Any] = {
     "h2_norm": lambda: {"model": made.lag()},
     "hankel_singular_values": lambda: {"model": TWO},
     "hinf": lambda: {"P": made.problem(), "n_meas": 1, "n_con": 1},
+    "hinf of delays": lambda: {"P": rl.with_delays(made.problem(), inputs={"u": 0.1}), "n_meas": 1, "n_con": 1},
+    "hinf of a schedule": lambda: {"P": made.scheduled_plant(), "n_meas": 1, "n_con": 1},
     "hinf_norm": lambda: {"model": TWO},
     "iqc_gain": lambda: {"model": made.first_order(), "nature": {"pole": rl.Varying(0.1)}, "order": 0},
     "iqc_stability": lambda: {"model": made.first_order(), "nature": {"pole": rl.Varying(0.1)}, "order": 0},
@@ -96,11 +99,8 @@ CALLS: dict[str, Any] = {
     "linearise": lambda: {"plant": made.motor()},
     "linf_norm": lambda: {"model": TWO},
     "loop_functions": lambda: {"G": made.lag(), "K": GAIN},
-    "loop_functions_of": lambda: {"design": made.mixsyn()},
     "lpv_gain": lambda: {"model": rl.LPVModel({"a": [-2.0, -1.0]}, [pole(-2.0), pole(-1.0)])},
-    "lpv_hinf": lambda: {"plant": made.scheduled_plant(), "n_meas": 1, "n_con": 1},
     "lpv_model": lambda: {"source": made.first_order(), "points": {"pole": 2}},
-    "LPVController": lambda: {"K": rl.LPVModel({"a": [-2.0, -1.0]}, [pole(-2.0), pole(-1.0)])},
     "LPVModel": lambda: {"points": {"a": [-2.0, -1.0]}, "models": [pole(-2.0), pole(-1.0)]},
     "lqg": lambda: {"G": made.lag(), "Q": ONE, "R": ONE, "W": ONE, "V": ONE, "disturbance": "constant"},
     "lqi": lambda: {"G": made.spring().nominal, "Q": np.eye(3), "R": ONE},
@@ -109,9 +109,10 @@ CALLS: dict[str, Any] = {
     "makeweight": lambda: {"low_gain": 10.0, "through": (1.0, 1.0), "high_gain": 0.1},
     "mixsyn": lambda: {"G": made.lag(), "W1": rl.performance_weight(1.0, 0.01, 2.0), "W2": 0.1},
     "mu": lambda: {"M": [[0.5, 1.0], [1.0, 0.0]], "blocks": [[1, 0], [1, 0]]},
+    "mu of fixed blocks": lambda: {"M": [[0.5, 1.0], [1.0, 0.0]], "blocks": [[1, 0], [1, 0]], "fixed": ["delta1"]},
     "ncf": lambda: {"G": made.lag()},
-    "neglected_delay": lambda: {"tau_max": 0.1},
-    "neglected_lag": lambda: {"tau_max": 0.1},
+    "neglected_dynamics": lambda: {"delay": 0.1},
+    "neglected_dynamics of a lag": lambda: {"lag": 0.1},
     "noise_weight": lambda: {"samples": np.random.default_rng(0).normal(size=400), "dt": 0.1},
     "Nonlinearity": lambda: {"sector": (0.0, 1.0)},
     "nu_gap": lambda: {"P1": made.lag(), "P2": 2.0 * made.lag()},
@@ -122,14 +123,11 @@ CALLS: dict[str, Any] = {
     "passivity": lambda: {"model": TWO},
     "performance_limits": lambda: {"G": made.lag()},
     "performance_weight": lambda: {"bandwidth": 1.0},
-    "perturbed_model": lambda: {"uncertain": made.spring(), "delta": {"k": 0.5}},
     "place": lambda: {"G": made.spring().nominal, "poles": [-1.0, -2.0]},
-    "realise_delta": lambda: {"blocks": made.spring().blocks, "delta": {"k": 0.5}, "omega": 1.0},
     "RealScalar": lambda: {"name": "a"},
     "Record": lambda: {"t": [0.0, 0.1], "inputs": {"u": [0.0, 1.0]}, "outputs": {"y": [0.0, 1.0]}},
     "reduce_model": lambda: {"model": TWO, "order": 1},
-    "reduction": lambda: {"uncertain": made.spring()},
-    "response_radius": lambda: {"response": [1.0, 2.0], "coherence": [0.9, 0.9], "averages": 10},
+    "reduce_model of a set": lambda: {"model": made.spring(), "tolerance": 1e-9},
     "robust_gain": lambda: {"uncertain": made.first_order(), "level": 4.0},
     "robust_stability": lambda: {"uncertain": made.first_order()},
     "robust_stability_at": lambda: {"system": made.first_order(), "frequency": [0.5, 1.0]},
@@ -137,14 +135,12 @@ CALLS: dict[str, Any] = {
     "sample_size": lambda: {"probability": 0.05},
     "sampled_data_norm": lambda: {"plant": made.problem(), "K": made.digital()},
     "simulate": lambda: {"plant_or_model": made.lag(), "t": [0.0, 0.1, 0.2], "u": np.ones(3)},
-    "skew_mu": lambda: {"M": [[0.5, 1.0], [1.0, 0.0]], "blocks": [[1, 0], [1, 0]], "fixed": ["delta1"]},
     "small_gain": lambda: {"uncertain": rl.unstructured(made.lag(), 0.2).feedback(2.0)},
     "ss": lambda: {"A": [[-1.0]], "B": ONE, "C": ONE, "D": [[0.0]]},
     "star": lambda: {"first": made.problem(), "second": 1.0, "n_to_second": 1, "n_to_first": 1},
     "StateSpaceModel": lambda: {"A": [[-1.0]], "B": ONE, "C": ONE, "D": [[0.0]]},
     "sylvester": lambda: {"A": ONE, "B": ONE, "Q": ONE},
     "tf": lambda: {"num": [1.0], "den": [1.0, 1.0]},
-    "uncertain_delays": lambda: {"G": made.lag(), "inputs": {"u": 0.1}},
     "UncertainFrequencyData": lambda: {"omega": [1.0, 2.0], "M": np.ones((2, 1, 1))},
     "UncertainModel": lambda: {"M": pole(-1.0), "blocks": [rl.RealScalar("a")]},
     "unstructured": lambda: {"G": made.lag(), "W2": 0.2},
@@ -159,6 +155,7 @@ CALLS: dict[str, Any] = {
     },
     "well_posedness": lambda: {"uncertain": made.spring()},
     "with_delays": lambda: {"G": made.lag(), "inputs": {"u": 0.1}},
+    "with_delays of a range": lambda: {"G": made.lag(), "inputs": {"u": (0.1, 0.2)}},
     "with_effects": lambda: {"plant": rl.plant("servo-axis"), "effects": {"coulomb-friction": {"Fc": 20.0}}},
     "worst_case": lambda: {
         "uncertain": made.first_order()[0, 0],
@@ -210,7 +207,7 @@ EXTREME = (RuntimeWarning,)
 OWN = {"progress", "exact", "loop", "metric", "parts"}
 # With a number that is very small or large these take seconds and answer: (function, argument).
 LONG = {
-    *(("delay_classical_margins", "K"), ("delay_disk_margins", "K"), ("discretise_controller", "delay")),
+    *(("delay_classical_margins", "K"), ("delay_disk_margins", "K"), ("discretise of a loop", "delay")),
     *(("sampled_robustness", "delay"), ("sampled_data_norm", "delay"), ("worst_case", "workers")),
     ("violation_probability", "workers"),
 }
@@ -225,7 +222,7 @@ SLOW = {"anti_windup", "fixed_structure", "iqc_stability", "worst_case_disk_marg
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CALLS]
 )
 def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
-    function = getattr(rl, name)
+    function = getattr(rl, name.partition(" ")[0])  # "hinf of delays": of a kind of what it is given
     function(**CALLS[name]())
     refused = 0
     for argument, parameter in inspect.signature(function).parameters.items():
@@ -247,10 +244,10 @@ def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
 def test_every_public_function_that_takes_milliseconds_is_attacked():
     """What is left out searches for seconds, makes files, or takes anything by name."""
     apart = {
-        *("data_cover", "DataCover", "discover", "dk", "discretise_controller", "reduce_controller", "tune"),
-        *("effect_gain", "sampled_robustness", "verify_delayed_loop", "robust_performance", "delay_disk_margins"),
-        *("load", "save", "export_controller", "plant", "trim", "FmuPlant", "PlantEquations", "effect_names"),
+        *("data_cover", "discover", "dk", "reduce_controller", "tune"),
+        *("effect_gain", "sampled_robustness", "robust_performance", "delay_disk_margins"),
+        *("load", "save", "export_controller", "plant", "trim", "PlantEquations"),
         *("beside", "stacked", "uncertain_from", "Signal", "Status"),
         *("RobustlabError", "InputError", "NoTrustworthyNumber"),
     }
-    assert set(rl.__all__) == set(CALLS) | apart
+    assert set(rl.__all__) == {name.partition(" ")[0] for name in CALLS} | apart

@@ -17,7 +17,7 @@ def test_balanced_truncation_is_slicots(dt, n, m, p, order):
     poles = np.linalg.eigvals(A)
     A = A / np.abs(poles).max() * 0.95 if dt else A - (poles.real.max() + 0.2) * np.eye(n)
     G = rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)), dt)
-    found = rl.balanced_truncation(G, order)
+    found = rl.reduce_model(G, order)
     reduced, a, b, c, values = slycot.ab09ad("D" if dt else "C", "B", "N", n, m, p, A, G.B, G.C, order)[:5]
     assert reduced == order
     np.testing.assert_allclose(found.hankel, values, rtol=1e-9, atol=1e-13 * values[0])

@@ -191,7 +191,7 @@ def test_an_unstable_loop_of_a_bare_plant_is_refused(order):
     with pytest.raises(rl.NoTrustworthyNumber, match="with u = -K y the loop is stable: give -K"):
         rl.reduce_controller(UNSTABLE, lag(50.0), order=order)
     with pytest.raises(rl.NoTrustworthyNumber, match="continuous loop is not stable"):
-        rl.discretise_controller(UNSTABLE, 0.01, lag(5.0))
+        rl.discretise(lag(5.0), 0.01, plant=UNSTABLE)
 
 
 def test_a_bare_plant_is_judged_by_the_four_block_gain_of_its_loop():
@@ -202,7 +202,7 @@ def test_a_bare_plant_is_judged_by_the_four_block_gain_of_its_loop():
         assert small.gamma == pytest.approx(four_block_gain(small.K), rel=1e-5)
         assert small.status is Status.CERTIFIED
         assert small.closed_loop.is_stable()
-    digital = rl.discretise_controller(UNSTABLE, 0.001, K, method="tustin")
+    digital = rl.discretise(K, 0.001, "tustin", plant=UNSTABLE)
     assert digital.gamma == pytest.approx(four_block_gain(K), rel=0.05)
 
 

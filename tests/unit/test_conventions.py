@@ -57,7 +57,7 @@ def designs():
     yield "fixed", lambda: rl.fixed_structure(noisy, "static", n_meas=1, n_con=1, starts=1), "u = K y"
     yield "dk", lambda: rl.dk(noisy, [[1, 0], [1, 0]], 1, 1, effort=0.2), "u = K y"
     yield "reduced", lambda: rl.reduce_controller(rl.mixsyn(PLANT, W1, W2), loss=0.5), "u = K (r - y)"
-    yield "sampled", lambda: rl.discretise_controller(rl.mixsyn(PLANT, W1, W2), 0.01), "u = K (r - y)"
+    yield "sampled", lambda: rl.discretise(rl.mixsyn(PLANT, W1, W2), 0.01), "u = K (r - y)"
 
 
 def rl_goal():
@@ -169,7 +169,7 @@ def test_products_carry_what_is_taken():
 def test_digital_and_smaller_controllers_take_the_same():
     K = rl.ncf(PLANT, 4.0).K
     digital = rl.discretise(K, 0.01)
-    for other in (digital, rl.d2d(digital, 0.02).model, rl.d2c(digital).model, rl.balanced_truncation(K, 1).model):
+    for other in (digital, rl.d2d(digital, 0.02).model, rl.d2c(digital).model, rl.reduce_model(K, 1).model):
         assert law(other.inputs) == "u = K y"
 
 

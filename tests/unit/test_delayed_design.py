@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.synthesis.hinf.delayed_design import judged
 
 P = rl.StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
 OMEGA = np.geomspace(1e-3, 1e3, 40_001)
@@ -17,7 +18,7 @@ def peak(loop):
 
 def test_a_given_controller_is_judged_with_exact_delays():
     late, gain = rl.with_delays(P, inputs={2: 0.3}), -0.4
-    found = rl.verify_delayed_loop(late, rl.StateSpaceModel([], [], [], [[gain]]))
+    found = judged(late, rl.StateSpaceModel([], [], [], [[gain]]))
     L = -gain * np.exp(-0.3j * OMEGA) / (1j * OMEGA + 1)
     g = 1 / (1j * OMEGA + 1)
     T = np.array([[g / (1 + L), gain * g * np.exp(-0.3j * OMEGA) / (1 + L)], [gain * g / (1 + L), gain / (1 + L)]])
@@ -30,18 +31,18 @@ def test_a_given_controller_is_judged_with_exact_delays():
 
 def test_a_design_is_proved_with_the_delays_as_they_are():
     late = rl.with_delays(P, inputs={2: 0.5}, outputs={2: 0.2})
-    found = rl.delay_hinf(late, 1, 1)
+    found = rl.hinf(late, 1, 1)
     assert found.status is rl.Status.CERTIFIED
-    assert peak(found.loop) <= found.gamma <= 1.03 * found.design.gamma
+    assert peak(found.closed_loop) <= found.gamma <= 1.03 * found.design.gamma
     other = rl.star(late, found.K, 1, 1)  # the loop once more
-    assert np.abs(rl.frequency_response(other, OMEGA) - rl.frequency_response(found.loop, OMEGA)).max() < 1e-12
+    assert np.abs(rl.frequency_response(other, OMEGA) - rl.frequency_response(found.closed_loop, OMEGA)).max() < 1e-12
 
 
 def test_a_design_that_forgets_the_delay_is_found_out():
     late = rl.with_delays(P, inputs={2: 1.0})
     careless = rl.StateSpaceModel([], [], [], [[-8.0]])  # stable without the delay, not with it
     assert rl.star(P, careless, 1, 1).nominal.is_stable()
-    found = rl.verify_delayed_loop(late, careless)
+    found = judged(late, careless)
     assert found.stability.stable is False
     assert found.status is rl.Status.FAILED
     assert found.gamma == np.inf
@@ -49,4 +50,4 @@ def test_a_design_that_forgets_the_delay_is_found_out():
 
 def test_what_is_refused():
     with pytest.raises(rl.InputError, match="w and z"):
-        rl.verify_delayed_loop(rl.with_delays(P, inputs={2: 0.1}), rl.StateSpaceModel([], [], [], np.ones((3, 3))))
+        judged(rl.with_delays(P, inputs={2: 0.1}), rl.StateSpaceModel([], [], [], np.ones((3, 3))))

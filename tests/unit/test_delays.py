@@ -118,9 +118,11 @@ def test_a_discrete_delay_is_a_row_of_states():
         (lambda: rl.delay(1.0).pade(-1), "from 0 to 40"),
         (lambda: rl.delay(1.0).uncertain(2, spread=2.0), "the delay itself"),
         (lambda: rl.frequency_response(rl.delay(1.0), [np.inf]), "finite"),
-        (lambda: rl.neglected_delay(0.0), "positive"),
-        (lambda: rl.neglected_delay(1.0, 2), "1 or 3"),
-        (lambda: rl.neglected_lag(-1.0), "positive"),
+        (lambda: rl.neglected_dynamics(delay=0.0), "positive"),
+        (lambda: rl.neglected_dynamics(delay=1.0, order=2), "1 or 3"),
+        (lambda: rl.neglected_dynamics(lag=-1.0), "positive"),
+        (rl.neglected_dynamics, "one of the two"),
+        (lambda: rl.neglected_dynamics(lag=1.0, order=3), "with a lag"),
     ],
 )
 def test_what_is_wrong_is_said(wrong, said):
@@ -284,7 +286,7 @@ def test_the_set_holds_the_model_with_its_delay(order, spread, true):
 
 @pytest.mark.parametrize("order", [4, 5, 6, 9])
 def test_a_range_from_zero_to_twice_the_delay_is_covered_in_every_order(order):
-    cover = rl.uncertain_delays(LAG, inputs={0: (0.0, 0.8)}, order=order)
+    cover = rl.with_delays(LAG, inputs={0: (0.0, 0.8)}, order=order)
     (block,) = cover.blocks
     weight = error_weight(order, 3, 1.0).scaled(0.4)
     # Padé's coefficients from the textbook, (2n - k)! / (2n)! times n over k
@@ -311,7 +313,7 @@ def test_sets_of_other_orders_do_not_share_a_block():
 
 def test_an_uncertain_model_with_a_delay_in_a_range():
     plant = rl.parametric([["-1/T"]], [["1/T"]], [[1]], [[0]], {"T": (1.0, 0.2)})
-    late = rl.uncertain_delays(plant, inputs={"u1": (0.1, 0.3)}, outputs={0: 0.2})
+    late = rl.with_delays(plant, inputs={"u1": (0.1, 0.3)}, outputs={0: 0.2})
     known, ranged = "delay of 0.2 s (order 3, slope 3)", "u1: spread 1 of 0.2 s +- 0.1 s"
     assert {b.name for b in late.blocks} == {"T", known, ranged}
     w, rational = 3.0, response(pade(0.2, 3), [3.0])[0]
@@ -325,7 +327,7 @@ def test_an_uncertain_model_with_a_delay_in_a_range():
     expected = turn * true / (1 + 1j * w * plant.physical({"T": 0.5})["T"][0])
     assert late.response([w], delta)[0, 0, 0] == pytest.approx(expected, abs=1e-12)
     with pytest.raises(InputError, match="range of such"):
-        rl.uncertain_delays(plant, inputs={0: (0.3, 0.1)})
+        rl.with_delays(plant, inputs={0: (0.3, 0.1)})
     with pytest.raises(InputError, match="uncertain_delays takes ranges"):
         rl.with_delays(LAG, inputs={0: (0.1, 0.3)})
 
@@ -335,12 +337,12 @@ def test_an_uncertain_model_with_a_delay_in_a_range():
 
 @pytest.mark.parametrize("order", [1, 3])
 def test_the_weight_of_a_neglected_delay_covers_all_shorter_ones(order):
-    weight = np.abs(response(rl.neglected_delay(0.2, order)))
+    weight = np.abs(response(rl.neglected_dynamics(delay=0.2, order=order)))
     for tau in np.linspace(0.0, 0.2, 21):
         assert (np.abs(np.exp(-1j * OMEGA * tau) - 1) <= weight).all()
     fine = np.linspace(0.01, 30, 20000) / 0.2
     error = 2 * np.sin(np.minimum(fine * 0.2, np.pi) / 2)
-    ratio = np.abs(response(rl.neglected_delay(0.2, order), fine)) / error
+    ratio = np.abs(response(rl.neglected_dynamics(delay=0.2, order=order), fine)) / error
     assert 1.0 < ratio.min() < 1.003
     assert ratio.max() < (1.42 if order == 1 else 1.021)
 
@@ -351,7 +353,7 @@ def test_the_realised_weights_are_those_of_the_proof():
     for order, (numerator, denominator) in _FORMS.items():
         s = 1j * OMEGA
         above, below = (sum(float(c) * s**k for k, c in enumerate(p)) for p in (numerator, denominator))
-        assert response(rl.neglected_delay(1.0, order)) == pytest.approx(above / below, rel=1e-8)
+        assert response(rl.neglected_dynamics(delay=1.0, order=order)) == pytest.approx(above / below, rel=1e-8)
 
 
 def test_a_weight_that_does_not_cover_is_not_proved():
@@ -377,7 +379,7 @@ def test_polynomials_are_judged_by_sturm(roots, low, high, positive):
 
 
 def test_the_weight_of_a_neglected_lag_covers_all_shorter_ones():
-    weight = np.abs(response(rl.neglected_lag(0.3)))
+    weight = np.abs(response(rl.neglected_dynamics(lag=0.3)))
     for tau in np.linspace(0.0, 0.3, 16):
         assert (np.abs(1 / (1 + 1j * OMEGA * tau) - 1) <= weight).all()
     assert weight == pytest.approx(np.abs(0.3j * OMEGA / (1 + 0.3j * OMEGA)), rel=1e-8)

@@ -62,7 +62,7 @@ def test_every_block_has_an_origin_and_keeps_it_in_a_file(tmp_path):
     again = rl.load(path)
     assert {b.name: b.origin for b in again.blocks} == made.origins
     assert again.blocks == made.model.blocks
-    centred = rl.centred(again)  # they stay through the algebra, too
+    centred = again.centred()  # they stay through the algebra, too
     assert {b.name: b.origin for b in centred.blocks} == made.origins
     assert "input noise q: quantisation: at most 5e-05 m" in made.summary()
 

@@ -293,14 +293,14 @@ def test_designs_of_true_loops_are_confirmed(name: str) -> None:
 def test_reduction_and_discretisation_do_not_trust_it_either(monkeypatch: pytest.MonkeyPatch) -> None:
     design = rl.hinf(PLANT, 1, 1)
     assert rl.reduce_controller(design, loss=0.5).status is Status.CERTIFIED
-    assert rl.discretise_controller(design, 0.01, method="tustin").status.trustworthy
+    assert rl.discretise(design, 0.01, method="tustin").status.trustworthy
     for module in (partition, sampled_norm):
         monkeypatch.setattr(module, "lower_lft", lying_lft)
     with pytest.raises(NoTrustworthyNumber, match="evaluated separately"):
         rl.reduce_controller(design, loss=0.5)
     # Of all methods none is taken that was not heard because another one seemed better.
     for method in ("tustin", "auto"):
-        digital = rl.discretise_controller(design, 0.01, method=method, loss=10)
+        digital = rl.discretise(design, 0.01, method=method, loss=10)
         assert digital.status is Status.INACCURATE
         assert "separately" in digital.reason
         assert "separately" in digital.norm.reason

@@ -10,7 +10,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.specifications.loop_functions import loop_functions, loop_functions_of
+from robustlab.synthesis.specifications.loop_functions import loop_functions
 from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, performance_weight
 
 OMEGA = np.geomspace(1e-3, 1e3, 60)
@@ -42,7 +42,7 @@ def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
     G = random_model(rng, 4, 2, 3)
     weights = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
     design = mixsyn(G, *weights, gamma_rel=1.0)
-    loop = loop_functions_of(design)
+    loop = loop_functions(design)
     assert loop.is_stable()
     assert loop.S.n_states == G.n_states + design.K.n_states  # no weight's states
     g, k = frequency_response(G, OMEGA), frequency_response(design.K, OMEGA)
@@ -60,7 +60,7 @@ def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
 def test_a_weight_of_too_few_outputs_bounds_nothing():
     rng = np.random.default_rng(5)
     design = mixsyn(random_model(rng, 3, 2, 2), 1.0, [[1.0, 0.0]], gamma_rel=1.0)
-    bound = loop_functions_of(design).bound("KS", OMEGA)
+    bound = loop_functions(design).bound("KS", OMEGA)
     assert bound is not None
     assert np.isinf(bound).all()
 
@@ -68,7 +68,7 @@ def test_a_weight_of_too_few_outputs_bounds_nothing():
 def test_other_designs_measure_y_in_positive_feedback():
     P = StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     design = hinf(P, n_meas=1, n_con=1)
-    loop = loop_functions_of(design)
+    loop = loop_functions(design)
     g = 1 / (1j * OMEGA - 1)
     k = frequency_response(design.K, OMEGA)[:, 0, 0]
     np.testing.assert_allclose(frequency_response(loop.S, OMEGA)[:, 0, 0], 1 / (1 - g * k), rtol=1e-9)

@@ -13,7 +13,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.loop_shaping import ncf
-from robustlab.synthesis.specifications.loop_functions import loop_functions_of
+from robustlab.synthesis.specifications.loop_functions import loop_functions
 from robustlab.uncertainty.distances.coprime import four_block
 from robustlab.uncertainty.distances.gap_metric import nu_gap
 
@@ -92,7 +92,7 @@ def test_sign_positive_feedback_of_k_and_negative_feedback_of_minus_k():
     assert feedback(open_loop, unit, 1).is_stable()
     assert not feedback(open_loop, unit, -1).is_stable()
     # K_n = -K in u = K_n (r - y) tracks: integral action of W1 makes T(0) = 1.
-    loop = loop_functions_of(design)
+    loop = loop_functions(design)
     np.testing.assert_allclose(loop.T.dc_gain(), [[1.0]], atol=1e-9)
 
 

@@ -91,7 +91,7 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "observability": (rl.observability, "observability", True),
     "frequency_response": (lambda m: rl.frequency_response(m, [0.0, 1.0]), "frequency_response", True),
     "hankel_singular_values": (rl.hankel_singular_values, "hankel_singular_values", True),
-    "balanced_truncation": (lambda m: rl.balanced_truncation(m, 1), "balanced_truncation", True),
+    "truncated": (lambda m: rl.reduce_model(m, 1), "reduce_model", True),
     "reduce_model": (lambda m: rl.reduce_model(m, 1, method="residualisation"), "reduce_model", True),
     "simulate": (simulated, "simul", True),
     "discretise": (lambda m: m if m.dt else rl.discretise(m, 0.1), "discretise", True),
@@ -314,7 +314,7 @@ ENTANGLED = Model(np.diag([1.0, -1.0]), [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]])
         (lambda: rl.gap(ENTANGLED, ENTANGLED), "gap"),
         (lambda: rl.nu_gap(ENTANGLED, UNSTABLE), "nu_gap"),
         (lambda: rl.ncf(ENTANGLED), "synth ncf"),
-        (lambda: rl.balanced_truncation(UNSTABLE, 0), "balanced_truncation"),
+        (lambda: rl.reduce_model(UNSTABLE, 0), "reduce_model"),
         (lambda: rl.reduce_model(ENTANGLED, 1, method="coprime"), "reduce_model"),
     ],
 )

@@ -59,7 +59,7 @@ def test_the_reduced_model_is_balanced_with_the_first_hankel_values(dt, method):
 @pytest.mark.parametrize("dt", [0.0, 0.2])
 def test_truncation_is_exact_at_high_and_residualisation_at_zero_frequency(dt):
     G = stable_model(8, 5, dt)
-    assert np.array_equal(rl.balanced_truncation(G, 3).model.D, G.D)
+    assert np.array_equal(rl.reduce_model(G, 3).model.D, G.D)
     slow = rl.reduce_model(G, 3, method="residualisation").model
     np.testing.assert_allclose(slow.dc_gain(), G.dc_gain(), rtol=1e-9)
 
@@ -68,7 +68,7 @@ def test_truncation_of_two_states_by_hand():
     # Balanced already: A_ij = -b_i b_j / (s_i + s_j) solves A S + S A^T + B B^T = 0 with S = diag(s), and C = B^T.
     sigma, b = np.array([2.0, 0.1]), np.array([1.0, 0.5])
     G = rl.StateSpaceModel(-np.outer(b, b) / np.add.outer(sigma, sigma), b[:, None], b[None], [[0.0]])
-    found = rl.balanced_truncation(G, 1)
+    found = rl.reduce_model(G, 1)
     np.testing.assert_allclose(found.hankel, sigma, rtol=1e-12)
     np.testing.assert_allclose(found.model.poles(), [-0.25], rtol=1e-10)  # -b1^2 / (2 s1)
     assert found.bound == pytest.approx(0.2, rel=2e-9)  # never below what is proved of the error
@@ -104,7 +104,7 @@ def test_repeated_hankel_values_count_once_in_the_bound():
     both = rl.StateSpaceModel(
         *(np.kron(np.eye(2), getattr(G, name)) for name in "ABCD"), inputs=["u1", "u2"], outputs=["y1", "y2"]
     )
-    single, double = rl.balanced_truncation(G, 1), rl.balanced_truncation(both, 2)
+    single, double = rl.reduce_model(G, 1), rl.reduce_model(both, 2)
     assert double.bound == pytest.approx(single.bound, rel=1e-8)
     assert double.error.upper == pytest.approx(single.error.upper, rel=1e-5)
 
@@ -121,7 +121,7 @@ def test_modes_that_are_not_stable_are_kept(dt):
     ])  # fmt: skip
     n = len(A)
     full = rl.StateSpaceModel(A, np.ones((n, 1)), np.ones((1, n)), [[0.5]], dt)
-    found = rl.balanced_truncation(full, n - 3)
+    found = rl.reduce_model(full, n - 3)
     assert found.n_apart == len(unstable) + 1
     kept = np.concatenate([np.linalg.eigvals(unstable), integrator[0]])
     for pole in kept:
@@ -130,7 +130,7 @@ def test_modes_that_are_not_stable_are_kept(dt):
     assert difference_on_grid(full, found.model, omega) <= found.error.upper * (1 + 1e-6)
     assert found.status is Status.CERTIFIED
     with pytest.raises(rl.InputError, match="not stable and are kept apart"):
-        rl.balanced_truncation(full, found.n_apart - 1)
+        rl.reduce_model(full, found.n_apart - 1)
 
 
 def test_the_parts_of_a_split_add_up():
@@ -166,7 +166,7 @@ def test_coprime_factors_reduce_unstable_modes_and_bound_the_gap(dt):
 def test_a_weight_moves_the_error_out_of_its_band():
     G = stable_model(10, 7, m=1, p=1)
     low = rl.StateSpaceModel([[-0.5]], [[0.5]], [[1.0]], [[1e-3]])
-    plain_one, weighted = rl.balanced_truncation(G, 4), rl.reduce_model(G, 4, input_weight=low, output_weight=low)
+    plain_one, weighted = rl.reduce_model(G, 4), rl.reduce_model(G, 4, input_weight=low, output_weight=low)
     band = np.linspace(0, 0.3, 40)
     assert difference_on_grid(G, weighted.model, band) < 0.5 * difference_on_grid(G, plain_one.model, band)
     assert np.isnan(weighted.bound)
@@ -188,9 +188,9 @@ def test_enns_gramians_are_blocks_of_the_weighted_models():
 
 def test_tolerance_takes_the_lowest_order_that_keeps_it():
     G = stable_model(9, 11)
-    errors = [rl.balanced_truncation(G, r).error.upper for r in range(9)]
+    errors = [rl.reduce_model(G, r).error.upper for r in range(9)]
     tolerance = 0.5 * (errors[4] + errors[3])
-    found = rl.balanced_truncation(G, tolerance=tolerance)
+    found = rl.reduce_model(G, tolerance=tolerance)
     assert found.order == min(r for r in range(9) if errors[r] <= tolerance)
     assert found.error.upper <= tolerance
 
@@ -216,7 +216,7 @@ def test_sizes_at_the_edge(n_u, method):
 
 
 def test_to_json_and_summary_carry_the_evidence():
-    found = rl.balanced_truncation(stable_model(4, 1), 2)
+    found = rl.reduce_model(stable_model(4, 1), 2)
     data = plain(found)
     assert data["order"] == 2
     assert data["full_order"] == 4
@@ -227,7 +227,7 @@ def test_to_json_and_summary_carry_the_evidence():
 
 
 def test_python_control_objects_come_in():
-    found = rl.balanced_truncation(control.tf([1.0], [1.0, 3.0, 2.0]), 1)
+    found = rl.reduce_model(control.tf([1.0], [1.0, 3.0, 2.0]), 1)
     assert found.order == 1
     assert found.status is Status.CERTIFIED
 

@@ -179,7 +179,7 @@ def test_time_domain_takes_it_as_it_is_real():
 
 def test_algebra():
     uncertain = model_for(BLOCKS)
-    assert uncertain.reduce().blocks == tuple(BLOCKS) == rl.centred(uncertain).blocks
+    assert uncertain.reduce().blocks == tuple(BLOCKS) == uncertain.centred().blocks
     with pytest.raises(InputError, match="several operands"):
         uncertain + uncertain
     direct = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.diag([0.9, 0.5, 0.0])), BLOCKS)

@@ -29,7 +29,7 @@ def flexible():
 
 def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
     lines: list[str] = []
-    found = rl.discretise_controller(design, 1e-3, progress=lines.append)
+    found = rl.discretise(design, 1e-3, progress=lines.append)
     assert found.status is Status.CERTIFIED
     assert abs(found.loss) < 0.01
     assert {t.method for t in found.trials} >= {"tustin", "zoh", "foh", "matched"}
@@ -50,7 +50,7 @@ def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
 def test_on_a_flexible_chain_the_direct_design_loses_little_where_no_formula_is_stable(flexible):
     plant, design = flexible
     dt = 2 * np.pi / (12 * crossover(plant, design.K))
-    found = rl.discretise_controller(design, dt)
+    found = rl.discretise(design, dt)
     assert found.chosen == "direct"
     assert found.loss < 0.1
     assert all(not np.isfinite(t.upper) for t in found.trials if t.method != "direct")
@@ -69,20 +69,20 @@ def test_one_method_alone_and_its_failure_by_name(flexible):
     plant, design = flexible
     dt = 2 * np.pi / (12 * crossover(plant, design.K))
     with pytest.raises(rl.NoTrustworthyNumber, match="no digital controller") as caught:
-        rl.discretise_controller(design, dt, method="zoh")
+        rl.discretise(design, dt, method="zoh")
     assert any(line.startswith("zoh: ") for line in caught.value.more)
 
 
 def test_a_delay_costs_and_the_direct_design_knows_it(design):
-    losses = [rl.discretise_controller(design, 0.3, method="direct", delay=delay).loss for delay in (0.0, 0.45)]
+    losses = [rl.discretise(design, 0.3, method="direct", delay=delay).loss for delay in (0.0, 0.45)]
     assert losses[0] < losses[1]
-    tustin = rl.discretise_controller(design, 0.3, method="tustin", delay=0.45).loss
+    tustin = rl.discretise(design, 0.3, method="tustin", delay=0.45).loss
     assert losses[1] < tustin * 1.02 + 0.02
 
 
 def test_scalings_scale_the_sampled_loop(design):
     d = rl.StateSpaceModel([], [], [], np.diag([2.0, 1.0])), rl.StateSpaceModel([], [], [], np.diag([0.5, 1.0]))
-    found = rl.discretise_controller(design, 0.01, method="tustin", scalings=d)
+    found = rl.discretise(design, 0.01, method="tustin", scalings=d)
     scaled = rl.StateSpaceModel([[-1.0]], [[0.5, 0, 1]], [[2], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     expected = rl.sampled_data_norm(scaled, found.K, n_meas=1, n_con=1)
     assert found.gamma == pytest.approx(expected.upper, rel=1e-9)
@@ -95,7 +95,7 @@ def test_pathological_sampling_of_an_oscillator_is_named():
     )
     design = rl.hinf(P, 1, 1, gamma_rel=1.0)
     with pytest.raises(rl.NoTrustworthyNumber) as caught:
-        rl.discretise_controller(design, np.pi / 10, method="tustin")
+        rl.discretise(design, np.pi / 10, method="tustin")
     assert any("pathological sampling" in line for line in caught.value.more)
 
 
@@ -115,20 +115,19 @@ def test_lifting_repeats_the_plant_over_a_period():
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((LOW, 0.1), {}, "K is missing"),
-        ((LOW, 0.0, rl.StateSpaceModel([], [], [], [[-1.0]])), {}, "sample time is 0"),
-        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]], 0.1)), {}, "dt = 0.1 s already"),
-        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0, 1.0]])), {"n_meas": 1}, "K is 1 x 2"),
-        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]])), {"method": "tusting"}, "did you mean tustin"),
-        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]])), {"delay": -1.0}, "delay is -1"),
-        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]])), {"loss": -1.0}, "loss -1"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.0), {}, "sample time is 0"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]], 0.1), 0.1), {}, "dt = 0.1 s already"),
+        ((rl.StateSpaceModel([], [], [], np.ones((1, 4))), 0.1), {}, "measurements"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"method": "tusting"}, "did you mean tustin"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"delay": -1.0}, "delay is -1"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"loss": -1.0}, "loss -1"),
     ],
 )
 def test_bad_requests_are_named(arguments, options, message):
     with pytest.raises(rl.InputError, match=message):
-        rl.discretise_controller(*arguments, **options)
+        rl.discretise(*arguments, plant=LOW, **options)
 
 
 def test_a_continuous_loop_that_is_not_stable():
     with pytest.raises(rl.NoTrustworthyNumber, match="the continuous loop is not stable"):
-        rl.discretise_controller(LOW, 0.1, rl.StateSpaceModel([], [], [], [[5.0]]))
+        rl.discretise(rl.StateSpaceModel([], [], [], [[5.0]]), 0.1, plant=LOW)

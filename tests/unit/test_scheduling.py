@@ -16,6 +16,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import lower_lft
+from robustlab.synthesis import LPVController
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality, _closely_definite
 
@@ -320,7 +321,7 @@ def vertex(a: float) -> rl.StateSpaceModel:
 
 
 def test_of_a_plant_that_does_not_vary_it_is_hinf():
-    design = rl.lpv_hinf(rl.LPVModel({"a": [0, 1]}, [vertex(0.0), vertex(0.0)]), 1, 1)
+    design = rl.hinf(rl.LPVModel({"a": [0, 1]}, [vertex(0.0), vertex(0.0)]), 1, 1)
     exact = np.sqrt(2.0)  # 1/s with unit weights
     assert design.status is Status.CERTIFIED
     assert design.lmi_gamma == pytest.approx(exact, rel=1e-4)
@@ -342,7 +343,7 @@ def test_a_scheduled_loop_keeps_what_is_proved_along_its_parameters():
 
 def test_a_bounded_rate_gives_a_verified_controller_that_does_not_need_it():
     plant = shown_objects.scheduled_plant().refined(2).with_rates(a=0.1)
-    design = rl.lpv_hinf(plant, 1, 1, "varying")
+    design = rl.hinf(plant, 1, 1, lyapunov="varying")
     assert design.status is Status.CERTIFIED
     assert "da/dt" in design.gain.scope
     assert design.K.grid == (3,)
@@ -355,7 +356,7 @@ def test_a_control_matrix_that_varies_is_bounded_between_the_points():
         return rl.StateSpaceModel(m.A, [[1, 0, b]], m.C, m.D)
 
     plant = rl.LPVModel({"b": np.linspace(1, 2, 5)}, [gained(b) for b in np.linspace(1, 2, 5)])
-    design = rl.lpv_hinf(plant, 1, 1)
+    design = rl.hinf(plant, 1, 1)
     assert design.status is Status.CERTIFIED
     assert design.closed_loop.deviation.max() > 0
     for b in np.random.default_rng(0).uniform(1, 2, 20):
@@ -366,7 +367,7 @@ def test_the_published_spinning_disks_are_beaten_and_a_simulation_stays_below():
     """Wu 1995, in LPVTools' manual: 1.3361, of which up to a fifth is given away for conditioning; no frozen loop gets
     below 0.8150. Weights with poles at 0.04 and 40000 rad/s."""
     plant = disks_plant()
-    design = rl.lpv_hinf(plant, 2, 1)
+    design = rl.hinf(plant, 2, 1)
     assert design.status is Status.CERTIFIED
     assert design.gain.recheck()
     assert 0.8150 < design.lmi_gamma <= design.gamma < 1.16
@@ -385,7 +386,7 @@ def test_controllers_come_in_states_of_moderate_entries():
         return rl.StateSpaceModel([[a]], B, C, D)
 
     plant = rl.LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)])
-    design = rl.lpv_hinf(plant, 1, 1)
+    design = rl.hinf(plant, 1, 1)
     assert design.status is Status.CERTIFIED
     assert np.abs(design.K.matrices).max() < 2e5
     # No unit of the state makes its row and column smaller, and the units are the same at both points.
@@ -403,8 +404,8 @@ def test_a_mode_that_no_controller_reaches_gives_no_controller():
             np.diag([a, 1.0]), np.vstack([m.B, [[1, 0, 0]]]), np.hstack([m.C, [[1], [0], [0]]]), m.D
         )
 
-    with pytest.raises(NoTrustworthyNumber, match="lpv_hinf"):
-        rl.lpv_hinf(rl.LPVModel({"a": [-1, 0]}, [hopeless(-1), hopeless(0)]), 1, 1)
+    with pytest.raises(NoTrustworthyNumber, match="hinf"):
+        rl.hinf(rl.LPVModel({"a": [-1, 0]}, [hopeless(-1), hopeless(0)]), 1, 1)
 
 
 # --- files and errors ------------------------------------------------------------------------------------------------
@@ -421,7 +422,7 @@ def test_models_and_controllers_come_back_from_files(tmp_path):
     np.testing.assert_array_equal(back.deviation, model.deviation)
     rl.save(tmp_path / "k.h5", shown_objects.scheduled().controller)
     controller = rl.load(tmp_path / "k.h5")
-    assert isinstance(controller, rl.LPVController)
+    assert isinstance(controller, LPVController)
     assert controller.gamma == shown_objects.scheduled().gamma
     assert controller.status is Status.CERTIFIED
     rl.save(tmp_path / "g.h5", shown_objects.scheduled().gain)
@@ -462,8 +463,7 @@ def test_a_damaged_file_is_refused_by_name(tmp_path):
         (lambda: rl.lpv_model(lag(1.0)), "a function of the parameters"),
         (lambda: rl.lpv_gain(lag(1.0)), "an LPVModel"),
         (lambda: rl.lpv_gain(lags(), "quadratic"), "'constant' or 'varying'"),
-        (lambda: rl.lpv_hinf(lags(), 1, 1), "at least one w and z"),
-        (lambda: rl.lpv_hinf(lag(1.0), 1, 1), "an LPVModel"),
+        (lambda: rl.hinf(lags(), 1, 1), "at least one w and z"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_said_in_one_line(make, text):

@@ -64,7 +64,7 @@ def test_a_peak_that_is_a_millionth_of_what_cancels_in_it_is_not_missed():
 
 
 def test_an_unstable_mode_of_huge_gain_adds_what_its_rounding_may_be():
-    quiet, loud = (rl.balanced_truncation(mixed([[0.5]], gain), 3) for gain in (1.0, 1e14))
+    quiet, loud = (rl.reduce_model(mixed([[0.5]], gain), 3) for gain in (1.0, 1e14))
     assert quiet.status is loud.status is Status.CERTIFIED
     assert quiet.left_out == loud.left_out == ()
     assert quiet.error.upper <= quiet.bound * (1 + 1e-2)
@@ -80,7 +80,7 @@ def test_an_unstable_mode_of_huge_gain_adds_what_its_rounding_may_be():
     ([[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]], 0.1, 2.0),
 ])  # fmt: skip
 def test_around_a_mode_on_the_boundary_nothing_is_proved_and_this_is_said(apart, dt, centre):
-    found = rl.balanced_truncation(mixed(apart, 1.0, 1, dt), len(apart) + 1)
+    found = rl.reduce_model(mixed(apart, 1.0, 1, dt), len(apart) + 1)
     assert found.status is Status.CERTIFIED
     ((low, high),) = found.left_out
     assert low <= centre <= high
@@ -94,10 +94,10 @@ def test_what_is_not_rounded_is_proved_everywhere():
     apart = rl.StateSpaceModel(np.diag([-1.0, -50.0, 0.0]), np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
     upper = rl.StateSpaceModel([[-1.0, 2.0], [0.0, 0.0]], [[3.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     for model, order in ((apart, 2), (upper, 1)):
-        found = rl.balanced_truncation(model, order)
+        found = rl.reduce_model(model, order)
         assert (found.status, found.left_out) == (Status.CERTIFIED, ())
     # A model without stable modes comes back as it is.
-    kept = rl.balanced_truncation(rl.StateSpaceModel(np.eye(2), [[1.0], [1e9]], [[1.0, 0.1]], [[0.0]]), 2)
+    kept = rl.reduce_model(rl.StateSpaceModel(np.eye(2), [[1.0], [1e9]], [[1.0, 0.1]], [[0.0]]), 2)
     assert np.array_equal(kept.model.A, np.eye(2))
     assert kept.error.upper == 0.0
 

@@ -15,6 +15,7 @@ from robustlab.errors import InputError
 from robustlab.files.tree import KINDS, Tree
 from robustlab.storage.codecs import CODECS, codec_of
 from robustlab.storage.matrices import Problems
+from robustlab.synthesis import LPVController
 
 G = rl.ss([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
 H = rl.ss([[-1.5, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
@@ -55,7 +56,7 @@ def things():
         "delayed": rl.with_delays(G, {0: 0.1}),
         "frequency-data": rl.frequency_data(uncertain, [1.0, 2.0, 3.0]),
         "lpv": scheduled,
-        "lpv-controller": rl.LPVController(scheduled),
+        "lpv-controller": LPVController(scheduled),
         "controller": rl.Controller(G, takes="r - y"),
         "record": rl.Record(t, {"u": np.sin(t)}, {"y": np.cos(t)}),
         "plant": rl.plant("servo-axis"),

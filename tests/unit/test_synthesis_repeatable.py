@@ -110,7 +110,7 @@ def designs(time_limit: float) -> dict[str, Callable[[], Any]]:
         "h2-hinf": lambda: rl.h2_hinf(
             P, 2, 2, gamma=1.1 * K.gamma, h2_outputs=names, hinf_outputs=names, **limit
         ),
-        "discretise": lambda: rl.discretise_controller(P, 0.01, K.K, **limit),
+        "discretise": lambda: rl.discretise(K, 0.01, plant=P, **limit),
     }  # fmt: skip
 
 

@@ -141,7 +141,7 @@ def test_a_chosen_output_of_a_sampled_plant_follows():
         into = np.array([1.0, *y])
         x, k = sampled.A @ x + sampled.B @ (design.K.C @ k + design.K.D @ into), design.K.A @ k + design.K.B @ into
     assert (sampled.C @ x)[1] == pytest.approx(1.0, abs=1e-6)
-    assert rl.loop_functions_of(design).S.n_inputs == 2  # of the measurements, without the reference
+    assert rl.loop_functions(design).S.n_inputs == 2  # of the measurements, without the reference
 
 
 @pytest.mark.parametrize(

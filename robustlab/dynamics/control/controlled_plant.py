@@ -111,7 +111,7 @@ def loop_parts(
         found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
         raise InputError(f"{where}: controller", found, f"{sizes[0]} and {sizes[1]}")
     if model.is_discrete:
-        hint = "the design before its step discretise; that step (rl.discretise_controller) judges the sampled loop"
+        hint = "the design before its step discretise; that step (rl.discretise) judges the sampled loop"
         raise InputError(f"{where}: controller", f"a discrete one, dt = {model.dt:g} s", "a continuous one", hint)
     return model, c, m
 

@@ -358,7 +358,7 @@ class FmuPlant(NonlinearPlant):
 
     Examples
     --------
-    ``axis = rl.FmuPlant("axis.fmu", mass=(1.2, 0.1))``, then as any plant: ``rl.linearise(axis)``.
+    ``axis = rl.plant("axis.fmu", mass=(1.2, 0.1))``, then as any plant: ``rl.linearise(axis)``.
     """
 
     process: UnitProcess

@@ -380,7 +380,7 @@ def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFreq
         name = next(b.name for b in data.blocks if not b.is_symmetric)
         found, hint = (
             f"the range of {name!r} is wider on one side",
-            "rl.centred(model) has the same set about its middle",
+            "model.centred() is the same set about its middle",
         )
         raise InputError(where, found, "symmetric ranges", hint)
     return data

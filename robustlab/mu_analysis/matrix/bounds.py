@@ -16,6 +16,7 @@ from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls, has_structure
 from robustlab.mu_analysis.matrix.decomposition import components
 from robustlab.mu_analysis.matrix.lower import lower_bounds
+from robustlab.mu_analysis.matrix.skew import skewed
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
@@ -103,8 +104,10 @@ def mu(
     tolerance: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
+    *,
+    fixed: Sequence[str | int] = (),
 ) -> MuBounds:
-    r"""Bounds of the structured singular value.
+    r"""Bounds of the structured singular value; of the skewed one where some blocks keep their size.
 
     .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}
 
@@ -114,13 +117,17 @@ def mu(
     explicit Delta. What lies between them is not known; with ``tolerance`` branch and bound over the real parameters
     closes it.
 
+    With ``fixed`` these blocks keep size one, and the size of the others is sought:
+
+    .. math:: \nu(M) = 1 / \min \{ \|\Delta_v\| : \|\Delta_f\| \le 1, \; \det(I - M \, diag(\Delta_f, \Delta_v)) = 0 \}
+
     Parameters
     ----------
     M
         Complex matrix (p, q), or a stack (k, p, q); Delta is (q, p).
     blocks
         Blocks, or rows of MATLAB's ``mussv``: ``[-r, 0]`` real and ``[r, 0]`` complex scalar repeated r times,
-        ``[r, c]`` full.
+        ``[r, c]`` full; these are called ``delta1``, ``delta2``, ...
     seed
         Seed of the starting points of the lower bound.
     tolerance
@@ -134,18 +141,22 @@ def mu(
         counted, not timed.
     certify
         Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
+    fixed
+        Names or indices of the blocks that stay at size one; neither ``certify`` nor ``tolerance`` goes with it.
 
     Returns
     -------
     MuBounds
         Both bounds with what proves them: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
-        leading axis k for a stack.
+        leading axis k for a stack. With ``fixed``, ``lower`` is attained by ``delta`` (fixed blocks within one, the
+        others of size ``1 / lower``); ``D``, ``G`` prove level one of M with the inputs of the varying blocks divided
+        by ``upper``, which is inf where the fixed blocks alone could not be shown to leave ``I - M Delta`` regular.
 
     Raises
     ------
     InputError
         NaN or Inf, a shape that does not fit the blocks, or a parameter whose range is not symmetric: its delta does
-        not fill [-1, 1] times one number.
+        not fill [-1, 1] times one number; unknown names in ``fixed``, or all blocks.
     NoTrustworthyNumber
         A lower bound above the upper one, or an upper bound that ball arithmetic does not confirm.
     DependencyMissing
@@ -153,24 +164,33 @@ def mu(
 
     References
     ----------
-    Doyle (1982); Fan, Tits, Doyle, IEEE TAC 36 (1991); Young, Doyle (1990).
+    Doyle (1982); Fan, Tits, Doyle, IEEE TAC 36 (1991); Young, Doyle (1990). Skewed: Fan, Tits (1992); Ferreres (1999).
 
     Examples
     --------
     >>> bounds = mu([[0.0, 4.0], [1.0, 0.0]], [[1, 0], [1, 0]])
     >>> round(bounds.lower, 6), round(bounds.upper, 6)
     (2.0, 2.0)
+    >>> skewed = mu([[0.5, 1.0], [1.0, 0.0]], [[1, 0], [1, 0]], fixed=["delta1"])
+    >>> round(skewed.lower, 6), round(skewed.upper, 6)
+    (2.0, 2.0)
     """
     structure = as_blocks(blocks)
-    _refuse_asymmetric(structure)
+    if not len(fixed):
+        _refuse_asymmetric(structure)
     stack, single = matrix_stack(M, structure)
     if tolerance is not None and not tolerance > 0:
         raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
     if tolerance is not None:
         compile_kernels()
+    if len(fixed) and (certify or tolerance is not None):
+        found = "certify" if certify else "tolerance"
+        raise InputError(f"mu: {found}", "given with fixed blocks", "neither certify nor tolerance with them")
     budget = search_budget("mu", TUNING.work, effort, time_limit)
     with one_thread():
-        parts, status = _bounds(stack, structure, seed, certify)
+        parts, status = (
+            skewed(stack, structure, fixed, seed) if len(fixed) else _bounds(stack, structure, seed, certify)
+        )
         if tolerance is not None:
             parts["boxes"] = _close(stack, parts, structure, tolerance, budget)
     if single:

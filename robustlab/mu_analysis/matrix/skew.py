@@ -18,12 +18,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, ComplexArray, Mask
-from robustlab.budget import one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.mu_analysis.matrix.bounds import MuBounds, matrix_stack
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.mu_analysis.matrix.box import root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
 from robustlab.mu_analysis.matrix.decomposition import entries
@@ -33,80 +30,54 @@ from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 
-@told_as("skew_mu")
-@one_thread()
-def skew_mu(M: ArrayLike, blocks: Any, fixed: Sequence[str], seed: int = 0) -> MuBounds:
-    r"""Bounds of skewed mu: the blocks named in ``fixed`` keep ``|Delta| <= 1``, the size of the others is sought.
-
-    Parameters
-    ----------
-    M
-        Complex matrix (p, q), or a stack (k, p, q); Delta is (q, p).
-    blocks
-        Blocks, or rows of MATLAB's ``mussv`` (then called ``delta1``, ``delta2``, ...).
-    fixed
-        Names of the blocks that stay at size one.
-    seed
-        Seed of the starting points of the lower bound.
-
-    Returns
-    -------
-    MuBounds
-        ``lower`` is attained by ``delta`` (fixed blocks within one, the others of size ``1 / lower``); ``D``, ``G``
-        prove level one of M with the inputs of the varying blocks divided by ``upper``. ``upper`` is inf where the
-        fixed blocks alone could not be shown to leave ``I - M Delta`` regular.
-
-    Raises
-    ------
-    InputError
-        Unknown names, all blocks fixed, NaN or Inf, or a shape that does not fit the blocks.
-
-    Examples
-    --------
-    >>> bounds = skew_mu([[0.5, 1.0], [1.0, 0.0]], [[1, 0], [1, 0]], fixed=["delta1"])
-    >>> round(bounds.lower, 6), round(bounds.upper, 6)
-    (2.0, 2.0)
-    """
-    structure = as_blocks(blocks)
-    stack, single = matrix_stack(M, structure)
+def skewed(
+    stack: ComplexArray, structure: tuple[Block, ...], fixed: Sequence[str | int], seed: int
+) -> tuple[dict[str, Any], Status]:
+    """Both bounds of skewed mu of each matrix with what proves them, as fields of `MuBounds`, and their status."""
     varying = varying_inputs(structure, fixed)
     q, p = structure_size(structure)
-    found = [skew_upper(m, structure, varying) for m in stack]
+    proved = [skew_upper(m, structure, varying) for m in stack]
     attained = [skew_lower(m, structure, varying, seed) for m in stack]
     lower = np.array([value for value, _ in attained])
-    upper = np.array([level for level, _ in found])
+    upper = np.array([level for level, _ in proved])
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     zero = np.zeros((q, p), dtype=complex)
     parts: dict[str, Any] = {
+        "lower": lower,
+        "upper": upper,
+        "scaled": upper,
         "delta": np.stack([zero if d is None else d for _, d in attained]),
-        "D": np.stack([b.Dw for _, b in found]),
-        "G": np.stack([b.G for _, b in found]),
-        "D_z": np.stack([b.Dz for _, b in found]),
+        "D": np.stack([b.Dw for _, b in proved]),
+        "G": np.stack([b.G for _, b in proved]),
+        "D_z": np.stack([b.Dz for _, b in proved]),
     }
     if (lower > upper).any():
         found = f"lower bound {float(lower.max()):.12g} above upper bound {float(upper.min()):.12g}: digits were lost"
-        raise NoTrustworthyNumber("skew_mu", found)
+        raise NoTrustworthyNumber("mu", found)
     sure = bool(np.isfinite(upper).all())
     status = Status.CERTIFIED if sure and (lower > 0).all() else Status.CONVERGED if sure else Status.INACCURATE
-    if single:
-        parts = {key: value[0] for key, value in parts.items()}
-        return MuBounds(float(lower[0]), float(upper[0]), **parts, status=status, blocks=structure)
-    return MuBounds(lower, upper, **parts, status=status, blocks=structure)
+    return parts, status
 
 
-def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str]) -> Mask:
+def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str | int]) -> Mask:
     """True for the inputs of M (entries of w) that belong to blocks whose size is sought, shape (q,)."""
     names = [b.name for b in blocks]
-    for name in fixed:
-        if name not in names:
-            hint = did_you_mean(name, tuple(names))
-            raise InputError("skew_mu: fixed", f"no block {name!r}", f"some of {', '.join(names)}", hint)
-    varying = [b.name not in fixed for b in blocks]
+    kept: set[str] = set()
+    for given in fixed:
+        is_index = isinstance(given, (int, np.integer)) and not isinstance(given, bool)
+        if is_index and -len(names) <= int(given) < len(names):
+            kept.add(names[int(given)])
+        elif isinstance(given, str) and given in names:
+            kept.add(given)
+        else:
+            hint = did_you_mean(given, tuple(names)) if isinstance(given, str) else None
+            raise InputError("mu: fixed", f"no block {given!r}", f"some of {', '.join(names)}", hint)
+    varying = [b.name not in kept for b in blocks]
     if not any(varying):
-        raise InputError("skew_mu: fixed", "all blocks are fixed", "at least one whose size is sought")
+        raise InputError("mu: fixed", "all blocks are fixed", "at least one whose size is sought")
     return np.repeat(np.array(varying, dtype=bool), [b.rows for b in blocks])
 
 

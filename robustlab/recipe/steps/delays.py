@@ -50,8 +50,10 @@ class DelaysStep(Step):
     foretell = same_signals
 
     def run(self, work: Workspace) -> Outcome:
+        from robustlab.delays import uncertain_delays
+
         given = work.values[self.of]
-        found = rl.uncertain_delays(
+        found = uncertain_delays(
             rl.linearise(given) if hasattr(given, "parameters") else given,
             self.inputs,
             self.outputs,
@@ -61,7 +63,7 @@ class DelaysStep(Step):
         facts = [Fact(b.name, f"{b.rows} channels", b.origin) for b in found.blocks if b.origin]
         for kind, longest in (("delay", self.neglected_delays), ("lag", self.neglected_lags)):
             for name, length in longest.items():
-                weight = rl.neglected_delay(length) if kind == "delay" else rl.neglected_lag(length)
+                weight = rl.neglected_dynamics(**{kind: length})
                 found = _neglecting(found, name, weight, f"{name}: neglected {kind}")
                 facts.append(Fact(f"{name}: neglected {kind}", f"up to {length:g} s", PROOFS[kind]))
         note = "The errors are bounded for all frequencies: what is proved holds for the exact delays and lags."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -383,8 +382,7 @@ class TuneStep(Step):
         options: dict[str, Any] = self.model_dump(include={"starts", "effort", "time_limit"})
         found = rl.tune(models, words, goals, seed=work.seed, **options)
         _draw_loop(found, work)
-        outcome = designed(found, f"Controller of structure {self.structure} for {self.of}.", work)
-        return replace(outcome, numbers={**outcome.numbers, "missed": len(found.missed)})
+        return designed(found, f"Controller of structure {self.structure} for {self.of}.", work)
 
 
 @step
@@ -490,13 +488,10 @@ def tracking_loop(system: Any, controller: Any) -> Any:
 
 def designed(found: Any, summary: str, work: Workspace) -> Outcome:
     """What a design leaves: every number of it that stands alone, and what a person wants to read."""
-    from robustlab.synthesis.problem.performance_limits import limits_in_words
-
     work.keep(found)
-    numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
-    numbers["stable"] = found.closed_loop_abscissa < 0
+    numbers = {key: value for key, value in found.numbers().items() if value is not None}
     reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
-    text = "\n".join(["What limits any controller of this plant:", *limits_in_words(found)])
+    text = "\n".join(line for part in found.details() for line in (f"{part.title}:", *(row[0] for row in part.rows)))
     return Outcome(found.controller, f"{summary} {reason}.", numbers, facts_of(found), found.status, (), text)
 
 

@@ -49,8 +49,8 @@ class DiscretiseStep(Step):
 
         K = as_model(work.values[self.of], self.of)
         plant = _uncertain(work.values[self.plant])
-        found = rl.discretise_controller(
-            plant.nominal, self.dt, K, method=self.method, loss=self.loss, delay=self.delay,
+        found = rl.discretise(
+            K, self.dt, plant=plant.nominal, method=self.method, loss=self.loss, delay=self.delay,
             antialiasing=self.antialiasing, prewarp=self.prewarp, effort=self.effort, time_limit=self.time_limit,
         )  # fmt: skip
         outcome = designed(found, f"{self.of} with a sample time of {self.dt:g} s.", work)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -401,12 +400,7 @@ class ReduceModelStep(Step):
             work.values[self.of], self.order, tolerance=self.tolerance, method=self.method,
             band=as_pair(self.band), floor=self.floor, **weights,
         )  # fmt: skip
-        numbers = {
-            "order": found.order, "error": found.error.upper, "states": found.full.n_states,
-            "bound": None if math.isnan(found.bound) else found.bound, "n_apart": found.n_apart,
-            "hankel": found.hankel, "stable": found.model.is_stable(),
-        }  # fmt: skip
-        return told(found, found.model, f"{self.of} with {found.order} states.", numbers, work)
+        return told(found, found.model, f"{self.of} with {found.order} states.", found.numbers(), work)
 
 
 @step

@@ -63,6 +63,5 @@ class LpvHinfStep(ScheduledStep):
     controls: Annotated[int, Field(ge=1)] = Field(description="How many of the last inputs are controls.")
 
     def run(self, work: Workspace) -> Outcome:
-        found = rl.lpv_hinf(self.scheduled(work), self.measurements, self.controls, **self.options)
-        numbers = picked(found, *self.leaves)
-        return told(found, found.controller, f"Scheduled controller for {self.of}.", numbers, work)
+        found = rl.hinf(self.scheduled(work), self.measurements, self.controls, **self.options)
+        return told(found, found.controller, f"Scheduled controller for {self.of}.", found.numbers(), work)

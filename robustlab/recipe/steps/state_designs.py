@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import Outcome, Step, Workspace, picked, step, told
+from robustlab.recipe.steps.contract import Outcome, Step, Workspace, step, told
 from robustlab.recipe.steps.leaves import COMPLEX
 from robustlab.recipe.steps.vocabulary import Names, Positive, ToModel
 
@@ -37,8 +37,7 @@ class LqrStep(Step):
 
         model = as_model(work.values[self.of], self.of)
         found = rl.lqr(model, *integral_weights(model, {}, self.states, self.controls))
-        numbers = picked(found, *self.leaves)
-        return told(found, gain_controller(model, found), f"States of {self.of} fed back.", numbers, work)
+        return told(found, gain_controller(model, found), f"States of {self.of} fed back.", found.numbers(), work)
 
 
 @step
@@ -69,11 +68,8 @@ class LqiStep(Step):
         model = as_model(work.values[self.of], self.of)
         Q, R = integral_weights(model, self.integral, self.states, self.controls)
         found = rl.lqi(model, Q, R, outputs=list(self.integral))
-        numbers = {
-            "K": found.K, "K_i": found.K_i, "poles": found.poles, "steady_error": found.steady_error,
-            "spectral_abscissa": found.closed_loop.spectral_abscissa(),
-        }  # fmt: skip
-        return told(found, found.controller, f"{', '.join(self.integral)} of {self.of} held by states.", numbers, work)
+        said = f"{', '.join(self.integral)} of {self.of} held by states."
+        return told(found, found.controller, said, found.numbers(), work)
 
 
 @step
@@ -90,14 +86,10 @@ class KalmanStep(Step):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        import numpy as np
-
         from robustlab.statespace import as_model
         from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
 
         model = as_model(work.values[self.of], self.of)
         W = process_noise(model, self.process, "process")
         found = rl.kalman(model, W, diagonal_weight(self.measurement, model.output_names, "measurement"))
-        deviations = dict(zip(model.state_names, np.sqrt(np.maximum(np.diag(found.P), 0.0)), strict=True))
-        numbers = {"L": found.L, "poles": found.poles, "deviations": deviations}
-        return told(found, found.estimator, f"States of {self.of} from its outputs.", numbers, work)
+        return told(found, found.estimator, f"States of {self.of} from its outputs.", found.numbers(), work)

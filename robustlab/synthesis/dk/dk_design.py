@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.shown import Facts
@@ -67,6 +67,10 @@ class DKSynthesis(Tabular, Synthesis):
     parameters
         Of a controller of given structure: its parameters by name; ``K0`` of another design.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("lower", "frequency", "scaled_level", "start_mu"), float),
+    }  # fmt: skip
 
     blocks: tuple[Block, ...]
     lower: float

@@ -178,7 +178,7 @@ def structure_with_performance(
                 f"{where}: block {block.name!r}",
                 f"a range that is wider on one side ({low:g} .. {high:g})",
                 "a range that is symmetric around its nominal value",
-                "centred(uncertain) moves the nominal value to the middle",
+                "uncertain.centred() moves the nominal value to the middle",
             )
     n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
     q, p = structure_size(given)

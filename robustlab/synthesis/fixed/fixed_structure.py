@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -109,6 +109,10 @@ class FixedSynthesis(Tabular, Synthesis):
     worst
         Of an uncertain plant: the worst-case gain over the whole set.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("peak_frequency",), float),
+    }  # fmt: skip
 
     objective: str
     parameters: tuple[ParameterValue, ...]

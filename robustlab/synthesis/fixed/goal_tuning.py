@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -97,6 +97,10 @@ class TunedSynthesis(Tabular, Synthesis):
         Largest value of the soft goals after each round.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("missed", "overshoot"), float),
+    }  # fmt: skip
+
     goals: tuple[GoalValue, ...]
     limits: tuple[LimitValue, ...]
     parameters: tuple[ParameterValue, ...]
@@ -112,6 +116,10 @@ class TunedSynthesis(Tabular, Synthesis):
     def missed(self) -> tuple[GoalValue, ...]:
         """The hard goals that are not met."""
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of every design, and how many hard goals are missed."""
+        return {**super().numbers(), "missed": len(self.missed)}
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (largest soft goal, verified)" if self.history else f"{self.gamma:.6g} (largest goal)"

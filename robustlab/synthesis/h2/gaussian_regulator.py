@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,6 +71,10 @@ class LqgSynthesis(Synthesis):
     norm
         The H2 norm of the rebuilt loop.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("separation", "peak"), float),
+    }  # fmt: skip
 
     F: AnyArray
     L: AnyArray

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -56,6 +56,10 @@ class H2Synthesis(Synthesis):
     smallest_norm
         Smallest verified H2 norm of the search; K may belong to a larger regularisation within the allowed ratio of it.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("regularisation", "regularised_norm", "smallest_norm"), float),
+    }  # fmt: skip
 
     norm: H2Norm
     regularisation: float

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,6 +54,11 @@ class IntegralFeedback(Shown):
         How well.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "K": [[float]], "K_i": [[float]], "poles": [{"re": float, "im": float}],
+        "steady_error": ..., "spectral_abscissa": float,
+    }  # fmt: skip
+
     K: AnyArray
     K_i: AnyArray
     controller: Controller
@@ -63,6 +68,11 @@ class IntegralFeedback(Shown):
     X: AnyArray
     status: Status
     reason: str
+
+    @property
+    def spectral_abscissa(self) -> float:
+        """That of the closed loop; negative means stable."""
+        return self.closed_loop.spectral_abscissa()
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,12 +48,21 @@ class KalmanFilter(Shown):
         By how much the two covariances differ, and the Riccati residual.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "L": [[float]], "poles": [{"re": float, "im": float}], "deviations": {"*": float},
+    }  # fmt: skip
+
     L: AnyArray
     P: AnyArray
     estimator: StateSpaceModel
     poles: AnyArray
     status: Status
     reason: str
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviation of the error of each state."""
+        return dict(zip(self.estimator.state_names, np.sqrt(np.maximum(np.diag(self.P), 0.0)), strict=True))
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""

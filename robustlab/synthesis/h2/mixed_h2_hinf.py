@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class MixedSynthesis(Synthesis):
     hinf_smallest
         The smallest H-infinity norm found for its channel alone.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("bound", "h2_optimum", "hinf_smallest"), float),
+    }  # fmt: skip
 
     h2_norm: H2Norm
     hinf_norm: HinfNorm

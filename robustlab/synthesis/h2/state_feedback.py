@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -57,6 +57,8 @@ class StateFeedback(Shown):
     X
         Solution of the Riccati equation: the optimal cost from the state x is ``x^T X x``; None for pole placement.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {"K": [[float]], "poles": [{"re": float, "im": float}], "X": [[float]]}
 
     K: AnyArray
     poles: AnyArray

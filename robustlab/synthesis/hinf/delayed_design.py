@@ -12,32 +12,33 @@ Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), chapter 16; `robustlab
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
-from robustlab.closing import wired
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, delay_gain
 from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.shown import Facts, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.hinf.hinf_synthesis import HinfSynthesis, hinf
-from robustlab.uncertainty.algebra import star
+from robustlab.synthesis.problem.design import Design, HinfSynthesis
 
 ORDERS = (2, 4, 6, 8)  # of Padé's approximations of the plant that designs are made for, one after the other
 
 
-@dataclass(frozen=True, eq=False)
-class DelayedDesign(Shown):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DelayedDesign(Design):
     """A controller in the loop with exact delays.
 
     Attributes
     ----------
     K
         The controller, ``u = K y``.
-    loop
+    gamma
+        The gain that is proved with exact delays; inf where none is.
+    closed_loop
         The closed loop from w to z, its delays exact.
     stability
         Whether it is stable, and what shows that.
@@ -52,24 +53,20 @@ class DelayedDesign(Shown):
     """
 
     K: StateSpaceModel
-    loop: DelayedModel
+    closed_loop: DelayedModel
     stability: DelayStability
     gain: DelayGain | None
-    design: HinfSynthesis | None
-    order: int
-    status: Status
+    design: HinfSynthesis | None = None
+    order: int = 0
 
-    @property
-    def gamma(self) -> float:
-        """The gain that is proved with exact delays; inf where none is."""
-        return self.gain.upper if self.gain is not None else float("inf")
+    def _gamma_text(self) -> str:
+        return "" if self.gain is None else bracket(self.gain.lower, self.gain.upper, ("attained", "proved"))
 
     def facts(self) -> Facts:
         """The exact loop's stability and gain, and what the design said."""
-        gain = "" if self.gain is None else bracket(self.gain.lower, self.gain.upper, ("attained", "proved"))
         designed = "" if self.design is None else f"{number(self.design.gamma)}, with Padé of order {self.order}"
         return [
-            ("gain with exact delays", gain),
+            ("gain with exact delays", self._gamma_text()),
             ("stable with exact delays", self.stability.facts()[0][1]),
             ("gamma of the design", designed),
             ("controller", f"{self.K.n_states} states"),
@@ -77,120 +74,52 @@ class DelayedDesign(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes but the design, of which its gamma."""
-        told: dict[str, Any] = {"type": "DelayedDesign", **vars(self), "gamma": self.gamma}
-        told["design"] = None if self.design is None else self.design.gamma
-        return told
+        gamma = None if self.design is None else self.design.gamma
+        return {"type": "DelayedDesign", **vars(self), "design": gamma}
 
 
-@told_as("verify_delayed_loop")
-def verify_delayed_loop(P: Any, K: Any, *, tolerance: float = 0.01, highest_order: int = 16) -> DelayedDesign:
-    r"""Stability and gain of the loop of a generalised plant with exact delays and a controller, proved.
+def judged(P: Any, K: Any, where: str = "hinf", tolerance: float = 0.01) -> DelayedDesign:
+    """Stability and gain of the loop of a generalised plant with exact delays and a controller, proved.
 
-    Parameters
-    ----------
-    P
-        Generalised plant [w; u] -> [z; y], a DelayedModel; controls and measurements last.
-    K
-        Controller ``u = K y`` (positive feedback into the lower LFT): a model, a design, or one with delays itself.
-    tolerance, highest_order
-        As in `delay_gain`.
-
-    Returns
-    -------
-    DelayedDesign
-        The closed loop with `DelayStability` and `DelayGain`.
-
-    Raises
-    ------
-    InputError
-        Sizes that do not fit; a plant without w or z.
-    NoTrustworthyNumber
-        A loop that is not well posed.
-
-    Examples
-    --------
-    >>> from robustlab.delays import with_delays
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> found = verify_delayed_loop(with_delays(P, inputs={2: 0.1}), StateSpaceModel([], [], [], [[-0.4]]))
-    >>> found.stability.stable, str(found.status)
-    (True, 'certified')
+    Raises InputError: sizes that do not fit, no w or z. NoTrustworthyNumber: a loop that is not well posed.
     """
-    plant = as_delayed(P, "verify_delayed_loop: P")
-    given = getattr(K, "K", K)
-    k = given if isinstance(given, DelayedModel) else as_model(given, "verify_delayed_loop: K")
+    plant, given = as_delayed(P, f"{where}: P"), getattr(K, "K", K)
+    k = given if isinstance(given, DelayedModel) else as_model(given, f"{where}: K")
     if plant.n_inputs <= k.n_outputs or plant.n_outputs <= k.n_inputs:
         found = f"P of {plant.n_outputs} x {plant.n_inputs} and K of {k.n_outputs} x {k.n_inputs}"
-        raise InputError("verify_delayed_loop", found, "w and z beside the controls and measurements in P")
-    y, u = plant.outputs[plant.n_outputs - k.n_inputs :], plant.inputs[plant.n_inputs - k.n_outputs :]
-    k = wired(k, y, u, "verify_delayed_loop")
-    loop: Any = star(plant, _plain(k), k.n_inputs, k.n_outputs)
-    stability = delay_stability(loop, highest_order)
-    gain = delay_gain(loop, tolerance, highest_order) if stability.stable else None
+        raise InputError(where, found, "w and z beside the controls and measurements in P")
+    loop = plant.close(k)
+    stability = delay_stability(loop)
+    gain = delay_gain(loop, tolerance) if stability.stable else None
     if gain is not None:
         status = gain.status
     else:
         status = Status.FAILED if stability.stable is False else stability.status
-    model = k if isinstance(k, StateSpaceModel) else k.undelayed()
-    return DelayedDesign(model, loop, stability, gain, None, 0, status)
+    return DelayedDesign(
+        K=k if isinstance(k, StateSpaceModel) else k.undelayed(),
+        gamma=gain.upper if gain is not None else float("inf"),
+        closed_loop=loop,
+        stability=stability,
+        gain=gain,
+        status=status,
+        reason=stability.facts()[0][1],
+    )
 
 
-def _plain(k: StateSpaceModel | DelayedModel) -> StateSpaceModel | DelayedModel:
-    """Without units, which a controller's file may not state."""
-    if isinstance(k, DelayedModel):
-        return k
-    ins, outs = [f"k.y{i}" for i in range(k.n_inputs)], [f"k.u{i}" for i in range(k.n_outputs)]
-    return StateSpaceModel(k.A, k.B, k.C, k.D, k.dt, ins, outs)
-
-
-@told_as("delay_hinf")
-def delay_hinf(P: Any, n_meas: int, n_con: int, *, tolerance: float = 0.01, **options: Any) -> DelayedDesign:
-    r"""H-infinity controller for a plant with exact delays, judged in the loop with these delays.
-
-    Designs are made for Padé's approximations of order 2, 4, 6, 8 of the plant, until one is proved to keep its gamma
-    with the exact delays within the tolerance. The smallest proved gain counts.
-
-    Parameters
-    ----------
-    P
-        Generalised plant [w; u] -> [z; y], a DelayedModel; controls and measurements last.
-    n_meas, n_con
-        Numbers of measurements and controls.
-    tolerance
-        How much larger than the gamma of the design the proved gain may be for the search to end.
-    **options
-        Those of `hinf`.
-
-    Returns
-    -------
-    DelayedDesign
-        ``gamma`` is proved with exact delays; ``design.gamma`` is that of the rational model.
-
-    Raises
-    ------
-    InputError
-        What `hinf` refuses.
-    NoTrustworthyNumber
-        No design is proved to stabilise the plant with its delays, or what `hinf` says.
-
-    Examples
-    --------
-    >>> from robustlab.delays import with_delays
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> found = delay_hinf(with_delays(P, inputs={2: 0.1}), 1, 1)
-    >>> found.stability.stable, found.gamma <= 1.02 * found.design.gamma
-    (True, True)
-    """
-    plant = as_delayed(P, "delay_hinf: P")
+def delayed_hinf(
+    plant: DelayedModel, design_for: Callable[[StateSpaceModel], HinfSynthesis], tolerance: float
+) -> DelayedDesign:
+    """`hinf` of a plant with exact delays, by ``design_for`` rational models; see there."""
     best: DelayedDesign | None = None
     for order in ORDERS if len(plant.delays) else (0,):
-        design = hinf(plant.pade(order), n_meas, n_con, **options)
-        found = verify_delayed_loop(plant, design, tolerance=tolerance)
+        design = design_for(plant.pade(order))
+        found = judged(plant, design, "hinf", tolerance)
         if found.gain is not None and (best is None or found.gamma < best.gamma):
-            best = DelayedDesign(found.K, found.loop, found.stability, found.gain, design, order, found.status)
-        if best is not None and best.design is not None and best.gamma <= (1.0 + 2.0 * tolerance) * design.gamma:
+            best = replace(found, design=design, order=order, reason=design.reason)
+        if best is not None and best.gamma <= (1.0 + 2.0 * tolerance) * design.gamma:
             break
     if best is None:
         found = f"no design up to Padé of order {ORDERS[-1]} is proved to stabilise the plant with its exact delays"
         hint = "rl.dk on .uncertain(order) designs for the set that holds the plant"
-        raise NoTrustworthyNumber("delay_hinf", found, None, hint)
+        raise NoTrustworthyNumber("hinf", found, None, hint)
     return best

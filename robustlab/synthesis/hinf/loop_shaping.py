@@ -9,9 +9,9 @@ stabilises every plant closer to G_s than 1/gamma (`robustlab.nu_gap`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 
@@ -84,6 +84,10 @@ class NcfSynthesis(Synthesis):
     observer
         K_shaped in observer form, where the shaped plant is continuous and strictly proper; else None.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("gamma_min", "factor"), float),
+    }  # fmt: skip
 
     gamma_min: float
     factor: float

@@ -11,9 +11,9 @@ rho = 0 is plain loop shaping. A constant W_i before K_1 then makes the steady s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -69,6 +69,10 @@ class TwoDegreeSynthesis(Synthesis):
     references
         How many of K's inputs are references; they come first.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("gamma_min", "rho", "steady_error", "references"), float),
+    }  # fmt: skip
 
     gamma_min: float
     rho: float

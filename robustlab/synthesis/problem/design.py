@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown
+from robustlab.shown import Facts, Part, Shown, number
 from robustlab.signals import law
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.controller import Controller
@@ -22,8 +22,8 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Synthesis(Shown):
-    """A controller that was verified in the loop rebuilt from it; there is no Synthesis without one.
+class Design(Shown):
+    """A controller and what is proved of its loop, whatever kind of plant it is for: base of what synthesis gives.
 
     Attributes
     ----------
@@ -39,6 +39,38 @@ class Synthesis(Shown):
         It vouches for ``gamma`` of this K, not for its optimality.
     reason
         Why the method stopped, and how much of the result is proved.
+    """
+
+    quantities: ClassVar[Mapping[str, Any]] = {"gamma": float}
+
+    K: Any
+    gamma: float
+    closed_loop: Any
+    status: Status
+    reason: str
+
+    def headline(self) -> str:
+        """Its states and its gamma."""
+        return f"A controller of {number(self.K.n_states)} states, gamma {self._gamma_text()}"
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (verified upper bound)"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Synthesis(Design):
+    """A controller that was verified in the loop rebuilt from it; there is no Synthesis without one.
+
+    Attributes
+    ----------
+    K
+        The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs say what they take.
+    gamma
+        Verified upper bound of what the method makes small (its docstring says what).
+    closed_loop
+        The lower LFT of plant and K, from w to z.
+    status, reason
+        As in `Design`.
     limit
         What limits the performance: the channels that make the peak.
     plant
@@ -47,11 +79,12 @@ class Synthesis(Shown):
         What made it.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "order": "1", "stable": bool, "gamma": float, "fastest_controller_pole": float, "closed_loop_abscissa": float,
+    }  # fmt: skip
+
     K: StateSpaceModel
-    gamma: float
     closed_loop: StateSpaceModel
-    status: Status
-    reason: str
     limit: str
     plant: GeneralizedPlant
     method: str
@@ -64,6 +97,16 @@ class Synthesis(Shown):
     def controller(self) -> Controller:
         """K with what was verified about it, as it is stored."""
         return Controller(self.K, self.gamma, self.status, self.method)
+
+    @property
+    def order(self) -> int:
+        """Number of states of K."""
+        return self.K.n_states
+
+    @property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable."""
+        return self.closed_loop_abscissa < 0
 
     @property
     def fastest_controller_pole(self) -> float:
@@ -90,8 +133,11 @@ class Synthesis(Shown):
             ("how", self.reason),
         ]
 
-    def _gamma_text(self) -> str:
-        return f"{self.gamma:.6g} (verified upper bound)"
+    def details(self) -> list[Part]:
+        """What limits any controller of this plant, and the floors of gamma of a mixed-sensitivity design."""
+        from robustlab.synthesis.problem.performance_limits import limits_in_words
+
+        return [Part("What limits any controller of this plant", (), [(line,) for line in limits_in_words(self)])]
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
@@ -134,6 +180,12 @@ class HinfSynthesis(Synthesis):
     weights
         Weights of a mixed-sensitivity problem, by name.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities,
+        **dict.fromkeys(("smallest_gamma", "peak_frequency", "scalings_disagree", "gamma_lower"), float),
+        **dict.fromkeys(("estimated_optimum", "regularisation_cost"), float),
+    }  # fmt: skip
 
     peak_frequency: float
     smallest_gamma: float

@@ -16,10 +16,10 @@ Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (198
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -123,12 +123,21 @@ class ReducedController(Tabular, Synthesis):
         What proves ``gamma``: a norm's bracket, or the margin with its scalings.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, **dict.fromkeys(("original_order", "original_gamma", "loss", "allowed_loss"), float),
+    }  # fmt: skip
+
     original: StateSpaceModel
     original_gamma: float
     measure: str
     allowed_loss: float
     orders: tuple[OrderTried, ...]
     evidence: Evidence
+
+    @property
+    def original_order(self) -> int:
+        """Number of states of the controller that was reduced."""
+        return self.original.n_states
 
     @property
     def loss(self) -> float:
@@ -156,7 +165,7 @@ class ReducedController(Tabular, Synthesis):
         """Everything but the plant, with arrays."""
         return super().to_json() | {
             "measure": self.measure,
-            "original_order": self.original.n_states,
+            "original_order": self.original_order,
             "original_gamma": self.original_gamma,
             "loss": self.loss,
             "allowed_loss": self.allowed_loss,

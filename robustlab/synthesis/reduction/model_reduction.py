@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 
@@ -31,9 +31,10 @@ from robustlab.synthesis.reduction.hankel_norm import error_bound, hankel_bound,
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound, relative_gap
 from robustlab.synthesis.reduction.split_error import SplitError, merged, widened
+from robustlab.uncertainty.algebra import Reduction, reduction
+from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
-    "balanced_truncation",
     "hankel_singular_values",
     "reduce_model",
     "weighted_factors",
@@ -91,37 +92,20 @@ def hankel_singular_values(model: Any) -> Array:
     return np.array([ordinary.value(value, where) for value in values])
 
 
-@told_as("balanced_truncation")
-def balanced_truncation(model: Any, order: int | None = None, *, tolerance: float | None = None) -> ReducedModel:
-    r"""Balanced truncation: `reduce_model` with ``method="truncation"``.
-
-    .. math:: \sigma_{r+1} \le \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i
-
-    Parameters
-    ----------
-    model, order, tolerance
-        As in `reduce_model`.
-
-    Returns
-    -------
-    ReducedModel
-        With its certified error beside the bound above.
-
-    Raises
-    ------
-    InputError, NoTrustworthyNumber
-        As `reduce_model`.
-
-    Examples
-    --------
-    >>> G = StateSpaceModel([[-1.0, 0.0], [0.0, -50.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
-    >>> found = balanced_truncation(G, 1)
-    >>> found.order, found.status.value, found.error.lower <= found.bound * (1 + 1e-9)
-    (1, 'certified', True)
-    """
-    return reduce_model(model, order, tolerance=tolerance)
-
-
+@overload
+def reduce_model(model: UncertainModel, *, tolerance: float | None = None) -> Reduction: ...
+@overload
+def reduce_model(
+    model: Any,
+    order: int | None = None,
+    *,
+    tolerance: float | None = None,
+    method: Method = "truncation",
+    input_weight: Any = None,
+    output_weight: Any = None,
+    band: tuple[float, float] | None = None,
+    floor: float = 0.0,
+) -> ReducedModel: ...
 @told_as("reduce_model")
 def reduce_model(
     model: Any,
@@ -133,7 +117,7 @@ def reduce_model(
     output_weight: Any = None,
     band: tuple[float, float] | None = None,
     floor: float = 0.0,
-) -> ReducedModel:
+) -> ReducedModel | Reduction:
     r"""A model of lower order, with its error certified and, where there is one, the a-priori bound beside it.
 
     .. math:: \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i \quad \text{(truncation, residualisation)}, \qquad
@@ -142,19 +126,25 @@ def reduce_model(
     .. math:: \sup_\omega \sigma_{max}( (G G^* + \beta^2 I)^{-1/2} (G - G_r) ) \le
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
+    Balanced truncation where no ``method`` is given; no model of order r is nearer than :math:`\sigma_{r+1}`.
     Modes that are not stable are split off and kept, and what rounding may add there is part of the error;
     ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
     then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
+    Of an uncertain model the repetitions of its blocks are reduced, exactly: those that cannot be reached or do not
+    show are removed, block by block, then jointly, until none is left (`UncertainModel.reduce` gives the set alone).
+
     Parameters
     ----------
     model
-        StateSpaceModel, controller or python-control object with n states; continuous or discrete, stable or not.
+        StateSpaceModel, controller or python-control object with n states; continuous or discrete, stable or not. Or an
+        UncertainModel: ``tolerance`` alone goes with it.
     order
         Number of states of the result, those kept apart included. Fewer come out where the rest is not minimal.
     tolerance
         In place of ``order``: the lowest order whose certified error is at most this is taken; in output units per
-        input unit, for ``"stochastic"`` a share.
+        input unit, for ``"stochastic"`` a share. Of an uncertain model: singular values below ``tolerance`` times the
+        largest count as zero, 1e-12 where left out.
     method
         ``"truncation"`` is exact at infinite frequency, ``"residualisation"`` (singular perturbation) at zero
         frequency. ``"hankel"`` (Glover) is nearest in the Hankel norm, with a direct term that halves the bound.
@@ -172,9 +162,10 @@ def reduce_model(
 
     Returns
     -------
-    ReducedModel
+    ReducedModel or Reduction
         With its certified error and the frequencies (``left_out``) next to modes on the stability boundary for which
-        nothing is certified; its states are balanced, those kept apart come last.
+        nothing is certified; its states are balanced, those kept apart come last. Of an
+        uncertain model the sizes of its blocks before and after, with the evidence that it is the same set.
 
     Raises
     ------
@@ -193,7 +184,7 @@ def reduce_model(
     ----------
     Moore 1981; Glover 1984 (bound, Hankel norm); Liu, Anderson 1989 (residualisation); Green 1988 (stochastic); Enns
     1984 (weights); Gawronski, Juang 1990 (band); Meyer 1990 (coprime factors); Zhou, Doyle, Glover, *Robust and Optimal
-    Control* (1996), chapters 7 and 8.
+    Control* (1996), chapters 7 and 8. Uncertain models: D'Andrea, Khatri 1997.
 
     Examples
     --------
@@ -204,7 +195,21 @@ def reduce_model(
     >>> nearest = reduce_model(G, 1, method="hankel")
     >>> bool(abs(nearest.hankel_error / nearest.hankel[1] - 1) < 1e-9)
     True
+
+    A parameter that appears twice, and cancels:
+
+    >>> from robustlab.uncertainty.parametric import parametric
+    >>> gain = parametric([], [], [], [["k"]], {"k": (1.0, 0.1)})
+    >>> print(reduce_model(gain @ gain.inverse()))
+    k 1 -> 0; invariance 0.0e+00, difference 0.0e+00 (converged)
     """
+    if isinstance(model, UncertainModel):
+        more = {"order": order, "input_weight": input_weight, "output_weight": output_weight, "band": band}
+        more |= {"method": None if method == "truncation" else method, "floor": floor or None}
+        if given := next((name for name, value in more.items() if value is not None), None):
+            hint = "the nominal model (.nominal) takes it"
+            raise InputError(f"reduce_model: {given}", "given with an uncertain model", "tolerance alone", hint)
+        return reduction(model, 1e-12 if tolerance is None else tolerance)
     full = as_model(model, "reduce_model")
     weights = _weights(full, input_weight, output_weight)
     part = None if band is None else checked_band(band, full.dt, "reduce_model")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -58,6 +59,10 @@ class ReducedModel(Shown):
         ``"hankel"``.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "order": "1", "error": float, "states": "1", "bound": float, "n_apart": "1", "hankel": [float], "stable": bool,
+    }  # fmt: skip
+
     model: StateSpaceModel
     method: str
     error: HinfNorm
@@ -79,6 +84,19 @@ class ReducedModel(Shown):
     def to_model(self) -> StateSpaceModel:
         """The reduced model."""
         return self.model
+
+    def headline(self) -> str:
+        """Both orders and the error."""
+        kept = f"{self.order} of {self.full.n_states} states by {self.method}"
+        return f"{kept}, with an error of at most {number(self.error.upper)}"
+
+    def numbers(self) -> dict[str, Any]:
+        """Sizes, the error and what theory promises for it; None where it promises nothing."""
+        return {
+            "order": self.order, "error": self.error.upper, "states": self.full.n_states,
+            "bound": None if np.isnan(self.bound) else self.bound, "n_apart": self.n_apart,
+            "hankel": self.hankel, "stable": self.model.is_stable(),
+        }  # fmt: skip
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""

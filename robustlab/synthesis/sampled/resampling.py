@@ -20,8 +20,9 @@ Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.sampled.discretisation import discretise
+from robustlab.synthesis.sampled.discretisation import by_formula
 
 Hold = Literal["zoh", "foh", "tustin"]
 HOLDS: tuple[Hold, ...] = ("zoh", "foh", "tustin")
@@ -64,15 +65,27 @@ class Resampled(Shown):
         CONVERGED where ``error`` is below 1e-8, INACCURATE otherwise.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {"dt": "s", "error": float}
+
     model: StateSpaceModel
     method: str
     steps: int
     error: float
     status: Status
 
+    @property
+    def dt(self) -> float:
+        """Sample time of the model in s; 0 in continuous time."""
+        return self.model.dt
+
     def to_model(self) -> StateSpaceModel:
         """The model."""
         return self.model
+
+    def headline(self) -> str:
+        """Its time, and how well the given model comes back."""
+        time = f"A model with a sample time of {number(self.dt, 's')}" if self.dt else "A continuous model"
+        return f"{time} by {self.method}, relative error {number(self.error)}"
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
@@ -124,7 +137,7 @@ def d2c(model: Any, method: Hold = "zoh") -> Resampled:
     m = _discrete(model, method, "d2c")
     found = bilinear_to_continuous(m) if method == "tustin" else _held(m, method)
     found = _labelled(found, m, method)
-    error = _difference(discretise(found, m.dt, method), m)
+    error = _difference(by_formula(found, m.dt, method), m)
     return Resampled(found, method, 0, error, _judged(error))
 
 
@@ -173,7 +186,7 @@ def d2d(model: Any, dt: float, method: Hold = "zoh") -> Resampled:
     if method == "zoh" and steps >= 1 and abs(dt / m.dt - steps) <= WHOLE * steps:
         return _whole_multiple(m, float(dt), steps)
     continuous = d2c(m, method)
-    found = _labelled(discretise(continuous.model, float(dt), method), m, method)
+    found = _labelled(by_formula(continuous.model, float(dt), method), m, method)
     return Resampled(found, method, 0, continuous.error, continuous.status)
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import Budget, one_thread
 from robustlab.closing import wired
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
@@ -22,7 +22,7 @@ from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
-from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, discretise, merged_modes
+from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, SampledMethod, by_formula, merged_modes
 from robustlab.synthesis.sampled.lifting import lift
 from robustlab.synthesis.sampled.sampled_norm import (
     SampledDataNorm,
@@ -33,8 +33,7 @@ from robustlab.synthesis.sampled.sampled_norm import (
 )
 from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 
-WHERE = "discretise_controller"
-SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
+WHERE = "discretise"
 
 
 @dataclass(frozen=True)
@@ -84,6 +83,10 @@ class SampledController(Synthesis):
         The method of K.
     """
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **Synthesis.quantities, "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
+    }  # fmt: skip
+
     original: StateSpaceModel
     continuous_norm: HinfNorm
     norm: SampledDataNorm
@@ -93,6 +96,11 @@ class SampledController(Synthesis):
     antialiasing: float | None
     pathological: tuple[MergedModes, ...]
     chosen: str
+
+    @property
+    def dt(self) -> float:
+        """Sample time in s."""
+        return self.K.dt
 
     @property
     def loss(self) -> float:
@@ -121,7 +129,7 @@ class SampledController(Synthesis):
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
         return super().to_json() | {
-            "dt": self.K.dt,
+            "dt": self.dt,
             "chosen": self.chosen,
             "loss": self.loss,
             "allowed_loss": self.allowed_loss,
@@ -135,99 +143,33 @@ class SampledController(Synthesis):
         }
 
 
-@told_as("discretise_controller")
-def discretise_controller(
-    design_or_plant: Any,
+@dataclass(frozen=True)
+class SampledLoop:
+    """What a digital controller is judged by; see `discretise`."""
+
+    loss: float = 0.1
+    delay: float = 0.0
+    antialiasing: float | None = None
+    prewarp: float | None = None
+    scalings: Any = None
+
+
+def sampled_controller(
+    controller: Any,
+    plant: Any,
     dt: float,
-    K: Any = None,
-    *,
-    method: SampledMethod = "auto",
-    loss: float = 0.1,
-    delay: float = 0.0,
-    antialiasing: float | None = None,
-    prewarp: float | None = None,
-    scalings: Any = None,
-    n_meas: int | None = None,
-    n_con: int | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-    tuning: SampledTuning = TUNING,
+    method: SampledMethod,
+    asked: SampledLoop,
+    time_limit: float | None,
+    effort: float,
+    progress: Callable[[str], None] | None,
 ) -> SampledController:
-    r"""Digital controller for a continuous design, with the proved norm of the sampled loop and what it loses.
-
-    .. math:: \text{loss} = \frac{\|F_l(P, H K_d S)\|}{\|F_l(P, K)\|_\infty} - 1
-
-    with sampler S and zero-order hold H; the norm is that of `sampled_data_norm`, inter-sample behaviour included. The
-    sampled loop's stability is that of an exact discrete model of the plant. Where the formulas lose more than
-    ``loss``, a controller is designed for the sampled plant itself: H-infinity synthesis on the lifted plant.
-
-    Parameters
-    ----------
-    design_or_plant
-        A `Synthesis`, or a continuous generalised plant (see `hinf`) with K. Of a bare plant, whose every input is a
-        control and every output a measurement, the four-block loop is judged, as by `reduce_controller`.
-    dt
-        Sample time in s.
-    K
-        Continuous controller, ``u = K y``, where it is not that of the design.
-    method
-        A formula of `discretise`, ``"direct"``, or ``"auto"``: the best of the formulas, and the direct design where
-        they lose more than ``loss``.
-    loss
-        Largest loss allowed, as a share.
-    delay
-        Computational delay in s, between sample and change of the control.
-    antialiasing
-        Corner frequency in rad/s of a filter before the sampler; see `sampled_data_norm`.
-    prewarp
-        Frequency in rad/s for ``"tustin-prewarp"``; the frequency of the continuous loop's peak where left out.
-    scalings
-        Pair of stable models ``(D_z, D_w^-1)``: the norm of the scaled loop then bounds mu for the linear
-        time-invariant perturbations that commute with them, in the sampled loop as well.
-    n_meas, n_con
-        Numbers of measurements and controls, where a plain plant is given.
-    time_limit
-        Time in s, asked between methods and kept by the direct design; none where left out. Where it ends the search
-        the status is TIMEOUT.
-    effort
-        Multiple of the usual work.
-    progress
-        Called with one line for each method.
-    tuning
-        Numbers that choose speed and accuracy, for those who measure them.
-
-    Returns
-    -------
-    SampledController
-        The controller of smallest proved norm among those tried, with what each of them loses.
-
-    Raises
-    ------
-    InputError
-        A discrete plant or controller, a sample time that is not positive, a negative delay, an unknown method.
-    NoTrustworthyNumber
-        The continuous loop is not stable; or no method left the sampled loop stable (pathological sampling is named).
-
-    References
-    ----------
-    Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters 8, 13; Bamieh, Pearson (1992).
-
-    Examples
-    --------
-    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> digital = discretise_controller(hinf(P, 1, 1), 0.05)
-    >>> digital.status.value, digital.loss < 0.1, digital.K.dt
-    ('certified', True, 0.05)
-    """
-    given = design_or_plant
-    if not isinstance(given, Synthesis) and K is None:
-        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
-    full = as_model(getattr(K, "K", K) if K is not None else given.K, f"{WHERE}: K")
+    """`discretise` of a controller with the plant it was designed for; see there."""
+    full = as_model(getattr(controller, "K", controller), WHERE)
     plant = as_generalized_plant(
-        given.plant if isinstance(given, Synthesis) else given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE
+        plant.plant if isinstance(plant, Synthesis) else plant, full.n_inputs, full.n_outputs, f"{WHERE}: plant"
     )
+    loss, delay, antialiasing, prewarp, scalings = vars(asked).values()
     check_sampling(plant, dt, delay, WHERE)
     if full.is_discrete:
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
@@ -240,14 +182,14 @@ def discretise_controller(
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
-    budget = design_budget(WHERE, tuning.controller_work, effort, time_limit)
+    budget = design_budget(WHERE, TUNING.controller_work, effort, time_limit)
     judged = plant if scalings is None else plant_with_scalings(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
     filtered = with_antialiasing(judged, antialiasing, WHERE)
     with one_thread():
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress, tuning)
+        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress, TUNING)
         search.run(method, loss, prewarp)
     return _finished(search, plant, full, loss, antialiasing)
 
@@ -306,7 +248,7 @@ class _Trials:
         if name == "tustin-prewarp" and prewarp is None:
             prewarp = self.continuous.frequency
         try:
-            made = discretise(self.K, self.dt, name, prewarp=prewarp if name == "tustin-prewarp" else None)  # pyright: ignore[reportArgumentType]
+            made = by_formula(self.K, self.dt, name, prewarp if name == "tustin-prewarp" else None)
         except NoTrustworthyNumber as error:
             self._none(name, error.line)
             return

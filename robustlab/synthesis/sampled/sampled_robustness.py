@@ -464,7 +464,7 @@ def _check_stable(loop: UncertainModel) -> None:
         radius = float(np.abs(loop.M.poles()).max())
         raise NoTrustworthyNumber(
             WHERE, f"the nominal sampled loop is not stable (a pole of modulus {radius:.6g})",
-            "a controller that stabilises the sampled plant", "a shorter sample time, or discretise_controller",
+            "a controller that stabilises the sampled plant", "a shorter sample time, or rl.discretise of the design",
         )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-r"""`lpv_hinf`: H-infinity controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
+r"""`hinf` of an LPV model: H-infinity controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
 
 At the points of the grid the projection LMIs are solved with shared R and S, or with one of them varying at bounded
 rates (`robustlab.synthesis.hinf.lmi_synthesis`); at each point a controller is reconstructed for the closed loop's
@@ -13,23 +13,23 @@ from plant and controller.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.norms import hinf_norm
-from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, lower_lft
 from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
+from robustlab.synthesis.problem.design import Design
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
@@ -38,7 +38,7 @@ from robustlab.synthesis.scheduling.parameter_varying import EXACT, LPVModel
 from robustlab.synthesis.scheduling.scheduled_controller import LPVController
 from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
 
-__all__ = ["LPVSynthesis", "lpv_hinf"]
+__all__ = ["LPVSynthesis", "scheduled_hinf"]
 
 Varying = Literal["", "R", "S"]
 # Rounds over the states of a controller, at most, until their units stand.
@@ -46,17 +46,19 @@ SWEEPS = 30
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LPVSynthesis(Shown):
+class LPVSynthesis(Design):
     """A scheduled controller whose loop was rebuilt from plant and controller and verified.
 
     Attributes
     ----------
-    controller
-        The controller with what was verified about it, as it is stored.
-    gain
-        What `lpv_gain` says of the rebuilt loop; ``gain.upper`` is ``gamma``.
+    K
+        The controllers at the points of the grid, interpolated between them.
+    gamma
+        Proved bound of the loop's induced gain.
     closed_loop
-        That loop, from w to z.
+        The loop rebuilt from plant and controller, from w to z.
+    gain
+        What `lpv_gain` says of it; ``gain.upper`` is ``gamma``.
     lmi_gamma
         Optimum of the LMIs at the grid points: what no controller of this method gets below.
     frozen
@@ -68,28 +70,26 @@ class LPVSynthesis(Shown):
         How it was found.
     """
 
-    controller: LPVController
-    gain: LPVGain
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma", "frozen"), float)
+
+    K: LPVModel
     closed_loop: LPVModel
+    gain: LPVGain
     lmi_gamma: float
     frozen: float
-    status: Status
-    reason: str
 
     @property
-    def K(self) -> LPVModel:
-        """The controllers at the points of the grid, interpolated between them."""
-        return self.controller.K
+    def controller(self) -> LPVController:
+        """K with what was verified about it, as it is stored."""
+        return LPVController(self.K, self.gamma, self.status, "lpv-hinf")
 
-    @property
-    def gamma(self) -> float:
-        """Proved bound of the loop's induced gain."""
-        return self.gain.upper
+    def _gamma_text(self) -> str:
+        return f"{number(self.gamma, digits=6)} (induced L2 gain, proved)"
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [
-            ("gamma", f"{number(self.gamma, digits=6)} (induced L2 gain, proved)"),
+            ("gamma", self._gamma_text()),
             ("holds", self.gain.scope),
             ("optimum of the LMIs", number(self.lmi_gamma, digits=6)),
             ("frozen loops", f"{number(max(self.frozen, self.gain.lower), digits=6)} at most of those looked at"),
@@ -105,78 +105,25 @@ class LPVSynthesis(Shown):
         }  # fmt: skip
 
 
-@told_as("lpv_hinf")
-def lpv_hinf(
-    plant: Any,
-    n_meas: int,
-    n_con: int,
-    lyapunov: Lyapunov | None = None,
-    *,
-    effort: float = 1.0,
-    time_limit: float | None = None,
-    progress: Callable[[str], None] | None = None,
+def scheduled_hinf(
+    plant: LPVModel,
+    n_meas: int | None,
+    n_con: int | None,
+    lyapunov: Lyapunov | None,
+    effort: float,
+    time_limit: float | None,
+    progress: Callable[[str], None] | None,
 ) -> LPVSynthesis:
-    r"""H-infinity controller ``u = K(rho) y`` (positive feedback) of an LPV plant, scheduled by its parameters.
-
-    .. math:: \min_{K(\cdot)} \; \sup_{\rho(\cdot)} \sup_{w \ne 0} \|z\|_2 / \|w\|_2
-
-    as far as a quadratic Lyapunov function can tell. The controller needs the parameters, not their rates.
-
-    Parameters
-    ----------
-    plant
-        Generalised `LPVModel`: inputs [w; u], outputs [z; y], no direct term from u to y. Where B2, C2, D12 and D21 do
-        not depend on the parameters the loop is multi-linear between the points; where they do its bend is bounded and
-        a finer grid (`LPVModel.refined`) lowers what it costs. A lag before u or behind y makes them constant.
-    n_meas, n_con
-        Numbers of measurements and controls.
-    lyapunov
-        ``"constant"``: shared R and S, for parameters of any rate. ``"varying"``: S, then R, varies over the grid at
-        the bounded rates. Where left out: constant, and varying after it where rates are bounded; the better loop wins.
-    effort
-        Multiple of the usual work.
-    time_limit
-        Guard in s; where it strikes the answer is not repeatable.
-    progress
-        Called with one short line after every stage.
-
-    Returns
-    -------
-    LPVSynthesis
-        ``gamma`` is what `lpv_gain` proved of the loop rebuilt from plant and controller.
-
-    Raises
-    ------
-    InputError
-        Not an LPV model, channels that it does not have, a direct term from u to y.
-    NoTrustworthyNumber
-        The LMIs have no solution, or no loop of theirs could be proved.
-
-    References
-    ----------
-    Apkarian, Gahinet, Becker 1995; Becker, Packard 1994; Wu, Yang, Packard, Becker 1996; Apkarian, Adams 1998.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> def vertex(a):
-    ...     return StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> plant = LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)])
-    >>> design = lpv_hinf(plant, 1, 1)
-    >>> design.status.value, design.gamma < 1.45
-    ('certified', True)
-    """
-    if not isinstance(plant, LPVModel):
-        raise InputError("lpv_hinf", f"a {type(plant).__name__}", "an LPVModel", "rl.lpv_model makes one")
+    """`hinf` of an LPV model; see there."""
     kinds = ("constant", "varying")
     if lyapunov is not None and lyapunov not in kinds:
-        raise InputError(
-            "lpv_hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
-        )
-    matrices = plant_matrices(plant, n_meas, n_con, "lpv_hinf")
+        raise InputError("hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
+    if n_meas is None or n_con is None:
+        raise InputError("hinf", "n_meas or n_con is missing", "the numbers of measurements and of controls")
+    matrices = plant_matrices(plant, n_meas, n_con, "hinf")
     if not plant.n_states:
-        raise InputError("lpv_hinf", "a plant without states", "one with states")
-    budget = search_budget("lpv_hinf", TUNING.work, effort, time_limit)
+        raise InputError("hinf", "a plant without states", "one with states")
+    budget = search_budget("hinf", TUNING.work, effort, time_limit)
     with one_thread():
         return _Task(plant, matrices, lyapunov, budget, progress or (lambda _: None), TUNING).result()
 
@@ -233,7 +180,7 @@ class _Task:
                 best = found
         if best is None:
             hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
-            raise NoTrustworthyNumber("lpv_hinf", "; ".join(notes), None, hint)
+            raise NoTrustworthyNumber("hinf", "; ".join(notes), None, hint)
         return best
 
     def _designed(self, varying: Varying) -> tuple[LPVSynthesis | None, str]:
@@ -359,7 +306,7 @@ class _Task:
             for i, p in enumerate(parameters):
                 if not np.isfinite(p.rate):
                     raise InputError(
-                        "lpv_hinf", f"{p.name} may change at any rate", "a bound of its rate for lyapunov='varying'"
+                        "hinf", f"{p.name} may change at any rate", "a bound of its rate for lyapunov='varying'"
                     )
                 sides = [s for s in (-1, 1) if 0 <= at[i] + s < grid[i]]
                 own = []
@@ -397,20 +344,17 @@ class _Task:
 
     def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
         """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
-        loop = closed_loop(self.plant, K, "lpv_hinf")
+        loop = closed_loop(self.plant, K, "hinf")
         gain = gain_from(loop, "varying" if varying else "constant", self.budget, self.say, guess, self.tuning)
         if not np.isfinite(gain.upper):
             self.say(f"{how}: {gain.reason}")
             return None
-        controller = LPVController(K, gain.upper, gain.status, "lpv-hinf")
         frozen = self._frozen(K)
         if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
-            raise NoTrustworthyNumber(
-                "lpv_hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}"
-            )
+            raise NoTrustworthyNumber("hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
-            controller=controller, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
-            status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
+            K=K, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen, status=gain.status,
+            reason=f"{how}; loop rebuilt from plant and controller",
         )  # fmt: skip
 
     def _frozen(self, K: LPVModel) -> float:

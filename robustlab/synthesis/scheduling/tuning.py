@@ -11,7 +11,7 @@ __all__ = ["TUNING", "SchedulingTuning"]
 
 @dataclass(frozen=True)
 class SchedulingTuning(Tuning):
-    """Defaults of `lpv_gain` and `lpv_hinf`."""
+    """Defaults of `lpv_gain` and of `hinf` of LPV models."""
 
     # Work that both may take at effort 1, in the units of `robustlab.budget`.
     work: float = 4e8

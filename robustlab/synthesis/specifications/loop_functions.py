@@ -98,15 +98,19 @@ class LoopFunctions(Shown):
 
 
 @told_as("loop_functions")
-def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] | None = None) -> LoopFunctions:
-    r"""S, T, K S and S G of plant G and controller K.
+def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None) -> LoopFunctions:
+    r"""S, T, K S and S G of plant G and controller K, or of a finished design.
 
     .. math:: S = (I - s\, G K)^{-1}, \qquad T = I - S, \qquad r \to u: -s K S, \qquad d \to y: S G
+
+    Of a design they are those at the outputs that its controller measures: the plant is what leads from the controls to
+    the signals that are measured in its generalised plant. A controller that takes the error is ``u = K (r - y)``; into
+    one that takes y a reference enters as ``u = K (y - r)``.
 
     Parameters
     ----------
     G, K
-        Plant (n_y outputs, n_u inputs) and controller (n_u, n_y).
+        Plant (n_y outputs, n_u inputs) and controller (n_u, n_y); or a design (`Synthesis`) alone.
     sign
         s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Left out: as
         the controller says, -1 where it says nothing.
@@ -114,12 +118,13 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] | None = None) -> Loo
     Returns
     -------
     LoopFunctions
-        Each function with all states of the loop; no weights.
+        Each function with all states of the loop; with the weights and gamma of a mixed-sensitivity design, else
+        without.
 
     Raises
     ------
     InputError
-        Sizes or sample times that do not fit, or an algebraic loop.
+        Sizes or sample times that do not fit, or an algebraic loop; a plant without controller, a design with one.
 
     Examples
     --------
@@ -128,6 +133,13 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] | None = None) -> Loo
     >>> loop.is_stable(), loop.T.dc_gain().tolist(), loop.gain("S", [2.0]).round(6).tolist()
     (True, [[1.0]], [0.707107])
     """
+    if isinstance(G, Synthesis):
+        if K is not None or sign is not None:
+            found = "a design with a controller or a sign beside it"
+            raise InputError("loop functions", found, "a design alone, or a plant and a controller")
+        return _of_design(G)
+    if K is None:
+        raise InputError("loop functions: K", "none", "a controller beside the plant, or a design alone")
     g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
     found = closing(g, k, sign, "loop functions")
     g, k, sign = found.plant, found.K, found.sign
@@ -166,29 +178,7 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] | None = None) -> Loo
     )
 
 
-@told_as("loop_functions_of")
-def loop_functions_of(design: Synthesis) -> LoopFunctions:
-    """S, T, K S and S G of a finished design, at the outputs that its controller measures.
-
-    A controller that takes the error is ``u = K (r - y)``; into one that takes y a reference enters as
-    ``u = K (y - r)``.
-    The plant is what leads from the controls to the signals that are measured in the design's generalised plant.
-
-    Parameters
-    ----------
-    design
-        Any finished design.
-
-    Returns
-    -------
-    LoopFunctions
-        With the weights and gamma of a mixed-sensitivity design.
-
-    Raises
-    ------
-    InputError
-        An algebraic loop.
-    """
+def _of_design(design: Synthesis) -> LoopFunctions:
     weights = dict(getattr(design, "weights", {}))
     plant = design.plant
     measured = [s for s in plant.measurements if isinstance(s, Taken) and s.sign]  # references are no part of the loop

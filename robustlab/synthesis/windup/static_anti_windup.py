@@ -99,11 +99,11 @@ class AntiWindup(Shown):
 
     def sampled(self, dt: float) -> tuple[StateSpaceModel, Array]:
         """The controller held over steps of ``dt`` s, and the gain of its states: what `export_controller` takes."""
-        from robustlab.synthesis.sampled.discretisation import discretise
+        from robustlab.synthesis.sampled.discretisation import by_formula
 
         if self.H.any():
             raise InputError("AntiWindup.sampled", "a gain H on the outputs, an algebraic loop", "direct=False")
-        held, n = discretise(self.to_model(), dt, "zoh"), self.controller.n_inputs
+        held, n = by_formula(self.to_model(), dt, "zoh"), self.controller.n_inputs
         K = StateSpaceModel(
             held.A, held.B[:, :n], held.C, held.D[:, :n], dt, held.inputs[:n], held.outputs, held.states
         )

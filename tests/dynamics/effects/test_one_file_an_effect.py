@@ -49,7 +49,7 @@ def new_file(monkeypatch, tmp_path):
 
 @pytest.mark.usefixtures("new_file")
 def test_it_is_attached_simulated_and_a_block_of_the_set():
-    assert "display-gain" in rl.effect_names()
+    assert "display-gain" in module.effect_names()
     motor, t = rl.plant("dc-motor"), np.arange(0.0, 0.1, 1e-3)
     shown = rl.with_effects(motor, {"display-gain@omega": {"s": (1.04, 0.01)}})
     plain, told = (rl.simulate(p, t, {"u": np.full(len(t), 6.0)}) for p in (motor, shown))

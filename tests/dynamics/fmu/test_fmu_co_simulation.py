@@ -8,6 +8,7 @@ import pytest
 from fmu_units import needs_compiler
 
 import robustlab as rl
+from robustlab.dynamics.fmu import FmuPlant
 from robustlab.errors import NativeTimeout, UnitMismatch, UsageError
 
 T = np.linspace(0.0, 1.0, 101)
@@ -59,7 +60,7 @@ def test_what_has_no_meaning_is_refused_with_the_reason(motor):
     with pytest.raises(rl.InputError, match="shows no rates"):
         rl.trim(motor)
     with pytest.raises(rl.InputError, match="a unit for co-simulation, expected one for model-exchange"):
-        rl.FmuPlant(motor.process.path)
+        FmuPlant(motor.process.path)
     with pytest.raises(rl.InputError, match="'zoh'"):
         rl.simulate(motor, T, T, hold="foh")
     with pytest.raises(rl.InputError, match="a program"):

@@ -14,6 +14,7 @@ import pytest
 from fmu_units import needs_compiler
 
 import robustlab as rl
+from robustlab.dynamics.fmu import FmuPlant
 from robustlab.errors import NativeTimeout
 from robustlab.provenance import BY_DIFFERENCES
 
@@ -40,7 +41,7 @@ def parent(process):
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_unit_is_the_linear_plant_of_the_same_machine(plant_of, version):
     plant, truth = plant_of(version), same_machine()
-    assert isinstance(plant, rl.FmuPlant)
+    assert isinstance(plant, FmuPlant)
     assert [tuple(s) for s in (*plant.inputs, *plant.outputs, *plant.states)] == [
         *[("F", "N"), ("q", "m"), ("a", "m/s2"), ("q", "m"), ("v", "m/s")]
     ]
