@@ -12,10 +12,10 @@ MATLAB = {
     "rl.ComplexScalar": "ucomplex",
     "rl.FullBlock": "ucomplexm",
     "rl.FullBlock, rl.unstructured": "ultidyn",
-    "not there; rl.disk_margin and rl.worst_case_disk_margin answer the question": "umargin",
+    "not there; rl.disk_margin answers the question, of an uncertain plant too": "umargin",
     "not there": "udyn genss thiran hinffi hinffc modreal slowfast",
     "rl.UncertainModel": "uss umat",
-    "rl.frequency_data(...), rl.robust_stability_at": "ufrd",
+    "rl.frequency_data(...), rl.robust_stability": "ufrd",
     "rl.sample(set, n, seed).models()": "usample",
     'set.evaluate({"k": 1.0})': "usubs",
     "set.physical(delta)": "normalized2actual",
@@ -41,10 +41,9 @@ MATLAB = {
     "rl.worst_case_gain(set, omega=...)": "wcsigma",
     "not there; close the loop, then rl.worst_case_gain": "wcsens",
     "not there; rl.skew_mu of the matrix": "wcnorm",
-    "rl.disk_margin": "diskmargin loopmargin",
+    "rl.disk_margin": "diskmargin loopmargin wcdiskmargin wcmargin",
     "rl.classical_margins": "allmargin margin",
     "rl.zeros": "tzero",
-    "rl.worst_case_disk_margin": "wcdiskmargin wcmargin",
     "rl.mu, rl.skew_mu": "mussv",
     "fields D, G, delta of the result": "mussvextract",
     "rl.gap, rl.nu_gap": "gapmetric",
@@ -54,7 +53,7 @@ MATLAB = {
     "rl.linf_norm": "getPeakGain",
     "rl.passivity": "isPassive getPassiveIndex",
     "rl.loop_functions": "loopsens",
-    "rl.iqc_stability, rl.iqc_gain": "popov quadstab pdlstab quadperf",
+    "rl.robust_stability(set, natures=...), rl.iqc_gain": "popov quadstab pdlstab quadperf",
     "not there; branch and bound handles purely real problems": "complexify",
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn",
@@ -149,6 +148,17 @@ PYTHON_CONTROL = {
     "not there; use python-control": "root_locus_map root_locus describing_function_response flatsys optimal",
 }
 
+# Names of earlier versions -> what asks the same now.
+EARLIER = {
+    "delay_classical_margins": "rl.classical_margins(plant, K)",
+    "delay_disk_margin": "rl.disk_margin(loop)",
+    "delay_disk_margins": "rl.disk_margin(plant, K)",
+    "delay_stability": "rl.robust_stability(model)",
+    "disk_margin_at": "rl.disk_margin(plant, K, frequency=...)",
+    "iqc_stability": "rl.robust_stability(model, natures=...)",
+    "robust_stability_at": "rl.robust_stability(system, frequency=...)",
+    "worst_case_disk_margin": "rl.disk_margin(uncertain, K)",
+}
 PROGRAMS = {"MATLAB": MATLAB, "python-control": PYTHON_CONTROL}
 
 
@@ -161,8 +171,12 @@ def unknown_public_name(name: str, known: Iterable[str]) -> str:
     "robustlab has no 'wcgain'; MATLAB's wcgain is rl.worst_case_gain"
     >>> unknown_public_name("worst_case_gian", ["worst_case_gain"])
     "robustlab has no 'worst_case_gian'; did you mean worst_case_gain?"
+    >>> unknown_public_name("iqc_stability", [])
+    "robustlab has no 'iqc_stability' any more; it is rl.robust_stability(model, natures=...)"
     """
     found = f"robustlab has no {name!r}"
+    if name in EARLIER:
+        return f"{found} any more; it is {EARLIER[name]}"
     if said := _elsewhere(name):
         return f"{found}; {said}"
     names = [other for table in PROGRAMS.values() for text in table.values() for other in text.split()]
