@@ -95,7 +95,7 @@ def gain(
             nature = natures_in_words(given, "--nature", known)
             options = {"order": order, **vars(effort)}
             if blocks.stability:
-                result = rl.iqc_stability(thing, nature, **options)
+                result = rl.robust_stability(thing, natures=nature, **options)
             else:
                 result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
     output.finish("iqc gain", result, f"{head}{result.summary()}", **({"loop": said} if said else {}))

@@ -10,7 +10,6 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import note, save_drawing, table
 from robustlab.cli.margins import ControllerOptions
-from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
 from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, frequencies, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import InputError, UsageError
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_completion=False)
 
-PERFORMANCE = "performance"  # the block that robust_performance adds; no range of the user's
+DELTA = ("block", "delta", "parameter")
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def mu(
         question.check_at(voices, shown)
         with progress.shown("mu"):
             found = _at_frequencies(uncertain, question, shown, seed)
-        output.finish("mu", found, f"{head}{_at_text(found)}", **closed)
+        output.finish("mu", found, f"{head}{found.report()}", **closed)
         return
     with progress.shown("mu"):
         if question.gain:
@@ -168,18 +167,15 @@ def mu(
 def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int) -> Any:
     """Margin or gain at frequencies; drawn where a figure is asked for."""
     points = None if question.frequency is None else frequencies("--frequency", question.frequency)
-    found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
+    if question.gain:
+        found: Any = rl.worst_case_gain_at(uncertain, points, seed=seed)
+    else:
+        found = rl.robust_stability(uncertain, frequency=points, seed=seed)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import bounds_at
 
         save_drawing(bounds_at(found), shown.figure)
     return found
-
-
-def _at_text(found: Any) -> str:
-    bounds = zip(found.omega.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True)
-    rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
-    return f"{found.summary()}\n\n{table(rows, ('rad/s', 'at least', 'at most'))}"
 
 
 def _uncertain(
@@ -216,20 +212,13 @@ def _grid(uncertain: rl.UncertainModel, figure: str | None) -> Any:
 def _margin(
     uncertain: rl.UncertainModel, performance: bool, options: dict[str, Any], shown: ShownOptions
 ) -> tuple[Margin, str]:
-    analyse = rl.robust_performance if performance else rl.robust_stability
-    margin = analyse(uncertain, omega=_grid(uncertain, shown.figure), **options)
+    analyse: Any = rl.robust_performance if performance else rl.robust_stability
+    margin: Margin = analyse(uncertain, omega=_grid(uncertain, shown.figure), **options)
     if shown.figure is not None:
         _draw(uncertain, margin, shown.figure, performance)
-    what = "robust performance margin" if performance else "robust stability margin"
-    lines = [
-        f"{what}  {margin.lower:.6g} .. {margin.upper:.6g}  ({margin.status})",
-        f"peak of mu               {_inverse(margin.upper):.6g} .. {_inverse(margin.lower):.6g}",
-    ]
-    if margin.frequency is not None:
-        lines += [f"critical frequency       {margin.frequency:.6g} rad/s", "", "critical Delta (smallest found):"]
-        lines += _delta_lines(margin.delta, margin.physical, margin.shares)
-    lines += _tail(margin, "mu at most", shown.intervals)
-    return margin, "\n".join(lines)
+    proved = margin.proved_intervals()
+    intervals = f"\n\n{proved.title}\n{table(proved.rows, proved.header)}" if shown.intervals else ""
+    return margin, f"{margin.report()}{intervals}"
 
 
 def _worst_gain(
@@ -240,6 +229,8 @@ def _worst_gain(
         from robustlab.report.robustness_figures import gain_figure
 
         save_drawing(gain_figure(worst), shown.figure)
+    from robustlab.mu_analysis.axis.margin import delta_rows
+
     lines = [
         f"worst-case gain  {worst.lower:.6g} .. {worst.upper:.6g}  ({worst.status})",
         f"nominal gain     {worst.nominal:.6g}",
@@ -247,7 +238,7 @@ def _worst_gain(
     if worst.frequency is not None:
         lines += [f"at               {worst.frequency:.6g} rad/s"]
     if worst.delta:
-        lines += ["", "worst Delta found:", *_delta_lines(worst.delta, worst.physical, {})]
+        lines += ["", "worst Delta found:", table(delta_rows(worst.delta, worst.physical), DELTA)]
     lines += _tail(worst, "gain at most", shown.intervals)
     return worst, "\n".join(lines)
 
@@ -258,44 +249,16 @@ def _robust_gain(
     if shown.intervals or shown.figure is not None:
         raise UsageError("mu", "--intervals or --figure with --level", "--gain for the intervals of a worst-case gain")
     found = rl.robust_gain(uncertain, level, **options)
-    lines = [
-        f"robust gain margin  {found.lower:.6g} .. {found.upper:.6g}  ({found.status})",
-        f"gain below          {level:g}",
-    ]
-    if found.frequency is not None:
-        lines += [f"reached at          {found.frequency:.6g} rad/s"]
-    if found.delta:
-        lines += ["", "member that reaches it:", *_delta_lines(found.delta, found.physical, {})]
-    return found, "\n".join(lines)
+    return found, found.report()
 
 
-def _delta_lines(delta: Any, physical: Any, shares: Any) -> list[str]:
-    """One row a block: normalised delta, parameter, share in the margin; the largest shares first."""
-    order = sorted(delta, key=lambda name: -abs(shares.get(name, 0.0))) if shares else list(delta)
-    rows = []
-    for name in order[:SHOWN_BLOCKS]:
-        share = f"{100 * shares[name]:.1f} %" if name in shares else ""
-        rows.append((name, delta_value(delta[name], "+"), stands_for(physical, name, ""), share)[: 4 if shares else 3])
-    lines = table(rows, ("block", "delta", "parameter", "share")[: 4 if shares else 3]).splitlines()
-    if len(order) > SHOWN_BLOCKS:
-        lines.append(f"... and {len(order) - SHOWN_BLOCKS} more blocks")
-    if shares:
-        first = next((name for name in order if name in physical or name != PERFORMANCE), order[0])
-        lines.append(f"tighten first: {first} (each percent of its range taken off gives {shares[first]:.2g} %)")
-    return lines
-
-
-def _tail(result: Margin | WorstCaseGain, header: str, with_intervals: bool) -> list[str]:
+def _tail(result: WorstCaseGain, header: str, with_intervals: bool) -> list[str]:
     lines = [f"note: {text}" for text in result.notes]
     if with_intervals:
         rows = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(result.intervals)]
         lines += ["", "proved intervals:", table(rows, ("from rad/s", "to rad/s", header))]
         lines += [f"not proved: {low:.6g} .. {high:.6g} rad/s" for low, high in result.open]
     return lines
-
-
-def _inverse(value: float) -> float:
-    return 1 / value if value else float("inf")
 
 
 def _draw(uncertain: rl.UncertainModel, margin: Margin, figure: str, performance: bool) -> None:

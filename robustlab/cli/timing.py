@@ -15,7 +15,7 @@ from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
-    from robustlab.mu_analysis.margins.delay_stability import DelayStability
+    from robustlab.mu_analysis.axis.margin import StabilityMargin
 
 StoredModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE")]
 HoldOption = Annotated[
@@ -199,9 +199,9 @@ def neglected_weight(
     emit("uncertain neglected", result, table(rows), output.as_json)
 
 
-def stability_lines(model: Any) -> tuple[list[str], DelayStability]:
+def stability_lines(model: Any) -> tuple[list[str], StabilityMargin]:
     """What ``robustlab model check`` says of a model with exact delays."""
-    found = rl.delay_stability(model)
+    found = rl.robust_stability(model)
     lines = [f"  {label}: {text}" for label, text in found.facts() if text]
     return [repr(model), *lines, f"  status: {found.status}"], found
 

@@ -251,7 +251,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
 
         That is proved for all frequencies, not on a grid: see `robustlab.delays.pade`. :math:`\Delta` is stable: the
         error is, and the weight has its zeros at s = 0 only, where the error has as many. So whatever is proved of the
-        set (`robust_stability`, `worst_case_gain`, `worst_case_disk_margin`) is proved of the model with its delays.
+        set (`robust_stability`, `worst_case_gain`, `disk_margin`) is proved of the model with its delays.
         Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
         channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
         to its spread.

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from robustlab.budget import one_thread
 from robustlab.errors import InputError, told_as
 from robustlab.iqc.problem import IqcProof, Natures, posed
 from robustlab.iqc.tuning import TUNING
+from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed, member, number
 
@@ -87,29 +88,42 @@ class IqcGain(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class IqcStability(Shown):
+class IqcStability(StabilityMargin):
     """Stability for all blocks of their classes.
 
     Attributes
     ----------
-    stable
-        Whether stability is proved for the set as given.
-    margin
+    lower
         Largest size that is proved: every range grown about its middle by that factor, the slopes with it. At least 1
         where ``stable``; 0 where nothing was proved.
+    upper
+        inf: no unstable member is looked for.
     nature, conditions, proof
-        As in `IqcGain`; the proof is that of ``margin``.
+        As in `IqcGain`; the proof is that of ``lower``.
     status
-        CERTIFIED: ``margin`` was proved outside of the solver. INCONCLUSIVE: it is 0. TIMEOUT: the clock ended the
+        CERTIFIED: ``lower`` was proved outside of the solver. INCONCLUSIVE: it is 0. TIMEOUT: the clock ended the
         search; what was proved by then holds.
     """
 
-    stable: bool
-    margin: float
+    quantities: ClassVar[Mapping[str, Any]] = {**StabilityMargin.quantities, "margin": "1"}
+
     nature: Mapping[str, str]
     conditions: tuple[str, ...]
     proof: IqcProof | None
-    status: Status
+
+    @property
+    def stable(self) -> bool:
+        """Whether stability is proved for the set as given."""
+        return self.lower >= 1
+
+    @property
+    def margin(self) -> float:
+        """The size that is proved: ``lower``."""
+        return self.lower
+
+    def headline(self) -> str:
+        """Whether the set as given is proved stable."""
+        return "proved stable for all blocks of their classes" if self.stable else "not proved stable"
 
     def facts(self) -> Facts:
         """The margin and what it rests on."""
@@ -123,7 +137,7 @@ class IqcStability(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
-        return {"type": "IqcStability", **vars(self)}
+        return {"type": "IqcStability", "stable": self.stable, "margin": self.margin, **vars(self)}
 
 
 def _proof_facts(proof: IqcProof | None) -> Facts:
@@ -232,32 +246,9 @@ def iqc_stability(
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> IqcStability:
-    """Proved stability, and by how much every range may grow about its middle, for blocks of any class.
+    """Of blocks of any class, by integral quadratic constraints: `robustlab.robust_stability` with ``natures``.
 
-    Parameters
-    ----------
-    model, nature, order, pole, time_limit, effort
-        As in `iqc_gain`; no performance channel is needed. Bounds of a rate do not grow.
-
-    Returns
-    -------
-    IqcStability
-        Whether the set as given is proved stable, the margin, and the proof.
-
-    Raises
-    ------
-    InputError
-        No such block or signal, a discrete model, a nature that does not fit the block.
-    NoTrustworthyNumber
-        The model is unstable with all blocks at their middles.
-
-    Examples
-    --------
-    >>> import robustlab as rl
-    >>> M = rl.StateSpaceModel([[-1.0]], [[-0.5]], [[1.0]], [[0.0]])
-    >>> found = iqc_stability(rl.UncertainModel(M, [rl.RealScalar("pole")]), {"pole": rl.Varying()})
-    >>> found.stable, round(found.margin, 2)
-    (True, 2.0)
+    No performance channel is needed. Bounds of a rate do not grow.
     """
     problem, budget = posed("iqc_stability", model, nature, order, pole, time_limit, effort)
     low, high, size = 0.0, math.inf, 1.0  # the largest that is proved, the smallest that is not, the next
@@ -271,4 +262,4 @@ def iqc_stability(
                 low, proof = size, found
             size = 2 * low if math.isinf(high) else 0.5 * (low + high)
     status = Status.CERTIFIED if low else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    return IqcStability(low >= 1, low, problem.words, problem.conditions, proof, status)
+    return IqcStability(low, math.inf, None, status, {}, (), problem.words, problem.conditions, proof)

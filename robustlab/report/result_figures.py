@@ -78,10 +78,10 @@ def band_figure(found: Responses, output: str | None = None) -> Figure:
 
 def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
     """Changes of gain and phase that leave the loop stable: inside of each curve, in that loop and in all at once."""
-    if isinstance(found, DiskMargins):
-        every: Mapping[str, DiskBounds] = {"all at once": found.simultaneous, **found.channels}
-    elif isinstance(found, WorstCaseDiskMargin):
-        every = {"worst member, proved": found, "nominal": found.nominal}
+    if isinstance(found, WorstCaseDiskMargin):
+        every: Mapping[str, DiskBounds] = {"worst member, proved": found, "nominal": found.nominal}
+    elif isinstance(found, DiskMargins):
+        every = {"all at once": found.simultaneous, **found.channels}
     else:
         every = {"disk margin": found}
     figure, (axes,) = new_figure(width=6.4, height=3.8)

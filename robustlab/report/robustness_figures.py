@@ -73,23 +73,25 @@ def mu_figure(margin: Margin) -> Figure:
 
 def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
     """Both bounds at given frequencies, of all loops at once: points, for nothing is known between them."""
-    whole = found if isinstance(found, Tabular) else found.simultaneous
-    return _bounds_at(whole, "stability margin" if whole is found else "disk margin, all loops at once")
+    whole: Any = getattr(found, "simultaneous", found)
+    gain = type(whole).__name__ == "GainAt"
+    label = "worst-case gain" if gain else "stability margin" if whole is found else "disk margin, all loops at once"
+    return _bounds_at(whole, label, "gain" if gain else "margin")
 
 
-def _bounds_at(found: MarginAt | GainAt, label: str) -> Figure:
+def _bounds_at(found: Tabular, label: str, kind: str) -> Figure:
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    kind = "margin" if hasattr(found, "between") else "gain"
+    omega, bounds = np.asarray(found.table().index[1]), found.table().columns
     words = ("proved", "attained by an explicit Δ") if kind == "margin" else ("attained by an explicit Δ", "proved")
     with house_style():
-        shown = found.omega > 0
+        shown = omega > 0
         for bound, word, mark, colour in zip(
-            (found.lower, found.upper), words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True
+            (np.asarray(bounds["lower"]), np.asarray(bounds["upper"])), words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True
         ):
             finite = shown & np.isfinite(bound)
-            axes.plot(found.omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
-        frequency_axis(axes, (found.omega[shown][0], found.omega[-1]) if shown.sum() > 1 else None)
-        axes.set_ylabel(label if kind == "margin" else "worst-case gain")
+            axes.plot(omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
+        frequency_axis(axes, (omega[shown][0], omega[-1]) if shown.sum() > 1 else None)
+        axes.set_ylabel(label)
         axes.set_ylim(bottom=0)
         legend_below(figure, (axes,), 2)
     return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,20 +17,66 @@ from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.tuning import TUNING
-from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, listed, member, number
+from robustlab.result import Bracket
+from robustlab.shown import Facts, Part, Shown, bracket, listed, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
-    "Margin",
+    "PERFORMANCE",
     "BallCheck",
+    "Margin",
+    "PerformanceMargin",
+    "StabilityMargin",
+    "delta_rows",
     "margin_in_balls",
 ]
 
+SHOWN_BLOCKS = 40  # rows of a table
+PERFORMANCE = "performance"  # the block that robust_performance adds; no range of the user's
+
 
 @dataclass(frozen=True, eq=False)
-class Margin(Tabular, Shown):
+class StabilityMargin(Bracket):
+    """How far a set may grow before a member of it is unstable, whatever kind of system it is.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= margin <= upper``, 1 for the set as given: stable for every member of a set ``lower`` times as large,
+        which is proved; one of size ``upper`` is unstable, inf where none was found. Where nothing is uncertain: inf
+        of a stable system, 0 of an unstable one.
+    frequency
+        Where the pole of that member crosses the stability boundary, rad/s; None where that is unknown.
+    status
+        CERTIFIED where ``lower`` is proved.
+    delta
+        The smallest member found that is unstable, one normalised value per block name; empty where none was.
+    notes
+        Remarks for the reader of a report.
+    """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "stable": bool, "delta": {"*": ...},
+    }  # fmt: skip
+
+    delta: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+    @property
+    def stable(self) -> bool | None:
+        """Whether every member of the set as given is stable; None where neither was shown."""
+        return True if self.lower > 1 else False if self.upper <= 1 else None
+
+    def headline(self) -> str:
+        """Whether the set as given is stable."""
+        if self.stable is None:
+            return "not proved stable over the whole set"
+        return "proved stable for every Delta of the set" if self.stable else "not stable for every Delta of the set"
+
+
+@dataclass(frozen=True, eq=False)
+class Margin(Tabular, StabilityMargin):
     """Robust stability margin: the model is stable for all Delta of norm below ``lower``, and not for ``delta``.
 
     Attributes
@@ -61,15 +107,10 @@ class Margin(Tabular, Shown):
     proof
         What ``lower`` rests on: pieces of the axis with the D, G that hold there, or, after branch and bound, the
         regions (boxes of parameters with frequencies) that were proved one by one.
-    notes
-        Remarks for the reader of a report.
     """
 
-    lower: float
-    upper: float
-    frequency: float | None
-    delta: Mapping[str, Any]
-    status: Status
+    kind: ClassVar[str] = "robust stability margin"
+
     physical: Mapping[str, tuple[float, str]]
     pole: complex | None
     omega: Array
@@ -79,7 +120,6 @@ class Margin(Tabular, Shown):
     open: tuple[tuple[float, float], ...]
     shares: Mapping[str, float]
     proof: tuple[Piece, ...] | tuple[Region, ...]
-    notes: tuple[str, ...]
 
     @property
     def gap(self) -> float:
@@ -91,14 +131,33 @@ class Margin(Tabular, Shown):
         peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
         ranked = sorted(self.shares.items(), key=lambda pair: -abs(pair[1]))
         return [
-            ("margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            (self.kind, bracket(self.lower, self.upper, ("proved", "attained"))),
             ("peak of mu", peak),
-            ("critical member", member(self.delta, self.physical)),
+            ("critical member", member(self.delta, self.physical) or "none found"),
             ("critical frequency", number(self.frequency, "rad/s")),
             ("shares of the blocks", listed(f"{name} {100 * share:.0f} %" for name, share in ranked)),
+            ("tighten first", self._first()),
             ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
+            ("a margin of 1", "is the set as stated; at 2 every range could be twice as wide"),
             *(("note", note) for note in self.notes),
         ]
+
+    def _first(self) -> str:
+        """The block whose range weighs most, and what each percent of it gives."""
+        order = sorted(self.shares, key=lambda name: -abs(self.shares[name]))
+        first = next((name for name in order if name in self.physical or name != PERFORMANCE), None)
+        return f"{first}: each percent of its range taken off gives {self.shares[first]:.2g} %" if first else ""
+
+    def details(self) -> list[Part]:
+        """The critical Delta block by block, the largest shares first."""
+        header = ("block", "delta", "parameter", *(("share",) if self.shares else ()))
+        return [Part("critical Delta (smallest found):", header, delta_rows(self.delta, self.physical, self.shares))]
+
+    def proved_intervals(self) -> Part:
+        """What is proved of each interval of frequency, and which are left open."""
+        proved = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(self.intervals)]
+        left = [(f"{low:.6g}", f"{high:.6g}", "not proved") for low, high in self.open]
+        return Part("proved intervals:", ("from rad/s", "to rad/s", "mu at most"), [*proved, *left])
 
     def table(self) -> Table:
         """Both bounds of mu over the frequencies that were asked for."""
@@ -109,6 +168,34 @@ class Margin(Tabular, Shown):
         """All attributes but ``proof``; arrays stay arrays."""
         names = [name for name in self.__dataclass_fields__ if name != "proof"]
         return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}
+
+
+@dataclass(frozen=True, eq=False)
+class PerformanceMargin(Margin):
+    """Robust performance margin: a `Margin` whose set has a performance block, too."""
+
+    kind: ClassVar[str] = "robust performance margin"
+
+    def headline(self) -> str:
+        """Whether every member of the set as given performs."""
+        kept = "proved for every Delta of the set" if self.lower > 1 else "not proved over the whole set"
+        return f"performance is {kept}"
+
+
+def delta_rows(
+    delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]], shares: Mapping[str, float] | None = None
+) -> list[tuple[str, ...]]:
+    """One row a block: name, normalised value, parameter with unit; with ``shares`` these too, the largest first."""
+    order = sorted(delta, key=lambda name: -abs(shares.get(name, 0.0))) if shares else list(delta)
+    rows = []
+    for name in order[:SHOWN_BLOCKS]:
+        value = delta[name]
+        text = f"{value.shape[0]} x {value.shape[1]} matrix" if getattr(value, "ndim", 0) else f"{value:+.6g}"
+        row = (name, text, number(*physical[name], digits=6) if name in physical else "")
+        rows.append((*row, f"{100 * shares[name]:.1f} %" if name in shares else "") if shares else row)
+    if len(order) > SHOWN_BLOCKS:
+        rows.append((f"... and {len(order) - SHOWN_BLOCKS} more blocks", *([""] * (3 if shares else 2))))
+    return rows
 
 
 @dataclass(frozen=True)

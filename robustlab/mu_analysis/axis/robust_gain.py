@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,16 +27,17 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import check_nominal, continuous, model_frequency, seed_frequencies
 from robustlab.mu_analysis.axis.axis_problems import GainMarginProblem
 from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
-from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, performance_inputs, skewed_cover
+from robustlab.mu_analysis.axis.worst_gain import performance_inputs, skewed_cover
 from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, root_box, widest
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.gain import gain_at, largest_gain
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
-from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, member, number
+from robustlab.result import Bracket, Status
+from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock, delta_values
 from robustlab.uncertainty.lft import UncertainModel
@@ -52,7 +53,7 @@ ROUNDS, STILL, STARTS = 12, 1e-5, 6
 
 
 @dataclass(frozen=True, eq=False)
-class RobustGain(Shown):
+class RobustGain(Bracket):
     """Largest size of the set for which every member's gain is below ``level``.
 
     Attributes
@@ -78,19 +79,29 @@ class RobustGain(Shown):
         else INCONCLUSIVE, or TIMEOUT.
     """
 
-    lower: float
-    upper: float
     level: float
-    frequency: float | None
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
     proof: tuple[Piece, ...] | tuple[Region, ...]
-    status: Status
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}, "level": float,
+    }  # fmt: skip
+
+    def headline(self) -> str:
+        """Whether the set as given keeps the level."""
+        kept = "proved for the whole set" if self.lower >= 1 else "not proved for the whole set"
+        return f"a gain below {number(self.level, digits=6)} is {kept}"
+
+    def details(self) -> list[Part]:
+        """The member that reaches the level, block by block."""
+        rows = delta_rows(self.delta, self.physical)
+        return [Part("member that reaches it:", ("block", "delta", "parameter"), rows)]
 
     def facts(self) -> Facts:
         """Both bounds, and the member that reaches the level."""
         return [
-            ("margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("robust gain margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("gain below", number(self.level, digits=6)),
             ("critical member", member(self.delta, self.physical)),
             ("critical frequency", number(self.frequency, "rad/s")),
@@ -157,7 +168,7 @@ def robust_gain(
     budget = search_budget("robust_gain", TUNING.work, effort, time_limit)
     nominal = hinf_norm(uncertain.nominal)
     if nominal.lower >= level:
-        return RobustGain(0.0, 0.0, level, nominal.frequency, {}, {}, (), nominal.status)
+        return RobustGain(0.0, 0.0, nominal.frequency, nominal.status, level, {}, {}, ())
     # Numbers near the ends of the double range would overflow in squares; the unit of the outputs is free.
     unit = 2.0 ** round(float(np.log2(level)))
     with one_thread():
@@ -307,4 +318,4 @@ def _result(uncertain: UncertainModel, level: float, found: _Search, tolerance: 
     physical = uncertain.physical(found.delta) if found.delta else {}
     at = found.frequency
     frequency = None if at is None or not np.isfinite(upper) else model_frequency(uncertain, at)
-    return RobustGain(lower, upper, level, frequency, found.delta, physical, found.proof, status)
+    return RobustGain(lower, upper, frequency, status, level, found.delta, physical, found.proof)

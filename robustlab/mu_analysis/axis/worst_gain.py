@@ -23,7 +23,7 @@ from robustlab.mu_analysis.axis.axis_model import (
 )
 from robustlab.mu_analysis.axis.axis_problems import GainProblem
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
-from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
@@ -43,7 +43,6 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
 
 
-PERFORMANCE = "performance"
 # Rounds in which points stay above a level that is not raised.
 IDLE = 8
 
@@ -271,7 +270,7 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     ----------
     Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty" (1982), main loop theorem.
     """
-    return robust_stability(with_performance(uncertain), **options)
+    return PerformanceMargin(**vars(robust_stability(with_performance(uncertain), **options)))
 
 
 def with_performance(uncertain: UncertainModel) -> UncertainModel:

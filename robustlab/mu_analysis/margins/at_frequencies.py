@@ -19,7 +19,7 @@ disk margins", IEEE Control Systems Magazine 40 (2020).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -29,67 +29,99 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
 from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
-from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, channel_names, channel_places
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, StabilityMargin
+from robustlab.mu_analysis.margins.disk_margin import (
+    PLACES,
+    DiskBounds,
+    DiskMargins,
+    Place,
+    channel_names,
+    channel_places,
+    gain_and_phase,
+)
 from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
 from robustlab.mu_analysis.matrix.box import lowest, root_box
 from robustlab.mu_analysis.matrix.gain import largest_gain
 from robustlab.mu_analysis.matrix.skew import skew_upper
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, member, number
+from robustlab.shown import Facts, Part, Shown, bracket, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
 
-__all__ = ["DiskMarginsAt", "GainAt", "MarginAt", "disk_margin_at", "robust_stability_at", "worst_case_gain_at"]
+__all__ = [
+    "DiskMarginAt",
+    "DiskMarginsAt",
+    "GainAt",
+    "MarginAt",
+    "disk_margin_at",
+    "robust_stability_at",
+    "worst_case_gain_at",
+]
 
 ASSUMED = "the nominal system is stable: taken for granted, responses at points do not show it"
 
 
 @dataclass(frozen=True, eq=False)
-class MarginAt(Tabular, Shown):
-    """Robust stability margin at given frequencies.
+class MarginAt(Tabular, StabilityMargin):
+    """Robust stability margin at given frequencies; its bounds are those where it is smallest.
 
     Attributes
     ----------
-    omega
-        Frequencies in rad/s, (N,).
-    lower, upper
-        Bounds of the margin at each of them, (N,): no Delta smaller than ``lower`` makes the loop singular there,
+    lower, upper, frequency
+        The smallest margin, and where: at ``frequency`` no Delta smaller than ``lower`` makes the loop singular,
         ``delta``, of size ``upper``, does. Both inf where none can.
     delta
-        At each frequency the Delta found, one value per block name; empty where none was found.
+        That Delta, one value per block name; empty where none was found.
+    omega
+        Frequencies in rad/s, (N,).
+    lower_at, upper_at
+        Bounds of the margin at each of them, (N,).
+    delta_at
+        The Delta found at each of them.
     between
         Where a variation was given: a bound of the margin that is proved for all of each gap between two frequencies,
         (N - 1,); else None, and nothing is claimed there.
     status
-        CERTIFIED: ``lower`` proved at each frequency, ``upper`` attained. CONVERGED: proved, not attained everywhere.
+        CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: proved, not attained
+        everywhere.
     assumed
         What the answer takes for granted.
     """
 
     omega: Array
-    lower: Array
-    upper: Array
-    delta: tuple[Mapping[str, Any], ...]
+    lower_at: Array
+    upper_at: Array
+    delta_at: tuple[Mapping[str, Any], ...]
     between: Array | None
-    status: Status
     assumed: str = ASSUMED
+
+    @property
+    def stable(self) -> bool | None:
+        """False where a member of the set is not stable; else None: points do not show stability."""
+        return False if self.upper <= 1 else None
+
+    def headline(self) -> str:
+        """The smallest margin, and of how many frequencies."""
+        return f"margin of at least {number(self.lower)} {_scope(self.omega, self.between)}"
 
     def facts(self) -> Facts:
         """The smallest margin with its Delta, and where it holds."""
-        k = int(np.argmin(self.lower))
         return [
-            ("smallest margin", bracket(float(self.lower[k]), float(self.upper[k]), ("proved", "attained"))),
-            ("at", number(float(self.omega[k]), "rad/s")),
-            ("Delta", member(self.delta[k], {})),
+            ("smallest margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("critical frequency", number(self.frequency, "rad/s")),
+            ("critical member", member(self.delta, {})),
             ("holds", _scope(self.omega, self.between)),
             ("assumed", self.assumed),
         ]
 
+    def details(self) -> list[Part]:
+        """Both bounds at each frequency."""
+        return [_points(self.omega, self.lower_at, self.upper_at)]
+
     def table(self) -> Table:
         """Both bounds over frequency."""
-        return Table(("omega", self.omega), {"lower": self.lower, "upper": self.upper}, {"omega": "rad/s"})
+        return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -146,50 +178,55 @@ class GainAt(Tabular, Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class DiskMarginsAt(Shown):
-    """Disk margins at given frequencies: one channel at a time, and all at once.
+class DiskMarginAt(Tabular, DiskBounds):
+    """Disk margin of some channels at given frequencies; its bounds are those where it is smallest.
 
     Attributes
     ----------
-    channels
-        `MarginAt` of each channel, the others unchanged, by the name of the plant's signal.
-    simultaneous
-        `MarginAt` with all channels changed independently.
-    at, skew
-        Where the factors are, and sigma.
-    loop
-        The law that closes the loop, and who says so.
+    omega
+        Frequencies in rad/s, (N,).
+    lower_at, upper_at
+        Bounds of the margin at each of them, (N,).
+    delta_at
+        At each of them the critical values by the name of the loop.
     """
 
-    channels: Mapping[str, MarginAt]
-    simultaneous: MarginAt
-    at: Place
-    skew: float
-    loop: str = ""
+    omega: Array
+    lower_at: Array
+    upper_at: Array
+    delta_at: tuple[Mapping[str, Any], ...]
 
-    @property
-    def status(self) -> Status:
-        """That of all at once."""
-        return self.simultaneous.status
+    def table(self) -> Table:
+        """Both bounds over frequency."""
+        return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
+
+    def details(self) -> list[Part]:
+        """Both bounds at each frequency."""
+        return [_points(self.omega, self.lower_at, self.upper_at)]
+
+
+@dataclass(frozen=True, eq=False)
+class DiskMarginsAt(DiskMargins):
+    """Disk margins at given frequencies, with the attributes of `DiskMargins`; all margins are `DiskMarginAt`.
+
+    Attributes
+    ----------
+    omega
+        Frequencies in rad/s, (N,).
+    assumed
+        What the answer takes for granted.
+    """
+
+    omega: Array = field(default_factory=lambda: np.zeros(0))
+    assumed: str = ASSUMED
 
     def facts(self) -> Facts:
-        """The smallest margin of each channel and of all at once."""
-        every = {"all at once": self.simultaneous, **self.channels}
-        told = [(name, "; at ".join(text for _, text in m.facts()[:2])) for name, m in every.items()]
-        return [("loop", self.loop), ("at", f"the plant's {self.at}"), *told, *self.simultaneous.facts()[3:]]
+        """The smallest margin of all at once with what it allows, the loop, and where it holds."""
+        return [*super().facts(), ("holds", _scope(self.omega, None)), ("assumed", self.assumed)]
 
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        parts = {name: m.to_json() for name, m in self.channels.items()}
-        return {
-            "type": "DiskMarginsAt",
-            "loop": self.loop,
-            "at": self.at,
-            "skew": self.skew,
-            "channels": parts,
-            "simultaneous": self.simultaneous.to_json(),
-            "status": self.status,
-        }
+    def details(self) -> list[Part]:
+        """Each loop alone beside all at once, and both bounds of these at each frequency."""
+        return [*super().details(), *self.simultaneous.details()]
 
 
 @told_as("robust_stability_at")
@@ -197,40 +234,7 @@ class DiskMarginsAt(Shown):
 def robust_stability_at(
     system: Any, frequency: ArrayLike | None = None, *, variation: float | None = None, seed: int = 0
 ) -> MarginAt:
-    r"""Robust stability margin :math:`1 / \mu(M_{11}(j\omega))` at given frequencies.
-
-    Parameters
-    ----------
-    system
-        UncertainFrequencyData, or an UncertainModel.
-    frequency
-        Frequencies in rad/s for a model; those of data are their own.
-    variation
-        V, in 1/(rad/s): :math:`\|M_{11}(j\omega) - M_{11}(j\omega')\| \le V |\omega - \omega'|` between neighbouring
-        frequencies (spectral norm). It is yours to know: points do not tell. With it the gaps are proved, too.
-    seed
-        Of the search for Delta.
-
-    Returns
-    -------
-    MarginAt
-        Bounds at each frequency with the Delta; between them only with a variation.
-
-    Raises
-    ------
-    InputError
-        No uncertainty, no frequency for a model, one for data, ranges that are not symmetric, a variation below zero.
-    NoTrustworthyNumber
-        A pole of the nominal model lies at a frequency.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> loop = frequency_data([0.5, 0.4 - 0.2j], [0.0, 1.0], radius=0.25).feedback(lag)
-    >>> robust_stability_at(loop).lower.round(6)
-    array([6.      , 6.449806])
-    """
+    """Of a model or of data at frequencies: `robustlab.robust_stability`."""
     data = _data(system, frequency, "robust_stability_at")
     if not data.blocks:
         found = "no uncertainty"
@@ -298,38 +302,7 @@ def disk_margin_at(
     sign: Literal[-1, 1] | None = None,
     seed: int = 0,
 ) -> DiskMarginsAt:
-    r"""Disk margins at given frequencies of the loop ``y = P u``, ``u = sign K y``.
-
-    Parameters
-    ----------
-    plant, K
-        As in `disk_margin`; each may also be a DelayedModel, or frequency-response data without blocks.
-    frequency
-        Frequencies in rad/s; those of data, where one is data.
-    at, skew, sign
-        As in `disk_margin`.
-    seed
-        Of the search for the critical values.
-
-    Returns
-    -------
-    DiskMarginsAt
-        Of each channel exact, ``1 / |S + (sigma - 1)/2|``; of all at once bounds with the Delta.
-
-    Raises
-    ------
-    InputError
-        Sizes that do not fit, an uncertain operand, a place, sign or skew that there is not.
-    NoTrustworthyNumber
-        A pole of an operand or of the loop lies at a frequency.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> L = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> disk_margin_at(L, frequency=[1.0]).simultaneous.lower.round(6)
-    array([2.])
-    """
+    """Of a loop of models or of data at frequencies: `robustlab.disk_margin`."""
     where = "disk_margin_at"
     if at not in PLACES or not abs(skew) <= 1e6:
         raise InputError(where, f"at {at!r}, skew {skew!r}", "a place, a finite skew")
@@ -343,7 +316,9 @@ def disk_margin_at(
     k = p.matched(K, where) if K is not None else UncertainFrequencyData(p.omega, unit)
     for label, data in (("plant", p), ("K", k)):
         if data.blocks:
-            raise InputError(f"{where}: {label}", "an uncertain one", "one without blocks", "robust_stability_at")
+            raise InputError(
+                f"{where}: {label}", "an uncertain one", "one without blocks", "rl.robust_stability of the closed loop"
+            )
     P, C = p.nominal, k.nominal
     if C.shape[1:] != P.shape[:0:-1]:
         raise InputError(f"{where}: K", f"{C.shape[1]} x {C.shape[2]}", f"{P.shape[2]} x {P.shape[1]}")
@@ -356,12 +331,19 @@ def disk_margin_at(
     names = channel_names([s.name for s in p.inputs], [s.name for s in p.outputs], at)
     M = seen[:, list(places)][:, :, list(places)]
     channels = {
-        name: _margin_at(p.omega, M[:, [i]][:, :, [i]], [ComplexScalar(name)], None, seed)
-        for i, name in enumerate(names)
+        name: _disk_margin_at(p.omega, M[:, [i]][:, :, [i]], [name], skew, seed) for i, name in enumerate(names)
     }
-    together = channels[names[0]] if len(names) == 1 else None
-    together = together or _margin_at(p.omega, M, [ComplexScalar(name) for name in names], None, seed)
-    return DiskMarginsAt(channels, together, at, skew, closed.said)
+    together = channels[names[0]] if len(names) == 1 else _disk_margin_at(p.omega, M, names, skew, seed)
+    return DiskMarginsAt.of(together, channels, at, closed.said, omega=p.omega)
+
+
+def _disk_margin_at(omega: Array, M: ComplexArray, names: Sequence[str], skew: float, seed: int) -> DiskMarginAt:
+    found = _margin_at(omega, M, [ComplexScalar(name) for name in names], None, seed)
+    low, high, phase = gain_and_phase(found.lower, skew)
+    return DiskMarginAt(
+        found.lower, found.upper, found.frequency, found.status, (low, high), phase, skew, found.delta, (), omega,
+        found.lower_at, found.upper_at, found.delta_at,
+    )  # fmt: skip
 
 
 def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:
@@ -392,7 +374,10 @@ def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], variation: 
         lower, upper = 1.0 / np.asarray(found.upper), 1.0 / np.asarray(found.lower)
     delta = tuple(delta_values(blocks, d) if v else {} for d, v in zip(found.delta, found.lower, strict=True))
     between = None if variation is None else _between(omega, M, found, variation)
-    return MarginAt(omega, lower, upper, delta, between, found.status)
+    k = int(np.argmin(lower))
+    return MarginAt(
+        float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta, between,
+    )  # fmt: skip
 
 
 def _between(omega: Array, M: ComplexArray, found: MuBounds, variation: float) -> Array:
@@ -415,6 +400,11 @@ def _carried(M: ComplexArray, found: MuBounds, k: int, e: float) -> float:
     turned = float(np.linalg.norm(inverse.conj().T @ found.G[k], 2)) * size * e
     level = float(found.upper[k]) ** 2 + 2.0 * through * t + t * t + 2.0 * turned
     return float(np.sqrt(level)) * (1.0 + 1e-9)
+
+
+def _points(omega: Array, lower: Array, upper: Array) -> Part:
+    rows = [tuple(f"{value:.6g}" for value in row) for row in zip(omega, lower, upper, strict=True)]
+    return Part("", ("rad/s", "at least", "at most"), rows)
 
 
 def _scope(omega: Array, between: Array | None) -> str:

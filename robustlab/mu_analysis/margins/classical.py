@@ -18,15 +18,21 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any, ClassVar, Literal
 
 from robustlab.errors import NoTrustworthyNumber, told_as
-from robustlab.mu_analysis.margins.disk_margin import Place, channel_places, closed_around, disk_channels
+from robustlab.mu_analysis.margins.disk_margin import (
+    AT,
+    Place,
+    channel_places,
+    closed_around,
+    disk_channels,
+    in_decibels,
+    in_degrees,
+)
 from robustlab.mu_analysis.margins.loop_fraction import LoopFraction, loop_fractions
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import Facts, Part, Shown, number
 from robustlab.statespace import as_model
 
 __all__ = ["ClassicalMargin", "ClassicalMargins", "GainCrossing", "PhaseCrossing", "classical_margins"]
@@ -92,10 +98,9 @@ class ClassicalMargin(Shown):
         if self.gain_margin is None or self.phase_margin is None:
             return [("closed loop", "unstable"), *self._crossings(), ("reason", self.reason)]
         low, high = self.gain_margin
-        phase = f"{number(math.degrees(self.phase_margin))} degrees" if np.isfinite(self.phase_margin) else "inf"
         return [
-            ("gain", f"factors {number(low)} .. {number(high)}{_decibels(low, high)}"),
-            ("phase", phase),
+            ("gain", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
+            ("phase", in_degrees(self.phase_margin)),
             ("delay", number(self.delay_margin, "s")),
             *self._crossings(),
             ("reason", self.reason),
@@ -136,10 +141,68 @@ class ClassicalMargins(Shown):
     status: Status
     loop: str = ""
 
+    # None, all but `stable`, where the closed loop is unstable.
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "stable": bool, "gain_high": "1", "gain_low": "1", "phase": "rad", "delay": "s",
+    }  # fmt: skip
+
+    @property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable as it is."""
+        return all(m.stable for m in self.channels.values())
+
+    @property
+    def gain_high(self) -> float | None:
+        """Largest factor of gain that every loop alone tolerates."""
+        return min((m.gain_margin[1] for m in self.channels.values() if m.gain_margin is not None), default=None)
+
+    @property
+    def gain_low(self) -> float | None:
+        """Smallest factor of gain that every loop alone tolerates."""
+        return max((m.gain_margin[0] for m in self.channels.values() if m.gain_margin is not None), default=None)
+
+    @property
+    def phase(self) -> float | None:
+        """Change of phase in rad, either way, that every loop alone tolerates."""
+        return min((m.phase_margin for m in self.channels.values() if m.phase_margin is not None), default=None)
+
+    @property
+    def delay(self) -> float | None:
+        """Delay in s that every loop alone tolerates."""
+        return min((m.delay_margin for m in self.channels.values() if m.delay_margin is not None), default=None)
+
+    def headline(self) -> str:
+        """What every loop alone tolerates."""
+        if self.gain_low is None or self.gain_high is None or self.phase is None:
+            return "the closed loop is unstable"
+        gain = f"gain by factors {number(self.gain_low)} .. {number(self.gain_high)}"
+        return (
+            f"every loop alone tolerates {gain}, phase by {in_degrees(self.phase)}, {number(self.delay, 's')} of delay"
+        )
+
     def facts(self) -> Facts:
-        """Gain, phase and delay margin of each loop."""
+        """What every loop alone tolerates, and the margins of each."""
+        told = [("loop", self.loop), ("at", AT[self.at]), ("closed loop", "stable" if self.stable else "unstable")]
+        if self.stable and self.phase is not None:
+            told += [
+                ("gain may rise", f"{number(self.gain_high)} times"),
+                ("gain may fall", f"to {number(self.gain_low)} of it"),
+                ("phase may change", f"{number(self.phase, 'rad')} ({in_degrees(self.phase)})"),
+                ("delay may grow", number(self.delay, "s")),
+            ]
         every = [(name, "; ".join(f"{k} {v}" for k, v in margin.facts()[:3])) for name, margin in self.channels.items()]
-        return [("loop", self.loop), *every]
+        return [*told, *every]
+
+    def details(self) -> list[Part]:
+        """Every crossing of every loop, and how far it is from -1."""
+        rows = []
+        for name, margin in self.channels.items():
+            for c in margin.gain_crossings:
+                distance = f"{in_degrees(c.lag)} or {number(c.delay, 's')} of lag to -1"
+                rows.append((name, number(c.frequency, "rad/s", 6), "|L| = 1", distance))
+            for c in margin.phase_crossings:
+                rows.append((name, number(c.frequency, "rad/s", 6), "L < 0", f"factor {number(c.factor)} to -1"))
+        return [Part("crossings:", ("loop", "at", "where", "distance"), rows)]
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -156,47 +219,7 @@ class ClassicalMargins(Shown):
 def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
-    r"""Gain, phase and delay margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time.
-
-    Each loop is opened alone, the others stay closed. Crossings are computed in whole numbers from the matrices as
-    given, not searched on a grid; the ends of the gain margin are tried on the closed loop.
-
-    Parameters
-    ----------
-    plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out.
-    K
-        Controller (m outputs, p inputs), or one whose signals have names that the plant has too.
-    at
-        Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
-    sign
-        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
-
-    Returns
-    -------
-    ClassicalMargins
-        One `ClassicalMargin` per channel by the name of the plant's signal.
-
-    Raises
-    ------
-    InputError
-        Sizes, names or sample times that do not fit, a sign that contradicts the controller, or a closed loop that is
-        not well posed.
-    NoTrustworthyNumber
-        A loop whose gain is 1 at every frequency: it has no crossings; take `disk_margin`. More than 200 states.
-
-    References
-    ----------
-    Skogestad, Postlethwaite, section 2.4.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> L = StateSpaceModel([[0, 1, 0], [0, 0, 1], [0, -2, -3]], [[0], [0], [1]], [[3, 0, 0]], [[0]])
-    >>> margin = classical_margins(L).channels["y1"]  # 3 / (s (s + 1) (s + 2))
-    >>> round(margin.gain_margin[1], 9), round(margin.phase_crossings[0].frequency ** 2, 9)
-    (2.0, 2.0)
-    """
+    """Of a rational plant and controller: `robustlab.classical_margins`."""
     p = as_model(plant, "classical_margins: plant")
     closed = closed_around(p, K, sign, "classical_margins")
     p = closed.plant
@@ -205,12 +228,6 @@ def classical_margins(
     channels = {name: _margin(L, stable, name) for name, L in zip(names, loops, strict=True)}
     good = all(margin.status is Status.CONVERGED for margin in channels.values())
     return ClassicalMargins(channels, at, Status.CONVERGED if good else Status.INACCURATE, closed.said)
-
-
-def _decibels(low: float, high: float) -> str:
-    with np.errstate(divide="ignore"):
-        ends = [f"{20 * np.log10(factor):.3g}" for factor in (low, high)]
-    return f" ({ends[0]} .. {ends[1]} dB)"
 
 
 # --- crossings --------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ and S has no pole on the axis. Frequencies are cut into intervals until each is 
 the function has no zero there, or its derivative has one sign and its ends tell. Beyond the last one L is too small to
 count. So no crossing is overlooked between points.
 
-The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`. On each interval the D
+The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`, of one channel over the largest gain. On each interval the D
 scaling of its middle bounds mu for all of it; intervals are cut where that lies above the largest value that was found.
 
 References
@@ -20,7 +20,8 @@ disk margins", IEEE Control Systems Magazine 40 (2020).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -33,7 +34,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
 from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, Seen, proved_peak
-from robustlab.mu_analysis.margins.delay_stability import delay_stability
+from robustlab.mu_analysis.margins.delay_margins import DelayGain, delay_gain
+from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
 from robustlab.mu_analysis.margins.disk_margin import (
     PLACES,
     DiskMargin,
@@ -52,7 +54,7 @@ from robustlab.uncertainty.algebra import beside, stacked
 from robustlab.uncertainty.blocks import ComplexScalar, delta_matrix, delta_values
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = ["delay_classical_margins", "delay_disk_margins"]
+__all__ = ["DelayDiskMargins", "delay_classical_margins", "delay_disk_margins"]
 
 # Intervals that are looked at, at most, and their smallest width relative to the frequency.
 MOST, NARROW = 400_000, 1e-10
@@ -68,8 +70,24 @@ class _Loop(NamedTuple):
 
     S: DelayedModel
     names: tuple[str, ...]
-    stable: bool
     said: str
+
+
+@dataclass(frozen=True, eq=False)
+class DelayDiskMargins(DiskMargins):
+    """Disk margins of a loop with exact delays, with the attributes of `DiskMargins`; there is no ``pole``.
+
+    Attributes
+    ----------
+    lower, upper
+        Proved on the whole axis; attained at ``frequency`` by the exact response.
+    status
+        CERTIFIED: the bounds are within the tolerance. INACCURATE: they are not.
+    gain
+        Of a loop of one channel: the gain whose inverse the margin is, with its proof; else None.
+    """
+
+    gain: DelayGain | None = None
 
 
 @told_as("delay_classical_margins")
@@ -77,43 +95,18 @@ class _Loop(NamedTuple):
 def delay_classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
 ) -> ClassicalMargins:
-    r"""Gain, phase and delay margins of a loop with exact delays, one loop at a time, with all crossings.
+    """Of a loop with exact delays: `robustlab.classical_margins`.
 
-    Parameters
-    ----------
-    plant, K, at, sign
-        As in `classical_margins`; plant, controller or both with delays.
-    highest_order
-        Of the approximations with which the closed loop is proved stable, as in `delay_stability`.
-
-    Returns
-    -------
-    ClassicalMargins
-        CERTIFIED: no crossing is missing. A loop whose gain falls to zero has phase crossings without end; those are
-        listed up to the one that bounds the gain margin. Where none is found up to a factor of 1000 the upper end reads
-        1000, and factors below 1e-6 are not looked for. INACCURATE: at a frequency it is not decided whether a function
-        only touches zero; it counts as a crossing.
-
-    Raises
-    ------
-    InputError
-        Sizes that do not fit, an uncertain or a discrete model.
-    NoTrustworthyNumber
-        It could not be shown whether the closed loop is stable; its gain at high frequencies is not proved to be below
-        one; more intervals are needed than can be afforded.
-
-    Examples
-    --------
-    >>> from robustlab.delays import delay
-    >>> integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> margin = delay_classical_margins(integrator @ delay(0.5)).channels["y1"]  # e^(-s/2) / s
-    >>> [round(x, 6) for x in (margin.gain_margin[1], margin.phase_margin, margin.delay_margin)]
-    [3.141593, 1.070796, 1.070796]
+    CERTIFIED: no crossing is missing. A loop whose gain falls to zero has phase crossings without end; those are listed
+    up to the one that bounds the gain margin. Where none is found up to a factor of 1000 the upper end reads 1000, and
+    factors below 1e-6 are not looked for. INACCURATE: at a frequency it is not decided whether a function only touches
+    zero; it counts as a crossing.
     """
-    loop = _closed(plant, K, at, sign, highest_order, "delay_classical_margins")
+    loop = _closed(plant, K, at, sign, "delay_classical_margins")
+    stable = _stability(delay_stability(loop.S, highest_order), highest_order, "delay_classical_margins")
     channels = {}
     for i, name in enumerate(loop.names):
-        channels[name] = _classical(DelayAxis(loop.S, [i], [i]), loop.stable, name)
+        channels[name] = _classical(DelayAxis(loop.S, [i], [i]), stable, name)
     good = all(m.status is Status.CERTIFIED for m in channels.values())
     return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, loop.said)
 
@@ -130,56 +123,40 @@ def delay_disk_margins(
     tolerance: float = 0.01,
     highest_order: int = 16,
     seed: int = 0,
-) -> DiskMargins:
-    r"""Disk margins of a loop with exact delays, one channel at a time and all at once.
-
-    Parameters
-    ----------
-    plant, K, at, skew, sign
-        As in `disk_margin`; plant, controller or both with delays.
-    tolerance
-        Relative distance of both bounds of the peak of mu at which the proof ends.
-    highest_order
-        As in `delay_stability`.
-    seed
-        Of the search for the critical factors.
-
-    Returns
-    -------
-    DiskMargins
-        ``lower`` proved on the whole axis, ``upper`` attained at ``frequency`` by the exact response; there is no
-        ``pole``. CERTIFIED: the bounds are within the tolerance. INACCURATE: they are not.
-
-    Raises
-    ------
-    InputError
-        Sizes that do not fit, an uncertain or a discrete model, a skew or a tolerance out of range.
-    NoTrustworthyNumber
-        The closed loop is unstable, or could not be shown to be stable.
-
-    Examples
-    --------
-    >>> from robustlab.delays import delay
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> margins = delay_disk_margins(2.0 * lag @ delay(0.5))
-    >>> str(margins.status), round(margins.simultaneous.upper, 3)
-    ('certified', 0.573)
-    """
+    effort: float = 1.0,
+) -> DelayDiskMargins:
+    """Of a loop with exact delays: `robustlab.disk_margin`."""
     if not abs(skew) <= 1e6 or not FINEST <= tolerance < 1:
         found = f"skew {skew!r}, tolerance {tolerance!r}"
         raise InputError("delay_disk_margins", found, f"a finite skew, {FINEST:g} <= tolerance < 1")
-    loop = _closed(plant, K, at, sign, highest_order, "delay_disk_margins")
-    if not loop.stable:
-        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
+    loop = _closed(plant, K, at, sign, "delay_disk_margins")
+    if len(loop.names) == 1:  # the gain of one channel needs no search for scalings
+        seen = loop.S + 0.5 * (skew - 1.0) * np.eye(1)
+        gain = delay_gain(seen, tolerance, highest_order, effort)
+        _require_stable(gain.stability, highest_order)
+        every = _of_gain(seen, gain, loop.names[0], skew)
+        return DelayDiskMargins.of(every, {loop.names[0]: every}, at, loop.said, gain=gain)
+    _require_stable(delay_stability(loop.S, highest_order, effort), highest_order)
     channels = {name: _disk(loop.S, [i], [name], skew, tolerance, seed) for i, name in enumerate(loop.names)}
-    if len(loop.names) == 1:
-        return DiskMargins(channels, channels[loop.names[0]], at, loop.said)
     every = _disk(loop.S, range(len(loop.names)), loop.names, skew, tolerance, seed)
-    return DiskMargins(channels, every, at, loop.said)
+    return DelayDiskMargins.of(every, channels, at, loop.said)
 
 
-def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1] | None, highest_order: int, where: str) -> _Loop:
-    """The loop as its channels see it, and whether it is stable."""
+def _require_stable(known: DelayStability, highest_order: int) -> None:
+    if not _stability(known, highest_order, "delay_disk_margins"):
+        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
+
+
+def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
+    """Whether the closed loop is stable, which has to be known."""
+    if known.stable is None:
+        found = f"no set up to order {highest_order} shows whether the closed loop is stable"
+        raise NoTrustworthyNumber(where, found, None, "rl.robust_stability(loop, effort=...) may")
+    return known.stable
+
+
+def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1] | None, where: str) -> _Loop:
+    """The loop as its channels see it."""
     p = as_delayed(plant, f"{where}: plant")
     if at not in PLACES:
         raise InputError(where, f"at {at!r}", "input, output or both")
@@ -195,12 +172,8 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1] | None, highest_
     else:
         around = sign * (q @ k if at == "output" else k @ q)
     S = _renamed(as_delayed(_gain(around.n_inputs)), "s").feedback(_renamed(around, "l"), 1)
-    known = delay_stability(S, highest_order)
-    if known.stable is None:
-        found = f"no set up to order {highest_order} shows whether the closed loop is stable"
-        raise NoTrustworthyNumber(where, found, None, "rl.delay_stability(loop, effort=...) may")
     names = channel_names(p.input_names, p.output_names, at)
-    return _Loop(S, tuple(names), known.stable, found.said)
+    return _Loop(S, tuple(names), found.said)
 
 
 def _gain(n: int) -> StateSpaceModel:
@@ -231,7 +204,7 @@ def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
     end = axis.end(one, 1.0 / 3.0)  # |L| <= 1/2 where |S - 1| <= 1/3
     if end is None:
         found = f"loop {name}: its gain at high frequencies is not proved to be below one half"
-        hint = "a loop with a direct path through a delay: take delay_disk_margin of it"
+        hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
         raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
     gains = _zeros(axis, lambda s: s.real - 0.5, lambda d: d.real, _never, (0.0, end))
     phases = _zeros(axis, np.imag, np.imag, _no_crossing, (0.0, end))
@@ -288,7 +261,7 @@ def _zeros(
         looked += len(begin)
         if looked > MOST:
             text = f"more than {MOST} intervals of frequency, the next from {begin[0]:.3g} rad/s"
-            raise NoTrustworthyNumber("delay_classical_margins", text, None, "delay_disk_margins")
+            raise NoTrustworthyNumber("delay_classical_margins", text, None, "rl.disk_margin")
         half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
         seen = axis.seen(middle)
         value, slope = height(seen.value[:, 0, 0]), rate(seen.slope[:, 0, 0])
@@ -365,14 +338,33 @@ def _disk(
         exact = frequency_response(S, [peak.frequency])[0][np.ix_(list(places), list(places))] + shift
         if singularity(exact, delta_matrix(blocks, delta).astype(complex)) > SINGULAR:
             status = Status.INACCURATE
-    low, high, phase = gain_and_phase(lower, skew)
+    bounds = lower, 1.0 / peak.value if peak.value else np.inf
+    return _margin(bounds, peak.frequency, status, blocks, delta, skew)
+
+
+def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> DiskMargin:
+    """The margin of one channel: the inverse of the largest gain of what its disk sees."""
+    lower, upper = (1.0 / value if value else np.inf for value in (gain.upper, gain.lower))
+    delta = {}
+    if gain.lower:
+        delta[name] = 1.0 / complex(frequency_response(seen, [gain.frequency])[0, 0, 0])
+    return _margin((lower, upper), gain.frequency, gain.status, [ComplexScalar(name)], delta, skew)
+
+
+def _margin(
+    bounds: tuple[float, float],
+    frequency: float,
+    status: Status,
+    blocks: Sequence[ComplexScalar],
+    delta: Mapping[str, complex],
+    skew: float,
+) -> DiskMargin:
+    """A margin with the factors that its critical values are."""
+    low, high, phase = gain_and_phase(bounds[0], skew)
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    perturbation, notes = _perturbation(blocks, delta, peak.frequency, skew)
-    return DiskMargin(
-        lower, 1.0 / peak.value if peak.value else np.inf, (low, high), phase, skew, peak.frequency, delta, factor,
-        perturbation, None, status, notes,
-    )  # fmt: skip
+    perturbation, notes = _perturbation(blocks, delta, frequency, skew)
+    return DiskMargin(*bounds, frequency, status, (low, high), phase, skew, delta, notes, factor, perturbation, None)
 
 
 def _perturbation(

@@ -1,37 +1,27 @@
-r"""Gains and disk margins of loops with exact delays: attained at a frequency, and proved on the whole axis.
+r"""Gains of models with exact delays: attained at a frequency, and proved on the whole axis.
 
 The largest gain over frequency is bracketed: from below by the exact response at the frequency where it was found
 largest, from above by the exact responses at points and how far the response can go between them
-(`robustlab.mu_analysis.margins.delay_axis`). A disk margin is the inverse of such a gain,
-
-.. math:: \alpha = 1 / \left\| S + \tfrac{\sigma - 1}{2} \right\|_\infty, \qquad S = (1 + L)^{-1} .
-
-References
-----------
-Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020); `delay_stability`
-and `robustlab.delays.pade` for the proofs.
+(`robustlab.mu_analysis.margins.delay_axis`); `delay_stability` and `robustlab.delays.pade` have the other proofs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
-from robustlab.mu_analysis.margins.disk_margin import DiskBounds, gain_and_phase
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
-from robustlab.statespace import StateSpaceModel
 
-__all__ = ["DelayDiskMargin", "DelayGain", "delay_disk_margin", "delay_gain"]
+__all__ = ["DelayGain", "delay_gain"]
 
 POINTS, PEAKS = 4000, 4
 ROUNDING = 1e-12
@@ -75,31 +65,6 @@ class DelayGain(Shown):
         return {"type": "DelayGain", **vars(self)}
 
 
-@dataclass(frozen=True, eq=False)
-class DelayDiskMargin(DiskBounds):
-    """The disk margin of a loop with exact delays, with the attributes of `DiskBounds`.
-
-    Attributes
-    ----------
-    lower, upper
-        Proved on the whole axis; attained at ``gain.frequency``.
-    gain
-        The gain whose inverse it is, with its proof.
-    status
-        That of ``gain``.
-    loop
-        The law that closes the loop, and who says so.
-    """
-
-    gain: DelayGain
-    status: Status
-    loop: str = ""
-
-    def facts(self) -> Facts:
-        """The margin, what it allows, and where it is smallest."""
-        return [("loop", self.loop), *super().facts(), ("smallest at", number(self.gain.frequency, "rad/s"))]
-
-
 @told_as("delay_gain")
 def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int = 16, effort: float = 1.0) -> DelayGain:
     r"""Largest gain :math:`\sup_\omega \sigma_{max}(G(j\omega))` of a stable model with exact delays.
@@ -128,6 +93,7 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     Examples
     --------
     >>> from robustlab.delays import delay
+    >>> from robustlab.statespace import StateSpaceModel
     >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     >>> found = delay_gain((2.0 * lag @ delay(0.5)).feedback())
     >>> round(found.lower, 4), str(found.status), found.upper <= 1.01 * found.lower
@@ -157,70 +123,6 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     near = upper <= (1.0 + tolerance) * best[0] * (1.0 + 10.0 * ROUNDING)
     status = Status.CERTIFIED if near else Status.INACCURATE if np.isfinite(upper) else Status.INCONCLUSIVE
     return DelayGain(best[0], upper, best[1], known, status)
-
-
-@told_as("delay_disk_margin")
-def delay_disk_margin(
-    loop: DelayedModel,
-    *,
-    skew: float = 0.0,
-    sign: Literal[-1, 1] | None = None,
-    tolerance: float = 0.01,
-    highest_order: int = 16,
-    effort: float = 1.0,
-) -> DelayDiskMargin:
-    r"""Disk margin of a loop with exact delays, by its open loop L of one channel.
-
-    Parameters
-    ----------
-    loop
-        Open loop L, one input and one output; the loop is ``y = L e``, ``e = r + sign y``.
-    skew
-        sigma, as in `disk_margin`.
-    sign
-        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
-    tolerance, highest_order, effort
-        As in `delay_gain`.
-
-    Returns
-    -------
-    DelayDiskMargin
-        Bounds of the margin: proved on the whole axis, and attained.
-
-    Raises
-    ------
-    InputError
-        Several channels, a skew that is not finite, or what `delay_gain` refuses.
-    NoTrustworthyNumber
-        The loop was not proved stable: nothing bounds the gain from above.
-
-    Examples
-    --------
-    >>> from robustlab.delays import delay
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> margin = delay_disk_margin(2.0 * lag @ delay(0.5))
-    >>> margin.lower <= margin.upper, str(margin.status)
-    (True, 'certified')
-    """
-    g = as_delayed(loop, "delay_disk_margin")
-    if (g.n_outputs, g.n_inputs) != (1, 1):
-        found, hint = f"a loop of {g.n_outputs} x {g.n_inputs}", "rl.worst_case_disk_margin(loop.uncertain(order))"
-        raise InputError("delay_disk_margin", found, "one channel", hint)
-    if not abs(skew) <= 1e6:
-        raise InputError("delay_disk_margin", f"skew {skew!r}", "a finite skew")
-    closed = closing(g, None, sign, "delay_disk_margin")
-    one = as_delayed(StateSpaceModel([], [], [], [[1.0]], 0.0, g.inputs, g.inputs))
-    same = g.select() if g.inputs == g.outputs else DelayedModel(
-        g.H.renamed(outputs=[*g.H.outputs[: len(g.delays)], *g.inputs]), g.delays
-    )  # fmt: skip
-    seen = one.feedback(same, closed.sign) + 0.5 * (skew - 1.0) * np.eye(1)
-    gain = delay_gain(seen, tolerance, highest_order, effort)
-    if not np.isfinite(gain.upper):
-        found = f"no set up to order {highest_order} proves the loop stable"
-        raise NoTrustworthyNumber("delay_disk_margin", found, None, "rl.delay_stability says whether it is")
-    lower, upper = (1.0 / value if value else np.inf for value in (gain.upper, gain.lower))
-    low, high, phase = gain_and_phase(lower, skew)
-    return DelayDiskMargin(lower, upper, (low, high), phase, skew, gain, gain.status, closed.said)
 
 
 def _attained(g: DelayedModel) -> tuple[float, float]:

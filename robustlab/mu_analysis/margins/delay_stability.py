@@ -24,17 +24,18 @@ and 2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 11.8.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import ComplexArray
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.margin import Margin, StabilityMargin
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.margins.root_count import RootCount, count_roots
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import Facts, number
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["DelayStability", "delay_stability"]
@@ -51,13 +52,14 @@ ROUNDING = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
-class DelayStability(Shown):
+class DelayStability(StabilityMargin):
     """Whether a model with exact delays is stable, and what shows it.
 
     Attributes
     ----------
-    stable
-        True, False, or None where neither could be shown.
+    lower, upper
+        Nothing is uncertain: both inf where the model is stable, both 0 where it is not, 0 and inf where neither could
+        be shown.
     status
         CERTIFIED: stability is proved on the whole frequency axis, or a root in the right half plane is proved to be
         there; both in floating point. INCONCLUSIVE: neither, up to the highest order.
@@ -76,13 +78,26 @@ class DelayStability(Shown):
         How many roots lie right of the axis, with the cells that show it; None where they could not be counted.
     """
 
-    stable: bool | None
-    status: Status
     order: int
     margin: Margin | None
     root: complex | None
     radius: float
     count: RootCount | None = None
+
+    @classmethod
+    def of(cls, stable: bool | None, status: Status, *evidence: Any) -> DelayStability:
+        """The verdict with its evidence: the fields from ``order`` on."""
+        lower, upper = {True: (np.inf, np.inf), False: (0.0, 0.0), None: (0.0, np.inf)}[stable]
+        return cls(lower, upper, None, status, {}, (), *evidence)
+
+    @property
+    def stable(self) -> bool | None:
+        """True, False, or None where neither could be shown."""
+        return True if self.lower > 0 else False if self.upper == 0 else None
+
+    def headline(self) -> str:
+        """The verdict."""
+        return {True: "proved stable", False: "proved unstable", None: "not proved stable"}[self.stable]
 
     def facts(self) -> Facts:
         """The verdict and what it rests on."""
@@ -101,55 +116,29 @@ class DelayStability(Shown):
 
     def to_json(self) -> dict[str, object]:
         """All attributes."""
-        return {"type": "DelayStability", **vars(self)}
+        return {"type": "DelayStability", "stable": self.stable, **vars(self)}
 
 
 @told_as("delay_stability")
 def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
-    r"""Whether a model with exact delays, a closed loop for example, is stable.
+    """Of a model with exact delays: `robustlab.robust_stability`.
 
     Roots right of the axis are counted; a root that is found there has to agree. Where the count does not come to an
     end (a root on the axis, echoes that do not die away), orders 1, 2, 3, 4, 6, 8, 12, 16 of Padé's approximations are
     tried until one decides: its set is robustly stable, or one of its unstable poles leads to an unstable root of the
     model with its delays.
-
-    Parameters
-    ----------
-    model
-        A DelayedModel, or a model without delays.
-    highest_order
-        Up to which order to try, 1 to 16.
-    effort
-        Work that the count and each proof may take, as a multiple of the usual.
-
-    Returns
-    -------
-    DelayStability
-        The verdict with its evidence: the proved margin of the set, or the root and how near it is to an exact one.
-
-    Raises
-    ------
-    InputError
-        A discrete or an uncertain model, an order out of range.
-
-    Examples
-    --------
-    >>> from robustlab.delays import delay
-    >>> integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> [delay_stability((integrator @ delay(tau)).feedback()).stable for tau in (1.5, 1.65)]  # the limit is pi / 2
-    [True, False]
     """
     g = as_delayed(model, "delay_stability")
     if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
         raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
     if not 0 < effort < np.inf:
         raise InputError("delay_stability: effort", f"{effort!r}", "a positive finite number")
-    found = DelayStability(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
+    found = DelayStability.of(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
     count = count_roots(g, effort) if len(g.delays) else None
     if count is not None and not count.roots:
         root, radius = _rightmost(g, g.pade(LOOKED_FOR))
         if root is None or root.real <= radius:
-            return DelayStability(True, Status.CERTIFIED, 0, None, root, radius, count)
+            return DelayStability.of(True, Status.CERTIFIED, 0, None, root, radius, count)
         text = f"no root right of the axis is counted, and {root:.6g} is one: digits were lost"
         raise NoTrustworthyNumber("delay_stability", text)
     for order in (n for n in ORDERS if n <= highest_order) if len(g.delays) else (0,):
@@ -164,13 +153,13 @@ def _tried(g: DelayedModel, order: int, effort: float, count: RootCount | None) 
     rational = g.pade(order)
     root, radius = _rightmost(g, rational)
     if root is not None and root.real > radius:
-        return DelayStability(False, Status.CERTIFIED, order, None, root, radius, count)
+        return DelayStability.of(False, Status.CERTIFIED, order, None, root, radius, count)
     margin = None
     if rational.is_stable() and count is None:
         margin = robust_stability(g.uncertain(order), expected=1.0, effort=effort)
         if margin.status is Status.CERTIFIED and margin.lower > 1.0:
-            return DelayStability(True, Status.CERTIFIED, order, margin, root, radius)
-    return DelayStability(None, Status.INCONCLUSIVE, order, margin, root, radius, count)
+            return DelayStability.of(True, Status.CERTIFIED, order, margin, root, radius)
+    return DelayStability.of(None, Status.INCONCLUSIVE, order, margin, root, radius, count)
 
 
 def _rightmost(g: DelayedModel, rational: StateSpaceModel) -> tuple[complex | None, float]:

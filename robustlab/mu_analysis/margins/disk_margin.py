@@ -16,10 +16,11 @@ Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control System
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -33,14 +34,15 @@ from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING
-from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.result import Bracket, Status
+from robustlab.shown import Facts, Part, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = [
+    "AT",
     "PLACES",
     "DiskBounds",
     "DiskMargin",
@@ -54,20 +56,27 @@ __all__ = [
     "disk_margin_of",
     "factor_model",
     "gain_and_phase",
+    "in_decibels",
+    "in_degrees",
 ]
 
 Place = Literal["input", "output", "both"]
 PLACES: tuple[Place, ...] = ("input", "output", "both")
+AT: Mapping[Place, str] = {
+    "input": "the plant's inputs", "output": "the plant's outputs", "both": "the plant's inputs and outputs",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class DiskBounds(Shown):
+class DiskBounds(Bracket):
     """Bounds of a disk margin, and what the lower one guarantees.
 
     Attributes
     ----------
     lower, upper
-        ``lower <= margin <= upper``; ``lower`` is proved over the whole axis.
+        ``lower <= margin <= upper``; ``lower`` is proved: over the whole axis, or at the frequencies that were given.
+    frequency
+        Where ``upper`` is attained, rad/s; None where nothing destabilises.
     gain_margin
         Interval of factors that leave the loop stable, in each loop independently; it belongs to ``lower``.
     phase_margin
@@ -75,29 +84,46 @@ class DiskBounds(Shown):
         holds every change of phase.
     skew
         sigma.
+    delta
+        What attains ``upper``: a value by the name of the loop, or of the block; empty where nothing destabilises.
+    notes
+        Remarks for the reader of a report.
     """
 
-    lower: float
-    upper: float
     gain_margin: tuple[float, float]
     phase_margin: float
     skew: float
+    delta: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "phase_margin": "rad",
+    }  # fmt: skip
+    kind: ClassVar[str] = "disk margin"
 
     @property
     def value(self) -> float:
         """The disk margin that is proved: ``lower``."""
         return self.lower
 
-    def facts(self) -> Facts:
-        """The margin, and the changes of gain and phase that it allows."""
+    def headline(self) -> str:
+        """The margin that is proved, and what it allows."""
         low, high = self.gain_margin
-        with np.errstate(divide="ignore"):
-            decibels = [f"{20 * np.log10(factor):.3g}" if factor > 0 else "-inf" for factor in (low, high)]
+        allowed = f"gain by factors {number(low)} .. {number(high)}, phase by +-{in_degrees(self.phase_margin)}"
+        return f"{self.kind} of at least {number(self.lower)}: {allowed}"
+
+    def facts(self) -> Facts:
+        """The margin, the changes of gain and phase that it allows, and where it is smallest."""
+        return [*self._bounds(), *(("note", note) for note in self.notes)]
+
+    def _bounds(self) -> Facts:
+        low, high = self.gain_margin
         phase = f"+-{number(self.phase_margin, 'rad')} ({number(math.degrees(self.phase_margin))} degrees)"
         return [
-            ("disk margin", bracket(self.lower, self.upper, ("proved", "attained"))),
-            ("gain", f"factors {number(low)} .. {number(high)} ({decibels[0]} .. {decibels[1]} dB)"),
+            (self.kind, bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("gain", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
             ("phase", phase),
+            ("critical frequency", number(self.frequency, "rad/s") or "none"),
             ("skew", number(self.skew)),
         ]
 
@@ -113,87 +139,104 @@ class DiskMargin(DiskBounds):
     Attributes
     ----------
     lower, upper
-        Stable for all ``|delta| < lower``, not for the ``delta`` below, whose largest modulus is ``upper``. Both inf
-        where nothing destabilises.
-    frequency
-        Critical frequency in rad/s; None where nothing destabilises.
-    delta
-        Critical delta by the name of the loop.
+        Stable for all ``|delta| < lower``, not for the ``delta``, whose largest modulus is ``upper``. Both inf where
+        nothing destabilises.
     factor
-        The critical factors f; inf where f is infinite.
+        The critical factors f by the name of the loop; inf where f is infinite.
     perturbation
         Models of the critical factors: stable (of first order, second at most, per loop) where ``(1 + sigma) |delta| <
         2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
     pole
         The pole of the loop with these perturbations that lies next to the stability boundary at ``frequency``; None
-        where the loop is then ill-posed (``frequency`` inf, or no states), or where no perturbation with real
-        coefficients takes the critical values.
+        where the loop is then ill-posed (``frequency`` inf, or no states), where no perturbation with real
+        coefficients takes the critical values, or with exact delays.
     status
         CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold; TIMEOUT where the time limit ended
         the proof.
-    notes
-        Remarks for the reader of a report.
     """
 
-    frequency: float | None
-    delta: Mapping[str, complex]
     factor: Mapping[str, complex]
     perturbation: Mapping[str, StateSpaceModel]
     pole: complex | None
-    status: Status
-    notes: tuple[str, ...] = ()
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        notes = [("note", note) for note in self.notes]
-        return [*super().facts(), ("critical frequency", number(self.frequency, "rad/s")), *notes]
 
 
 @dataclass(frozen=True, eq=False)
-class DiskMargins(Shown):
-    """Disk margins of a loop: one channel at a time, and all at once.
+class DiskMargins(DiskBounds):
+    """Disk margins of a loop, whatever kind it is: the attributes of `DiskBounds` are those of all loops at once.
 
     Attributes
     ----------
-    channels
-        Margin of each channel with the others unchanged, by name.
     simultaneous
-        Margin with all channels changed independently at once.
+        Margin with all channels changed independently at once, with its evidence.
+    channels
+        Margin of each channel with the others unchanged, by name; empty where only all at once were asked for.
     at
         ``"input"``, ``"output"`` or ``"both"``: where the factors are.
     loop
         The law that closes the loop, and who says so.
+    status
+        CERTIFIED where all are, else the first that is not.
     """
 
-    channels: Mapping[str, DiskMargin]
-    simultaneous: DiskMargin
+    simultaneous: DiskBounds
+    channels: Mapping[str, DiskBounds]
     at: Place
-    loop: str = ""
+    loop: str
 
-    @property
-    def status(self) -> Status:
-        """CERTIFIED where all are, else the first that is not."""
-        every = [*self.channels.values(), self.simultaneous]
-        return next((m.status for m in every if m.status is not Status.CERTIFIED), Status.CERTIFIED)
+    @classmethod
+    def of(
+        cls, simultaneous: DiskBounds, channels: Mapping[str, DiskBounds], at: Place, loop: str, **evidence: Any
+    ) -> Self:
+        """The answer that these margins make."""
+        shared = {f.name: getattr(simultaneous, f.name) for f in fields(DiskBounds)}
+        every = (*channels.values(), simultaneous)
+        shared["status"] = next((m.status for m in every if m.status is not Status.CERTIFIED), Status.CERTIFIED)
+        return cls(**shared, simultaneous=simultaneous, channels=channels, at=at, loop=loop, **evidence)
 
     def facts(self) -> Facts:
-        """The margins of all loops at once and of each, gain and phase of the first."""
-        every = {"all at once": self.simultaneous, **self.channels}
-        bounds = [(name, bracket(m.lower, m.upper, ("proved", "attained"))) for name, m in every.items()]
-        return [("loop", self.loop), ("at", f"the plant's {self.at}"), *bounds, *self.simultaneous.facts()[1:]]
+        """The margin of all loops at once with what it allows, and the loop."""
+        return [*self._bounds(), ("loop", self.loop), ("at", AT[self.at]), *(("note", note) for note in self.notes)]
 
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        parts = {name: margin.to_json() for name, margin in self.channels.items()}
-        together = self.simultaneous.to_json()
-        return {
-            "type": "DiskMargins",
-            "loop": self.loop,
-            "at": self.at,
-            "channels": parts,
-            "simultaneous": together,
-            "status": self.status,
-        }
+    def details(self) -> list[Part]:
+        """Each loop alone beside all at once, and the factors that destabilise."""
+        every = dict(self.channels)
+        if len(every) != 1:
+            every["all at once"] = self.simultaneous
+        rows = [_row(name, margin) for name, margin in every.items()]
+        parts = [Part("", ("loop", "disk margin", "gain", "phase", "critical at", "status"), rows)]
+        factors: Mapping[str, complex] = getattr(self.simultaneous, "factor", {})
+        worst = [(name, _polar(factor)) for name, factor in factors.items()]
+        return [*parts, Part(f"worst factors at {number(self.frequency, 'rad/s', 6)}:", ("loop", "factor"), worst)]
+
+
+def in_decibels(low: float, high: float) -> str:
+    """Two factors of gain in dB, in brackets after them."""
+    with np.errstate(divide="ignore"):
+        ends = [f"{20 * np.log10(factor):.3g}" if factor > 0 else "-inf" for factor in (low, high)]
+    return f" ({ends[0]} .. {ends[1]} dB)"
+
+
+def in_degrees(angle: float) -> str:
+    """An angle in rad as a text in degrees; inf stays."""
+    return f"{number(math.degrees(angle))} degrees" if math.isfinite(angle) else "inf"
+
+
+def _row(name: str, margin: DiskBounds) -> tuple[str, ...]:
+    low, high = margin.gain_margin
+    return (
+        name,
+        f"{margin.lower:.6g} .. {margin.upper:.6g}",
+        f"{number(low)} .. {number(high)}",
+        f"+-{in_degrees(margin.phase_margin)}",
+        number(margin.frequency, "rad/s", 6) or "none",
+        str(margin.status),
+    )
+
+
+def _polar(factor: complex) -> str:
+    if cmath.isinf(factor):
+        return "infinite"
+    return f"{abs(factor):.6g} at {math.degrees(cmath.phase(factor)):+.4g} degrees"
 
 
 @told_as("disk_margin")
@@ -208,47 +251,7 @@ def disk_margin(
     seed: int = 0,
     effort: float = 1.0,
 ) -> DiskMargins:
-    r"""Disk margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time and all loops at once.
-
-    Parameters
-    ----------
-    plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out.
-    K
-        Controller (m outputs, p inputs), or one whose signals have names that the plant has too.
-    at
-        Where the factors act: on the plant's outputs, its inputs, or both at once.
-    skew
-        sigma: 0 balanced, positive where the gain is more likely to rise, negative where it is more likely to fall.
-    sign
-        -1 for negative feedback, 1 for positive feedback. Left out: what the controller says of itself, as every
-        designed one does; negative for one that says nothing.
-    time_limit, seed, effort
-        For several loops at once, as in `robust_stability`.
-
-    Returns
-    -------
-    DiskMargins
-        One margin per channel by the name of the plant's signal, and the margin of all together.
-
-    Raises
-    ------
-    InputError
-        Sizes, names or sample times that do not fit; a skew that is not finite; a sign that contradicts the controller.
-    NoTrustworthyNumber
-        The nominal loop is unstable.
-
-    References
-    ----------
-    Seiler, Packard, Gahinet (2020).
-
-    Examples
-    --------
-    >>> L = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])  # (s - 1)/(s + 1)
-    >>> margin = disk_margin(StateSpaceModel(L.A, L.B, 0.5 * L.C, 0.5 * L.D)).simultaneous
-    >>> round(margin.value, 6), [round(g, 6) for g in margin.gain_margin]
-    (0.666667, [0.5, 2.0])
-    """
+    """Of a rational plant and controller: `robustlab.disk_margin`."""
     p = as_model(plant, "disk_margin: plant")
     found = closed_around(p, K, sign, "disk_margin")
     loop, names = disk_channels(found.plant, found.K, (0, 0), at, skew, found.sign)
@@ -261,8 +264,8 @@ def disk_margin(
             for i, name in enumerate(names)
         }
         if len(names) == 1:
-            return DiskMargins(channels, channels[names[0]], at, found.said)
-        return DiskMargins(channels, disk_margin_of(loop, names, skew, budget, seed), at, found.said)
+            return DiskMargins.of(channels[names[0]], channels, at, found.said)
+        return DiskMargins.of(disk_margin_of(loop, names, skew, budget, seed), channels, at, found.said)
 
 
 def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
@@ -438,8 +441,8 @@ def _result(
         if status is Status.CERTIFIED and not (seen and on_axis):
             status = Status.INACCURATE
     return DiskMargin(
-        bounds[0], bounds[1], (low, high), phase, skew, frequency, dict(delta), factor, perturbation, pole, status,
-        tuple(notes),
+        bounds[0], bounds[1], frequency, status, (low, high), phase, skew, dict(delta), tuple(notes), factor,
+        perturbation, pole,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,8 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm, hinf_norm
-from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.result import Bracket, Status
+from robustlab.shown import Facts, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
@@ -47,7 +47,7 @@ __all__ = ["SmallGain", "peak_response", "replayed_pole", "signed", "small_gain"
 
 
 @dataclass(frozen=True, eq=False)
-class SmallGain(Shown):
+class SmallGain(Bracket):
     """Whether a loop is stable for every stable Delta of norm one, and by which factor.
 
     Attributes
@@ -76,15 +76,20 @@ class SmallGain(Shown):
     """
 
     robustly_stable: bool | None
-    lower: float
-    upper: float
-    frequency: float | None
     delta: Mapping[str, NDArray[np.complex128]]
     pole: complex | None
     norm: HinfNorm
     M: StateSpaceModel
-    status: Status
     loop: str = ""
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "robustly_stable": bool,
+    }  # fmt: skip
+
+    def headline(self) -> str:
+        """The verdict."""
+        words = {True: "stable for every stable Delta of norm one", False: "not robustly stable", None: "undecided"}
+        return words[self.robustly_stable]
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
@@ -154,7 +159,8 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
             "check the sign of the feedback: sign=, or --feedback negative | positive",
         )
     if norm.lower == 0:
-        return SmallGain(norm.upper < 1, _inverse(norm.upper), float("inf"), None, {}, None, norm, M, norm.status, said)
+        lower, holds = _inverse(norm.upper), norm.upper < 1
+        return SmallGain(lower, float("inf"), None, norm.status, holds, {}, None, norm, M, said)
     frequency, response = peak_response(M, norm)
     u, sigma, vh = np.linalg.svd(response)
     # (I - M Delta) u1 = 0
@@ -166,7 +172,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
     upper = 1 / float(sigma[0])
-    return SmallGain(stable, _inverse(norm.upper), upper, frequency, {name: delta}, pole, norm, M, status, said)
+    return SmallGain(_inverse(norm.upper), upper, frequency, status, stable, {name: delta}, pole, norm, M, said)
 
 
 def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np.complex128]]:

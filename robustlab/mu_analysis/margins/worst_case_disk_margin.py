@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,14 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.axis_problems import SkewedProblem
-from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.margin import Margin, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import search_work
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.axis.worst_gain import skewed_cover
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskBounds,
     DiskMargin,
+    DiskMargins,
     Place,
     closed_around,
     disk_channels,
@@ -45,7 +46,7 @@ from robustlab.mu_analysis.matrix.branch_and_bound import tighten
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
-from robustlab.shown import Facts, member, number
+from robustlab.shown import Facts, Part, bracket, member
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -55,8 +56,8 @@ __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCaseDiskMargin(DiskBounds):
-    """The smallest disk margin over an uncertain set, with the attributes of `DiskBounds` for every member.
+class WorstCaseDiskMargin(DiskMargins):
+    """The smallest disk margin over an uncertain set, with the attributes of `DiskMargins` for every member.
 
     Attributes
     ----------
@@ -73,30 +74,26 @@ class WorstCaseDiskMargin(DiskBounds):
     status
         CERTIFIED where ``lower`` is proved and positive, or where an unstable member was found; TIMEOUT where the
         time limit ended the search before the bounds met; INCONCLUSIVE where nothing could be proved.
-    notes
-        Remarks for the reader of a report.
-    loop
-        The law that closes the loop, and who says so.
+    channels
+        The one loop that was asked for, or the only one; empty where all of several are changed at once.
     """
 
-    delta: Mapping[str, Any]
+    kind: ClassVar[str] = "worst-case disk margin"
+
     physical: Mapping[str, tuple[float, str]]
     member: DiskMargin | None
     nominal: DiskMargin
-    status: Status
-    notes: tuple[str, ...] = ()
-    loop: str = ""
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [
-            *super().facts()[:3],
-            ("loop", self.loop),
-            ("worst member", member(self.delta, self.physical)),
-            ("nominal margin", number(self.nominal.lower)),
-            *super().facts()[3:],
-            *(("note", note) for note in self.notes),
-        ]
+        """The smallest margin with what it allows, the member that has it, and the nominal one."""
+        first, *rest = super().facts()
+        nominal = bracket(self.nominal.lower, self.nominal.upper, ("proved", "attained"))
+        return [first, ("nominal disk margin", nominal), ("worst member", member(self.delta, self.physical)), *rest]
+
+    def details(self) -> list[Part]:
+        """The worst member, block by block."""
+        rows = delta_rows(self.delta, self.physical)
+        return [*super().details(), Part("worst member found:", ("block", "delta", "parameter"), rows)]
 
 
 @told_as("worst_case_disk_margin")
@@ -113,46 +110,7 @@ def worst_case_disk_margin(
     seed: int = 0,
     effort: float = 1.0,
 ) -> WorstCaseDiskMargin:
-    r"""Smallest disk margin of the loop ``y = P u``, ``u = sign K y`` over all members of an uncertain plant.
-
-    Parameters
-    ----------
-    uncertain
-        Uncertain plant (or open loop, square, where K is left out).
-    K, at, skew, sign
-        As in `disk_margin`.
-    channel
-        Name of the one signal of the plant whose loop is changed; all at once where left out.
-    accuracy
-        Relative distance of the bounds at which the search ends.
-    time_limit
-        Time in s for the whole search; what is proved by then is returned, and cannot be repeated. None: no limit.
-    seed
-        Seed of the searches for critical values.
-    effort
-        Work of the whole search, as a multiple of the usual (about a minute); counted, not timed.
-
-    Returns
-    -------
-    WorstCaseDiskMargin
-        Bounds of the smallest margin, and the worst member found with its own critical factors.
-
-    Raises
-    ------
-    InputError
-        Sizes that do not fit, an unknown channel.
-    NoTrustworthyNumber
-        The nominal loop is unstable.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [2.0]], np.zeros((2, 2)))
-    >>> plant = UncertainModel(M, [RealScalar("pole")])  # 2 / (s + 1 + 0.5 delta)
-    >>> margin = worst_case_disk_margin(plant)
-    >>> margin.status.value, margin.upper
-    ('certified', 2.0)
-    """
+    """Of an uncertain plant, the worst over its set: `robustlab.disk_margin`."""
     if not isinstance(uncertain, UncertainModel):
         raise InputError("worst_case_disk_margin", type(uncertain).__name__, "an UncertainModel")
     if not 0 < accuracy < 1:
@@ -181,7 +139,7 @@ class _Search:
         tuning: MuTuning = TUNING,
     ) -> None:
         closed = closed_around(uncertain, K, sign, "worst_case_disk_margin")
-        uncertain, self.said = closed.plant, closed.said
+        uncertain, self.said, self.at = closed.plant, closed.said, at
         self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
         self.uncertain, self.tuning = uncertain, tuning
         loop, self.names = disk_channels(uncertain.M, closed.K, uncertain.delta_shape, at, skew, closed.sign)
@@ -355,20 +313,14 @@ class _Search:
         notes += [*self.uncertain.impossible(self.delta), *self.uncertain.remarks]
         low, high, phase = gain_and_phase(float(self.lower), self.skew)
         physical = self.uncertain.physical(self.delta)
-        return WorstCaseDiskMargin(
-            float(self.lower),
-            float(self.upper),
-            (low, high),
-            phase,
-            self.skew,
-            dict(self.delta),
-            physical,
-            self.member,
-            self.nominal,
-            status,
+        frequency = None if self.member is None else self.member.frequency
+        every = DiskBounds(
+            float(self.lower), float(self.upper), frequency, status, (low, high), phase, self.skew, dict(self.delta),
             tuple(notes),
-            self.said,
-        )
+        )  # fmt: skip
+        channels = {self.names[0]: every} if len(self.names) == 1 else {}
+        evidence = {"physical": physical, "member": self.member, "nominal": self.nominal}
+        return WorstCaseDiskMargin.of(every, channels, self.at, self.said, **evidence)
 
 
 def _size(value: Any) -> float:

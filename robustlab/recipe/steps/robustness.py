@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -10,8 +11,12 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.closing import closing, fed_back
+from robustlab.iqc import IqcStability
+from robustlab.mu_analysis.axis.margin import StabilityMargin
+from robustlab.mu_analysis.axis.robust_gain import RobustGain
+from robustlab.mu_analysis.margins.classical import ClassicalMargins
 from robustlab.norms import HinfNorm
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step, told
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Band,
@@ -33,7 +38,6 @@ if TYPE_CHECKING:
 
 NORM = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
 BOUNDS = {"lower": float, "upper": float}
-MARGIN = {"lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}}
 
 
 @step
@@ -117,7 +121,7 @@ class PassivityStep(Step):
 class RobustStabilityStep(Step):
     """Robust stability margin over the whole frequency axis, with its mu bounds."""
 
-    leaves: ClassVar[Any] = MARGIN
+    leaves: ClassVar[Any] = StabilityMargin.quantities
     do: Literal["robust-stability"]
     of: ToUncertain
     effort: Effort = Field(1.0, description="Multiple of the usual work of the proof.")
@@ -129,19 +133,9 @@ class RobustStabilityStep(Step):
 
         uncertain = work.uncertain(self.of)
         grid = default_grid(uncertain.M, 60) if uncertain.M.n_states else None
-        margin = rl.robust_stability(
+        margin: Any = rl.robust_stability(
             uncertain, omega=grid, effort=self.effort, time_limit=self.time_limit, seed=work.seed
         )
-        work.keep(margin)
-        numbers = picked(margin, *MARGIN)
-        attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
-        facts = [
-            Fact("Margin, proved from below", f"{quantity(margin.lower)}: no smaller Δ destabilises"),
-            Fact("Margin, attained from above", attained),
-            *(Fact(f"Destabilising {name}", quantity(value, unit)) for name, (value, unit) in margin.physical.items()),
-        ]
-        if margin.frequency is not None:
-            facts.append(Fact("Critical frequency", quantity(margin.frequency, "rad/s")))
         work.draw(
             mu_figure(margin),
             "mu",
@@ -150,9 +144,7 @@ class RobustStabilityStep(Step):
         if margin.shares:
             caption = "What each block weighs in the margin: the one on top is to be tightened first."
             work.draw(shares_figure(margin.shares), "shares", caption)
-        stable = "proved stable for every Δ of the set" if margin.lower > 1 else "not proved stable over the whole set"
-        scale = "A margin of 1 means the set as stated; at 2 every range could be twice as wide."
-        return Outcome(None, f"{self.of}: {stable}.", numbers, tuple(facts), margin.status, (scale, *margin.notes))
+        return told(margin, None, f"{self.of}: {margin.headline()}.", margin.numbers(), work)
 
 
 @step
@@ -173,10 +165,14 @@ class RobustnessAtStep(Step):
         if self.controller is not None:
             around, sign, said = fed_back(system, work.values[self.controller], self.sign, self.of, None)
             system = system.feedback(around, sign)
-        analyse = rl.robust_stability_at if self.what == "margin" else rl.worst_case_gain_at
-        found = analyse(system, self.frequency, seed=work.seed)
+        if self.what == "margin":
+            margin = rl.robust_stability(system, frequency=self.frequency, seed=work.seed)
+            text = f"{self.of}: {margin.headline()}."
+            outcome = told(margin, None, text, picked(margin, *self.leaves), work)
+            return replace(outcome, facts=(Fact("Loop", said), *outcome.facts)) if said else outcome
+        found = rl.worst_case_gain_at(system, self.frequency, seed=work.seed)
         work.keep(found)
-        k = int(np.argmin(found.lower) if self.what == "margin" else np.argmax(found.upper))
+        k = int(np.argmax(found.upper))
         numbers = {"lower": float(found.lower[k]), "upper": float(found.upper[k]), "frequency": float(found.omega[k])}
         facts = tuple(Fact(label, text) for label, text in [("loop", said), *found.facts()] if text)
         text = f"{self.what} of {self.of} at {len(found.omega)} frequencies; nothing is claimed between them."
@@ -187,7 +183,7 @@ class RobustnessAtStep(Step):
 class RobustGainStep(Step):
     """How much of the set keeps every member's gain below a level."""
 
-    leaves: ClassVar[Any] = {**MARGIN, "level": float}
+    leaves: ClassVar[Any] = RobustGain.quantities
     do: Literal["robust-gain"]
     of: ToUncertain
     level: float = Field(gt=0, description="The gain, in the unit of the outputs over that of the inputs.")
@@ -197,50 +193,21 @@ class RobustGainStep(Step):
     def run(self, work: Workspace) -> Outcome:
         uncertain = work.uncertain(self.of)
         found = rl.robust_gain(uncertain, self.level, effort=self.effort, time_limit=self.time_limit, seed=work.seed)
-        work.keep(found)
-        numbers = picked(found, *self.leaves)
-        facts = [
-            Fact("Margin, proved from below", f"{quantity(found.lower)}: no member of a smaller set reaches the level"),
-            Fact("Margin, attained from above", quantity(found.upper)),
-            *(Fact(f"Critical {name}", quantity(value, unit)) for name, (value, unit) in found.physical.items()),
-        ]
-        kept = "proved for the whole set" if found.lower >= 1 else "not proved for the whole set"
-        text = f"{self.of}: a gain below {quantity(self.level)} is {kept}."
-        return Outcome(None, text, numbers, tuple(facts), found.status)
+        return told(found, None, f"{self.of}: {found.headline()}.", found.numbers(), work)
 
 
 @step
 class ClassicalMarginsStep(Step):
     """Gain, phase and delay margin of each loop alone."""
 
-    leaves: ClassVar[Any] = {"stable": bool, "gain_high": "1", "gain_low": "1", "phase": "rad", "delay": "s"}
+    leaves: ClassVar[Any] = ClassicalMargins.quantities
     do: Literal["classical-margins"]
     of: ToModel = Field(description="The open loop, square.")
     sign: Feedback = None
 
     def run(self, work: Workspace) -> Outcome:
-        loop = work.values[self.of]
-        of_loop = rl.delay_classical_margins if isinstance(loop, rl.DelayedModel) else rl.classical_margins
-        found = of_loop(loop, sign=self.sign)
-        work.keep(found)
-        margins = [m for m in found.channels.values() if m.gain_margin is not None]
-        stable = len(margins) == len(found.channels)
-        numbers: dict[str, object] = {"stable": stable}
-        facts = [Fact("Loop", found.loop), Fact("Closed loop", "stable" if stable else "unstable")]
-        if stable:
-            numbers["gain_high"] = min(m.gain_margin[1] for m in margins if m.gain_margin)
-            numbers["gain_low"] = max(m.gain_margin[0] for m in margins if m.gain_margin)
-            numbers["phase"] = min(m.phase_margin for m in margins if m.phase_margin is not None)
-            numbers["delay"] = min(m.delay_margin for m in margins if m.delay_margin is not None)
-            facts += [
-                Fact("Gain may rise", f"{quantity(numbers['gain_high'])} times"),
-                Fact("Gain may fall", f"to {quantity(numbers['gain_low'])} of it"),
-                Fact("Phase may change", quantity(numbers["phase"], "rad")),
-                Fact("Delay may grow", quantity(numbers["delay"], "s")),
-            ]
-        return Outcome(
-            None, f"Classical margins of {self.of}, one loop at a time.", numbers, tuple(facts), found.status
-        )
+        found = rl.classical_margins(work.values[self.of], sign=self.sign)
+        return told(found, None, f"{self.of}: {found.headline()}.", found.numbers(), work)
 
 
 NATURE = (
@@ -296,19 +263,13 @@ class IqcGainStep(NonlinearStep):
 class IqcStabilityStep(NonlinearStep):
     """Stability, proved for blocks that are nonlinear, vary with time, or are uncertain."""
 
-    leaves: ClassVar[Any] = {"margin": "1", "stable": bool}
+    leaves: ClassVar[Any] = IqcStability.quantities
     do: Literal["iqc-stability"]
 
     def run(self, work: Workspace) -> Outcome:
-        found = rl.iqc_stability(
-            work.values[self.of], self.natures(work), self.order, None, self.time_limit, self.effort
-        )
-        work.keep(found)
-        facts = [Fact("Margin, proved", f"{quantity(found.margin)} of the set"),
-                 *(Fact(name, text) for name, text in found.nature.items())]  # fmt: skip
-        word = "proved stable" if found.stable else "not proved stable"
-        numbers = {"margin": found.margin, "stable": found.stable}
-        return Outcome(None, f"{self.of}: {word}.", numbers, tuple(facts), found.status, found.conditions)
+        options = {"order": self.order, "time_limit": self.time_limit, "effort": self.effort}
+        found = rl.robust_stability(work.values[self.of], natures=self.natures(work), **options)
+        return told(found, None, f"{self.of}: {found.headline()}.", found.numbers(), work)
 
 
 @step

@@ -1,0 +1,209 @@
+r"""Margins of a loop, whatever kind of models make it: disk margins, and classical ones.
+
+Each loop is multiplied by a complex factor of the disk
+
+.. math:: f = \frac{1 + \frac{1 - \sigma}{2} \delta}{1 - \frac{1 + \sigma}{2} \delta}, \qquad |\delta| < \alpha .
+
+References
+----------
+Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020); Skogestad,
+Postlethwaite, *Multivariable Feedback Control*, section 2.4.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from numpy.typing import ArrayLike
+
+from robustlab.analysis.kinds import options_of
+from robustlab.delays.model import DelayedModel
+from robustlab.errors import InputError, told_as
+from robustlab.mu_analysis.margins.classical import ClassicalMargins
+from robustlab.mu_analysis.margins.disk_margin import DiskMargins, Place
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+from robustlab.uncertainty.lft import UncertainModel
+
+
+@told_as("disk_margin")
+def disk_margin(
+    plant: Any,
+    K: Any = None,
+    *,
+    at: Place = "output",
+    frequency: ArrayLike | None = None,
+    channel: str | None = None,
+    skew: float = 0.0,
+    sign: Literal[-1, 1] | None = None,
+    accuracy: float | None = None,
+    order: int | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+    time_limit: float | None = None,
+) -> DiskMargins:
+    r"""Disk margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time and all loops at once.
+
+    .. math:: \alpha = 1 / \sup_\omega \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right), \qquad S = (I + L)^{-1}
+
+    Of a plain loop, of one with exact delays, of frequency-response data, or at given frequencies: all margins. Of an
+    uncertain plant: the smallest over all members, all loops at once.
+
+    Parameters
+    ----------
+    plant
+        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model, an UncertainModel,
+        a DelayedModel, or UncertainFrequencyData without blocks.
+    K
+        Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
+    at
+        Where the factors act: on the plant's outputs, its inputs, or both at once.
+    frequency
+        Frequencies in rad/s: the margins there, and nothing is claimed between them. Data have their own.
+    channel
+        Of an uncertain plant: the one signal whose loop is changed; all at once where left out.
+    skew
+        sigma: 0 balanced, positive where the gain is more likely to rise, negative where it is more likely to fall.
+    sign
+        -1 for negative feedback, 1 for positive feedback. Left out: what the controller says of itself, as every
+        designed one does; negative for one that says nothing.
+    accuracy
+        Of an uncertain plant or a loop with delays: relative distance of the bounds at which the search ends, 0.005 and
+        0.01 where left out.
+    order
+        Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
+    seed, effort
+        Of the searches: seed, and work as a multiple of the usual, which is counted, not timed.
+    time_limit
+        Time in s for all searches over the axis; what is proved by then is returned, and cannot be repeated.
+
+    Returns
+    -------
+    DiskMargins
+        ``lower`` proved and ``upper`` attained, of all loops at once; ``channels`` by the name of the plant's signal.
+        `WorstCaseDiskMargin`, `DelayDiskMargins` and `DiskMarginsAt` are such answers with more evidence.
+
+    Raises
+    ------
+    InputError
+        Sizes, names or sample times that do not fit; a skew that is not finite; a sign that contradicts the controller;
+        an option that this kind of loop does not know.
+    NoTrustworthyNumber
+        The nominal loop is unstable, or cannot be shown to be stable; a pole lies at a frequency that was given.
+
+    References
+    ----------
+    Seiler, Packard, Gahinet (2020), equations 9-17.
+
+    Examples
+    --------
+    >>> import robustlab as rl
+    >>> margin = rl.disk_margin(rl.tf([0.5, -0.5], [1, 1]))
+    >>> round(margin.lower, 6), [round(g, 6) for g in margin.gain_margin]
+    (0.666667, [0.5, 2.0])
+    >>> late = rl.disk_margin(rl.tf([2], [1, 1]) @ rl.delay(0.5))
+    >>> str(late.status), round(late.upper, 3)
+    ('certified', 0.573)
+    >>> rl.disk_margin(rl.tf([1], [1, 0]), frequency=[1.0]).lower.__round__(6)
+    2.0
+    """
+    given = {"channel": channel, "accuracy": accuracy, "order": order, "time_limit": time_limit}
+    loop: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed}
+    kinds = plant, getattr(K, "K", K)
+    if frequency is not None or any(isinstance(part, UncertainFrequencyData) for part in kinds):
+        from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
+
+        options_of(
+            "disk_margin", "a loop at given frequencies", given, {}, "leave the frequencies out for the whole axis"
+        )
+        return disk_margin_at(plant, K, frequency, **loop)
+    if any(isinstance(part, DelayedModel) for part in kinds):
+        from robustlab.mu_analysis.margins.delay_loops import delay_disk_margins
+
+        names, hint = {"accuracy": "tolerance", "order": "highest_order"}, ".uncertain(order) makes a set of it"
+        chosen = options_of("disk_margin", "a loop with exact delays", given, names, hint)
+        return delay_disk_margins(plant, K, effort=effort, **loop, **chosen)
+    if isinstance(plant, UncertainModel):
+        from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
+
+        names = {name: name for name in ("channel", "accuracy", "time_limit")}
+        chosen = options_of("disk_margin", "an uncertain plant", given, names)
+        return worst_case_disk_margin(plant, K, effort=effort, **loop, **chosen)
+    from robustlab.mu_analysis.margins.disk_margin import disk_margin as of_model
+
+    hint = "channels of the result holds each loop alone" if channel is not None else None
+    chosen = options_of("disk_margin", "a model without uncertainty", given, {"time_limit": "time_limit"}, hint)
+    return of_model(plant, K, effort=effort, **loop, **chosen)
+
+
+@told_as("classical_margins")
+def classical_margins(
+    plant: Any,
+    K: Any = None,
+    *,
+    at: Place = "output",
+    sign: Literal[-1, 1] | None = None,
+    order: int | None = None,
+) -> ClassicalMargins:
+    r"""Gain, phase and delay margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time, with all crossings.
+
+    .. math:: |L(j\omega)| = 1, \qquad L(j\omega) < 0
+
+    Each loop is opened alone, the others stay closed. Crossings are computed in whole numbers from the matrices as
+    given, or enclosed in intervals where there are delays; none is searched on a grid.
+
+    Parameters
+    ----------
+    plant
+        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model or a DelayedModel.
+    K
+        Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
+    at
+        Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
+    sign
+        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
+    order
+        Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
+
+    Returns
+    -------
+    ClassicalMargins
+        One `ClassicalMargin` per channel by the name of the plant's signal. With delays CERTIFIED: no crossing is
+        missing; those of a gain that falls to zero have no end, and are listed up to the one that bounds the gain
+        margin, factors from 1e-6 to 1000. INACCURATE: at a frequency a crossing may only be a touch.
+
+    Raises
+    ------
+    InputError
+        Sizes, names or sample times that do not fit, a sign that contradicts the controller, a closed loop that is not
+        well posed; an uncertain plant; a discrete one with delays.
+    NoTrustworthyNumber
+        A loop whose gain is 1 at every frequency: it has no crossings; take `disk_margin`. More than 200 states. With
+        delays: it could not be shown whether the closed loop is stable, or that its gain falls.
+
+    References
+    ----------
+    Skogestad, Postlethwaite, section 2.4.
+
+    Examples
+    --------
+    >>> import robustlab as rl
+    >>> margin = rl.classical_margins(rl.tf([3], [1, 3, 2, 0]))  # 3 / (s (s + 1) (s + 2))
+    >>> round(margin.gain_high, 9), round(margin.channels["y1"].phase_crossings[0].frequency ** 2, 9)
+    (2.0, 2.0)
+    >>> late = rl.classical_margins(rl.tf([1], [1, 0]) @ rl.delay(0.5))  # e^(-s/2) / s
+    >>> [round(x, 6) for x in (late.gain_high, late.phase, late.delay)]
+    [3.141593, 1.070796, 1.070796]
+    """
+    kinds = plant, getattr(K, "K", K)
+    if any(isinstance(part, (UncertainModel, UncertainFrequencyData)) for part in kinds):
+        found = "an uncertain plant, or data"
+        raise InputError("classical_margins", found, "one model", "rl.disk_margin is that of the worst member")
+    if any(isinstance(part, DelayedModel) for part in kinds):
+        from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins
+
+        chosen = options_of("classical_margins", "a loop with delays", {"order": order}, {"order": "highest_order"})
+        return delay_classical_margins(plant, K, at=at, sign=sign, **chosen)
+    from robustlab.mu_analysis.margins.classical import classical_margins as of_model
+
+    options_of("classical_margins", "a model without delays", {"order": order}, {})
+    return of_model(plant, K, at=at, sign=sign)
