@@ -136,7 +136,7 @@ def mu(
         question.check_at(voices, shown)
         with progress.shown("mu"):
             found = _at_frequencies(uncertain, question, shown, seed)
-        output.finish("mu", found, f"{head}{_at_text(found)}", **closed)
+        output.finish("mu", found, f"{head}{found.report() if question.gain else _at_text(found)}", **closed)
         return
     with progress.shown("mu"):
         if question.gain:
@@ -168,7 +168,8 @@ def mu(
 def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int) -> Any:
     """Margin or gain at frequencies; drawn where a figure is asked for."""
     points = None if question.frequency is None else frequencies("--frequency", question.frequency)
-    found = (rl.worst_case_gain_at if question.gain else rl.robust_stability_at)(uncertain, points, seed=seed)
+    asked: Any = rl.peak_gain if question.gain else rl.robust_stability_at
+    found = asked(uncertain, frequency=points, seed=seed)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import bounds_at
 
@@ -232,24 +233,17 @@ def _margin(
     return margin, "\n".join(lines)
 
 
-def _worst_gain(
-    uncertain: rl.UncertainModel, options: dict[str, Any], shown: ShownOptions
-) -> tuple[WorstCaseGain, str]:
-    worst = rl.worst_case_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
+def _worst_gain(uncertain: rl.UncertainModel, options: dict[str, Any], shown: ShownOptions) -> tuple[Any, str]:
+    worst: Any = rl.peak_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import gain_figure
 
         save_drawing(gain_figure(worst), shown.figure)
-    lines = [
-        f"worst-case gain  {worst.lower:.6g} .. {worst.upper:.6g}  ({worst.status})",
-        f"nominal gain     {worst.nominal:.6g}",
-    ]
-    if worst.frequency is not None:
-        lines += [f"at               {worst.frequency:.6g} rad/s"]
-    if worst.delta:
-        lines += ["", "worst Delta found:", *_delta_lines(worst.delta, worst.physical, {})]
-    lines += _tail(worst, "gain at most", shown.intervals)
-    return worst, "\n".join(lines)
+    text = worst.report()
+    if shown.intervals:
+        title, header, rows = worst.proved()
+        text += f"\n\n{title}\n{table(rows, header)}"
+    return worst, text
 
 
 def _robust_gain(
@@ -285,7 +279,7 @@ def _delta_lines(delta: Any, physical: Any, shares: Any) -> list[str]:
     return lines
 
 
-def _tail(result: Margin | WorstCaseGain, header: str, with_intervals: bool) -> list[str]:
+def _tail(result: Margin, header: str, with_intervals: bool) -> list[str]:
     lines = [f"note: {text}" for text in result.notes]
     if with_intervals:
         rows = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(result.intervals)]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
+from robustlab.norms import PeakGain
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -79,13 +80,12 @@ def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
 
 def _bounds_at(found: MarginAt | GainAt, label: str) -> Figure:
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    kind = "margin" if hasattr(found, "between") else "gain"
+    kind = "gain" if isinstance(found, PeakGain) else "margin"
     words = ("proved", "attained by an explicit Δ") if kind == "margin" else ("attained by an explicit Δ", "proved")
+    bounds = (found.gain_lower, found.gain_upper) if isinstance(found, PeakGain) else (found.lower, found.upper)
     with house_style():
         shown = found.omega > 0
-        for bound, word, mark, colour in zip(
-            (found.lower, found.upper), words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True
-        ):
+        for bound, word, mark, colour in zip(bounds, words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True):
             finite = shown & np.isfinite(bound)
             axes.plot(found.omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
         frequency_axis(axes, (found.omega[shown][0], found.omega[-1]) if shown.sum() > 1 else None)

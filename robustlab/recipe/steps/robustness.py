@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -10,8 +11,8 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.closing import closing, fed_back
-from robustlab.norms import HinfNorm
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step
+from robustlab.norms import HinfNorm, PeakGain
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Band,
@@ -29,10 +30,9 @@ from robustlab.recipe.steps.vocabulary import (
 )
 
 if TYPE_CHECKING:
-    from robustlab.iqc import IqcGain, Nature
+    from robustlab.iqc import Nature
 
-NORM = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
-BOUNDS = {"lower": float, "upper": float}
+BOUNDS = PeakGain.quantities
 MARGIN = {"lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}}
 
 
@@ -40,35 +40,27 @@ MARGIN = {"lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}}
 class HinfNormStep(Step):
     """H-infinity norm of a model."""
 
-    leaves: ClassVar[Any] = NORM
+    leaves: ClassVar[Any] = HinfNorm.quantities
     do: Literal["hinf-norm"]
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        return _peak(rl.hinf_norm(work.values[self.of]), "H-infinity norm", self.of)
+        return _gain(rl.peak_gain(work.values[self.of], norm="hinf"), f"H-infinity norm of {self.of}.")
 
 
 @step
 class LinfNormStep(Step):
     """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis, or in a band."""
 
-    leaves: ClassVar[Any] = NORM
+    leaves: ClassVar[Any] = HinfNorm.quantities
     do: Literal["linf-norm"]
     of: ToModel
     band: Band | None = Field(None, description="[low, high] in rad/s; all frequencies where left out.")
 
     def run(self, work: Workspace) -> Outcome:
         title = "L-infinity norm" if self.band is None else f"Peak gain from {self.band[0]:g} to {self.band[1]:g} rad/s"
-        return _peak(rl.linf_norm(work.values[self.of], band=as_pair(self.band)), title, self.of)
-
-
-def _peak(norm: HinfNorm, title: str, of: str) -> Outcome:
-    numbers = picked(norm, *NORM)
-    facts = (
-        Fact(title, f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
-        Fact("attained at", quantity(norm.frequency, "rad/s")),
-    )
-    return Outcome(None, f"{title} of {of}.", numbers, facts, norm.status)
+        found = rl.peak_gain(work.values[self.of], norm="linf", band=as_pair(self.band))
+        return _gain(found, f"{title} of {self.of}.")
 
 
 @step
@@ -173,14 +165,18 @@ class RobustnessAtStep(Step):
         if self.controller is not None:
             around, sign, said = fed_back(system, work.values[self.controller], self.sign, self.of, None)
             system = system.feedback(around, sign)
-        analyse = rl.robust_stability_at if self.what == "margin" else rl.worst_case_gain_at
-        found = analyse(system, self.frequency, seed=work.seed)
+        loop = [Fact("Loop", said)] if said else []
+        if self.what == "gain":
+            gain: Any = rl.peak_gain(system, frequency=self.frequency, seed=work.seed)
+            work.keep(gain)
+            text = f"Gain of {self.of} at {len(gain.omega)} frequencies; nothing is claimed between them."
+            return _gain(gain, text, loop)
+        found = rl.robust_stability_at(system, self.frequency, seed=work.seed)
         work.keep(found)
-        k = int(np.argmin(found.lower) if self.what == "margin" else np.argmax(found.upper))
+        k = int(np.argmin(found.lower))
         numbers = {"lower": float(found.lower[k]), "upper": float(found.upper[k]), "frequency": float(found.omega[k])}
-        facts = tuple(Fact(label, text) for label, text in [("loop", said), *found.facts()] if text)
-        text = f"{self.what} of {self.of} at {len(found.omega)} frequencies; nothing is claimed between them."
-        return Outcome(None, text[0].upper() + text[1:], numbers, facts, found.status, (found.assumed,))
+        text = f"Margin of {self.of} at {len(found.omega)} frequencies; nothing is claimed between them."
+        return Outcome(None, text, numbers, (*loop, *facts_of(found)), found.status, (found.assumed,))
 
 
 @step
@@ -281,15 +277,12 @@ class IqcGainStep(NonlinearStep):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        found = rl.iqc_gain(
-            work.values[self.of], self.natures(work), self.inputs, self.outputs, self.order, None, self.time_limit,
-            self.effort,
+        found = rl.peak_gain(
+            work.values[self.of], natures=self.natures(work), inputs=self.inputs, outputs=self.outputs,
+            order=self.order, time_limit=self.time_limit, effort=self.effort,
         )  # fmt: skip
         work.keep(found)
-        facts = [_gain("Worst L2 gain", found), *(Fact(name, text) for name, text in found.nature.items())]
-        numbers = {"lower": found.lower, "upper": found.upper}
-        text = f"Worst L2 gain of {self.of} over all blocks of their classes."
-        return Outcome(None, text, numbers, tuple(facts), found.status, found.conditions)
+        return _gain(found, f"Worst L2 gain of {self.of} over all blocks of their classes.")
 
 
 @step
@@ -335,17 +328,12 @@ class EffectGainStep(Step):
         sign = self.sign
         if base is not None:
             sign = closing(base().select(None, self.outputs), k, sign, self.of, None).sign
-        found = rl.effect_gain(
-            plant, k, self.outputs, self.amplitude, self.stick_speed, sign, self.order, self.time_limit, self.effort,
+        found = rl.peak_gain(
+            plant, k, outputs=self.outputs, amplitude=self.amplitude, stick_speed=self.stick_speed, sign=sign,
+            order=self.order, time_limit=self.time_limit, effort=self.effort,
         )  # fmt: skip
         work.keep(found)
-        facts = [Fact("Loop", found.loop), _gain("Worst L2 gain", found.proved),
-                 Fact("As constant gains", quantity(found.as_constants.upper)),
-                 *(Fact(name, text) for name, text in found.proved.nature.items())]  # fmt: skip
-        numbers = {"lower": found.proved.lower, "upper": found.proved.upper, "as_constants": found.as_constants.upper}
-        left = tuple(f"{name}: {why}" for name, why in found.left_out.items())
-        text = f"Worst L2 gain of {self.of} with {self.controller}, its effects taken for what they are."
-        return Outcome(None, text, numbers, tuple(facts), found.status, (*found.proved.conditions, *left))
+        return _gain(found, f"Worst L2 gain of {self.of} with {self.controller}, its effects taken for what they are.")
 
 
 @step
@@ -379,15 +367,16 @@ class AntiWindupStep(Step):
         )  # fmt: skip
         work.keep(found)
         loop = f"{law(K.inputs)}, as {self.controller} says" if law(K.inputs) else "u = K y; nothing else is said of it"
-        facts = (Fact("Loop", loop), _gain("Worst L2 gain", found.proved), _gain("Without anti-windup", found.without),
-                 _gain("Back-calculation", found.back), Fact("Never saturating", quantity(found.linear)))  # fmt: skip
+        gains = {"Worst L2 gain": found.proved, "Without anti-windup": found.without, "Back-calculation": found.back}
+        facts = (Fact("Loop", loop), *(Fact(label, gain.bounds()) for label, gain in gains.items()),
+                 Fact("Never saturating", quantity(found.linear)))  # fmt: skip
         numbers = {"upper": found.proved.upper, "lower": found.proved.lower, "without": found.without.upper,
                    "back": found.back.upper, "linear": found.linear, "L": found.L.tolist()}  # fmt: skip
         text = f"Static anti-windup for {self.controller} at {self.of}."
         return Outcome(None, text, numbers, facts, found.status, found.proved.conditions)
 
 
-def _gain(label: str, found: IqcGain) -> Fact:
-    if math.isfinite(found.upper):
-        return Fact(label, f"{quantity(found.upper)} (proved), {quantity(found.lower)} attained")
-    return Fact(label, "a linear member is unstable" if math.isinf(found.lower) else "nothing proved")
+def _gain(found: PeakGain, summary: str, loop: Sequence[Fact] = ()) -> Outcome:
+    """A gain as it shows itself; what its bounds take for granted stands once, among the notes."""
+    facts = tuple(fact for fact in facts_of(found) if fact.label not in ("Holds", "Note"))
+    return Outcome(None, summary, found.numbers(), (*loop, *facts), found.status, (*found.conditions, *found.notes))

@@ -48,8 +48,8 @@ class LpvGainStep(ScheduledStep):
     do: Literal["lpv-gain"]
 
     def run(self, work: Workspace) -> Outcome:
-        found = rl.lpv_gain(self.scheduled(work), **self.options)
-        return told(found, None, f"Induced gain of {self.of}.", picked(found, *self.leaves), work)
+        found = rl.peak_gain(self.scheduled(work), **self.options)
+        return told(found, None, f"Induced gain of {self.of}.", found.numbers(), work)
 
 
 @step
