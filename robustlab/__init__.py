@@ -52,6 +52,7 @@ _PUBLIC = {
     "conservatism": "mu_analysis.margins.cover",
     "overbound": "uncertainty.covering.overbound",
     # analysis
+    "peak_gain": "analysis.gain",
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",
     "violation_probability": "worst_case_analysis",
@@ -61,17 +62,12 @@ _PUBLIC = {
     "disk_margin": "analysis.margins",
     "classical_margins": "analysis.margins",
     "robust_performance": "mu_analysis",
-    "worst_case_gain": "mu_analysis",
     "robust_gain": "mu_analysis.axis.robust_gain",
-    "worst_case_gain_at": "mu_analysis.margins.at_frequencies",
     "small_gain": "mu_analysis.margins.small_gain",
-    "delay_gain": "mu_analysis.margins.delay_margins",
     "gap": "uncertainty.distances.gap_metric",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",
-    "hinf_norm": "norms",
     "h2_norm": "norms",
-    "linf_norm": "norms",
     "passivity": "norms",
     "lyap": "linear_analysis.linear_matrix_equations",
     "dlyap": "linear_analysis.linear_matrix_equations",
@@ -83,8 +79,6 @@ _PUBLIC = {
     "observability": "linear_analysis.structural",
     "frequency_response": "linear_analysis.frequency",
     # nonlinear and time-varying blocks
-    "iqc_gain": "iqc",
-    "effect_gain": "iqc.effect_gain_bounds",
     "Varying": "iqc",
     "Nonlinearity": "iqc",
     # synthesis
@@ -115,7 +109,6 @@ _PUBLIC = {
     # gain scheduling
     "LPVModel": "synthesis.scheduling.parameter_varying",
     "lpv_model": "synthesis.scheduling.lpv_sources",
-    "lpv_gain": "synthesis.scheduling.induced_gain",
     # reduction and discretisation
     "hankel_singular_values": "synthesis.reduction.model_reduction",
     "reduce_model": "synthesis.reduction.model_reduction",

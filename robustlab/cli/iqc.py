@@ -93,12 +93,14 @@ def gain(
             for text in blocks.nature or []:
                 put_once(given, "--nature", text, *_pair(text))
             nature = natures_in_words(given, "--nature", known)
-            options = {"order": order, **vars(effort)}
+            options: dict[str, Any] = {"order": order, **vars(effort)}
             if blocks.stability:
                 result = rl.robust_stability(thing, natures=nature, **options)
             else:
-                result = rl.iqc_gain(thing, nature, _names(blocks.inputs), _names(blocks.outputs), **options)
-    output.finish("iqc gain", result, f"{head}{result.summary()}", **({"loop": said} if said else {}))
+                result = rl.peak_gain(
+                    thing, natures=nature, inputs=_names(blocks.inputs), outputs=_names(blocks.outputs), **options
+                )
+    output.finish("iqc gain", result, f"{head}{result.report()}", **({"loop": said} if said else {}))
 
 
 def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: int, effort: EffortOptions) -> Any:
@@ -114,9 +116,9 @@ def _effects(plant: Any, blocks: BlockOptions, effects: EffectOptions, order: in
         note(remark)
     outputs = _names(blocks.outputs)
     sign = closing(plant.plant.state_space().select(None, outputs), k, sign, "iqc gain", None).sign
-    return rl.effect_gain(
-        plant, k, outputs, assignments("--amplitude", effects.amplitude),
-        assignments("--stick-speed", effects.stick_speed), sign, order, **vars(effort),
+    return rl.peak_gain(
+        plant, k, outputs=outputs, amplitude=assignments("--amplitude", effects.amplitude),
+        stick_speed=assignments("--stick-speed", effects.stick_speed), sign=sign, order=order, **vars(effort),
     )  # fmt: skip
 
 

@@ -96,9 +96,9 @@ def gain(
     Example: robustlab lpv gain lpv.h5 --rate k=0.5
     """
     model, kind = scheduling.model(file), _kind(lyapunov)
-    with progress.shown("lpv gain") as report:
-        found = rl.lpv_gain(model, kind, **vars(effort), progress=report)
-    output.finish("lpv gain", found, table(found.facts()))
+    with progress.shown("lpv gain"):
+        found = rl.peak_gain(model, lyapunov=kind, **vars(effort))
+    output.finish("lpv gain", found, found.report())
 
 
 @app.command()

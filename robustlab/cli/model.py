@@ -282,11 +282,10 @@ def norm(
     Example: robustlab model norm motor.h5 --kind h2
     """
     part = band_of(band)
-    functions: dict[str, Any] = dict(zip(NORMS, (rl.hinf_norm, rl.linf_norm, rl.h2_norm, rl.passivity), strict=True))
-    if part is not None:
-        if kind != "linf":
-            raise UsageError("--band", f"--kind {kind}", "--kind linf: the peak gain in the band")
-        functions["linf"] = partial(rl.linf_norm, band=part)
+    peaks = [partial(rl.peak_gain, norm="hinf"), partial(rl.peak_gain, norm="linf", band=part)]
+    functions: dict[str, Any] = dict(zip(NORMS, (*peaks, rl.h2_norm, rl.passivity), strict=True))
+    if part is not None and kind != "linf":
+        raise UsageError("--band", f"--kind {kind}", "--kind linf: the peak gain in the band")
     if kind not in functions:
         raise UsageError(f"--kind {kind}", "no such norm", ", ".join(NORMS), did_you_mean(kind, NORMS))
     loaded = options.read(file)

@@ -167,10 +167,8 @@ def mu(
 def _at_frequencies(uncertain: Any, question: QuestionOptions, shown: ShownOptions, seed: int) -> Any:
     """Margin or gain at frequencies; drawn where a figure is asked for."""
     points = None if question.frequency is None else frequencies("--frequency", question.frequency)
-    if question.gain:
-        found: Any = rl.worst_case_gain_at(uncertain, points, seed=seed)
-    else:
-        found = rl.robust_stability(uncertain, frequency=points, seed=seed)
+    asked: Any = rl.peak_gain if question.gain else rl.robust_stability
+    found = asked(uncertain, frequency=points, seed=seed)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import bounds_at
 
@@ -221,26 +219,17 @@ def _margin(
     return margin, f"{margin.report()}{intervals}"
 
 
-def _worst_gain(
-    uncertain: rl.UncertainModel, options: dict[str, Any], shown: ShownOptions
-) -> tuple[WorstCaseGain, str]:
-    worst = rl.worst_case_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
+def _worst_gain(uncertain: rl.UncertainModel, options: dict[str, Any], shown: ShownOptions) -> tuple[Any, str]:
+    worst: Any = rl.peak_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
     if shown.figure is not None:
         from robustlab.report.robustness_figures import gain_figure
 
         save_drawing(gain_figure(worst), shown.figure)
-    from robustlab.mu_analysis.axis.margin import delta_rows
-
-    lines = [
-        f"worst-case gain  {worst.lower:.6g} .. {worst.upper:.6g}  ({worst.status})",
-        f"nominal gain     {worst.nominal:.6g}",
-    ]
-    if worst.frequency is not None:
-        lines += [f"at               {worst.frequency:.6g} rad/s"]
-    if worst.delta:
-        lines += ["", "worst Delta found:", table(delta_rows(worst.delta, worst.physical), DELTA)]
-    lines += _tail(worst, "gain at most", shown.intervals)
-    return worst, "\n".join(lines)
+    text = worst.report()
+    if shown.intervals:
+        title, header, rows = worst.proved()
+        text += f"\n\n{title}\n{table(rows, header)}"
+    return worst, text
 
 
 def _robust_gain(
@@ -250,15 +239,6 @@ def _robust_gain(
         raise UsageError("mu", "--intervals or --figure with --level", "--gain for the intervals of a worst-case gain")
     found = rl.robust_gain(uncertain, level, **options)
     return found, found.report()
-
-
-def _tail(result: WorstCaseGain, header: str, with_intervals: bool) -> list[str]:
-    lines = [f"note: {text}" for text in result.notes]
-    if with_intervals:
-        rows = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(result.intervals)]
-        lines += ["", "proved intervals:", table(rows, ("from rad/s", "to rad/s", header))]
-        lines += [f"not proved: {low:.6g} .. {high:.6g} rad/s" for low, high in result.open]
-    return lines
 
 
 def _draw(uncertain: rl.UncertainModel, margin: Margin, figure: str, performance: bool) -> None:

@@ -27,8 +27,9 @@ from robustlab.errors import InputError, told_as
 from robustlab.iqc.problem import IqcProof, Natures, posed
 from robustlab.iqc.tuning import TUNING
 from robustlab.mu_analysis.axis.margin import StabilityMargin
+from robustlab.norms import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, listed, member, number
+from robustlab.shown import Facts, listed, member, number
 
 __all__ = ["IqcGain", "IqcStability", "iqc_gain", "iqc_stability"]
 
@@ -36,7 +37,7 @@ HOMOTOPY = "tau Delta is of the class of Delta for every tau in [0, 1]"
 
 
 @dataclass(frozen=True, eq=False)
-class IqcGain(Shown):
+class IqcGain(PeakGain):
     """Bounds of the worst L2 gain over all blocks of their classes.
 
     Attributes
@@ -57,34 +58,17 @@ class IqcGain(Shown):
         the loop. INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
     """
 
-    lower: float
-    upper: float
     delta: Mapping[str, float]
     nature: Mapping[str, str]
-    conditions: tuple[str, ...]
     proof: IqcProof | None
-    status: Status
 
-    def facts(self) -> Facts:
-        """Both bounds and what they rest on."""
-        text = bracket(self.lower, self.upper, ("attained", "proved"))
-        if np.isinf(self.upper):
-            text = (
-                f"{number(self.lower)} (attained), no bound proved"
-                if np.isfinite(self.lower)
-                else "a member is unstable"
-            )
+    def evidence(self) -> Facts:
+        """What each block was taken for, the worst linear member, and the proof."""
         return [
-            ("worst-case L2 gain", text),
             ("blocks", listed(f"{name}: {text}" for name, text in self.nature.items())),
             ("worst linear member", member(self.delta)),
-            ("holds", listed(self.conditions)),
             *_proof_facts(self.proof),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return {"type": "IqcGain", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,58 +148,14 @@ def iqc_gain(
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> IqcGain:
-    r"""Proved bound of the worst L2 gain with nonlinear, time-varying and uncertain blocks.
+    """`robustlab.peak_gain` with blocks that are nonlinear or vary with time; ``nature``: its ``natures``.
 
-    .. math:: \sup_{\Delta} \sup_{u} \|y\|_2 / \|u\|_2 \le \gamma
+    Each block is described by integral quadratic constraints (`robustlab.iqc.multipliers`), a linear matrix inequality
+    finds the multipliers of least gamma, and what is reported is proved outside of the solver
+    (`robustlab.iqc.inequality`).
 
-    A block of ``nature`` is what is said there; every other one is what it is in the uncertain model: a constant real
-    parameter, or time-invariant dynamics of gain one. Each block is described by integral quadratic constraints
-    (`robustlab.iqc.multipliers`), a linear matrix inequality finds the multipliers of least gamma, and what is reported
-    is proved outside of the solver (`robustlab.iqc.inequality`).
-
-    Parameters
-    ----------
-    model
-        `UncertainModel`, or a model whose signals ``nature`` names; continuous, stable with all blocks at the middles
-        of their ranges.
-    nature
-        Name of a block -> `Varying` or `Nonlinearity`; or (output, input) -> `Nonlinearity`, which drives that input
-        with a law of that output. A `Nonlinearity` of a real block needs the sector that the range of the block is.
-    inputs, outputs
-        Names of u and y; all of the model that no block drives, and all outputs, where left out.
-    order
-        Highest power of the multipliers' filters ``a / (s + a)``, 0..8; 0: static multipliers.
-    pole
-        a in rad/s; several of them, by the poles of the model, are tried where left out.
-    time_limit
-        Seconds after which the search ends; None: no limit.
-    effort
-        Multiple of the usual work.
-
-    Returns
-    -------
-    IqcGain
-        Both bounds, what each block was taken for, and the proof.
-
-    Raises
-    ------
-    InputError
-        No such block or signal, a discrete model, a nature that does not fit the block, no performance channel.
-    NoTrustworthyNumber
-        The model is unstable with all blocks at their middles.
-
-    References
-    ----------
-    Megretski, Rantzer 1997; Veenman, Scherer, Köroğlu 2016.
-
-    Examples
-    --------
-    >>> from robustlab.iqc.nature import Nonlinearity
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> plant = StateSpaceModel([[-1.0]], [[-1.0, 1.0]], [[1.0]], [[0.0, 0.0]], 0, ["v", "d"], ["y"])
-    >>> found = iqc_gain(plant, {("y", "v"): Nonlinearity.saturation()})  # 1 / (s + 1) with -sat(y) fed back
-    >>> round(found.lower, 4), round(found.upper, 4)
-    (1.0, 1.0)
+    Raises InputError: no such block or signal, a discrete model, a nature that does not fit the block, no performance
+    channel. Raises NoTrustworthyNumber: the model is unstable with all blocks at their middles.
     """
     problem, budget = posed("iqc_gain", model, nature, order, pole, time_limit, effort, (inputs, outputs))
     if not problem.n_w or not problem.n_z:
@@ -234,7 +174,7 @@ def iqc_gain(
     if not np.isfinite(lower):
         status = Status.INFEASIBLE
     upper, proof = best if best is not None else (math.inf, None)
-    return IqcGain(lower, upper, delta, problem.words, problem.conditions, proof, status)
+    return IqcGain(lower, upper, None, status, delta, problem.words, proof, conditions=problem.conditions)
 
 
 @told_as("iqc_stability")

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from robustlab.closing import fed_back
 from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_blocks
@@ -29,8 +29,8 @@ from robustlab.errors import InputError, told_as
 from robustlab.iqc.analysis import IqcGain, iqc_gain
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
-from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, listed
+from robustlab.norms import PeakGain
+from robustlab.shown import Facts, bracket, listed
 
 __all__ = ["EffectGain", "effect_gain"]
 
@@ -41,11 +41,13 @@ ODD_INPUTS = ("input-saturation", "input-dead-zone")
 
 
 @dataclass(frozen=True, eq=False)
-class EffectGain(Shown):
+class EffectGain(PeakGain):
     """The gain of a loop with effects: proved with each for what it is, and beside it what constant gains say.
 
     Attributes
     ----------
+    lower, upper
+        Those of ``proved``.
     proved
         By integral quadratic constraints; its blocks are the effects and the uncertain parameters.
     as_constants
@@ -64,25 +66,20 @@ class EffectGain(Shown):
     left_out: Mapping[str, str]
     loop: str = ""
 
-    @property
-    def status(self) -> Status:
-        """That of ``proved``."""
-        return self.proved.status
+    quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "as_constants": float}
+
+    def numbers(self) -> dict[str, Any]:
+        """The bounds, and what is proved for constant gains."""
+        return {**super().numbers(), "as_constants": self.as_constants.upper}
 
     def facts(self) -> Facts:
-        """Both gains."""
-        constants = bracket(self.as_constants.lower, self.as_constants.upper, ("attained", "proved for constants"))
-        return [
-            ("loop", self.loop),
-            *self.proved.facts(),
-            ("as constant gains", constants),
-            ("not in it", listed(self.left_out)),
-        ]
+        """The loop, and both gains."""
+        return [("loop", self.loop), *super().facts()]
 
-    def to_json(self) -> dict[str, Any]:
-        """Both results and what is left out."""
-        parts = {name: getattr(self, name) for name in ("loop", "proved", "as_constants", "left_out")}
-        return {"type": "EffectGain", **parts, "status": self.status}
+    def evidence(self) -> Facts:
+        """The proof, and the gain of the same ranges as constants."""
+        constants = bracket(self.as_constants.lower, self.as_constants.upper, ("attained", "proved for constants"))
+        return [*self.proved.evidence(), ("as constant gains", constants)]
 
 
 @told_as("effect_gain")
@@ -97,40 +94,10 @@ def effect_gain(
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> EffectGain:
-    r"""Worst L2 gain from disturbances at the plant's inputs to its outputs, with its effects as nonlinearities.
+    """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs.
 
-    .. math:: e = d + s K y, \quad y = G(e), \qquad \|y\|_2 \le \gamma \|d\|_2
-
-    G has the effects and the tolerances of the plant, for example those that `discover` has named.
-
-    Parameters
-    ----------
-    plant
-        Linear plant with effects (`with_effects`, the updated plant of a discovery).
-    controller
-        K: a model, a `Controller`, a matrix or a number.
-    outputs
-        Outputs of the plant that K sees, in its order; all where left out.
-    amplitude
-        Place of an effect -> bound of its signal. A sector that is local holds while the signal stays within it.
-    stick_speed
-        Joint -> speed below which its dry friction grows in proportion to the speed.
-    sign
-        s: -1 for negative feedback, 1 for positive; left out: as the controller says, negative where it says nothing.
-    order, time_limit, effort
-        As in `iqc_gain`.
-
-    Returns
-    -------
-    EffectGain
-        The proved gain, and that of the same ranges as constant gains.
-
-    Raises
-    ------
-    InputError
-        No plant with effects; dry friction without a stick speed; an effect that needs an amplitude.
-    NoTrustworthyNumber
-        The loop is unstable with all effects at the middles of their sectors.
+    Raises InputError: no plant with effects; dry friction without a stick speed; an effect that needs an amplitude.
+    Raises NoTrustworthyNumber: the loop is unstable with all effects at the middles of their sectors.
     """
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_gain", type(plant).__name__, "a linear plant with effects (rl.with_effects)")
@@ -157,8 +124,11 @@ def effect_gain(
     natures = _natures(plant, made, amplitude or {}, slow)
     proved = iqc_gain(loop, natures, None, None, order, None, time_limit, effort)
     constants = worst_case_gain(loop, time_limit=time_limit, effort=effort)
-    noise = {n.name: "a bounded error: an input, no gain" for n in made.noise}
-    return EffectGain(proved, constants, {**made.left_out, **noise}, said)
+    left = {**made.left_out, **{n.name: "a bounded error: an input, no gain" for n in made.noise}}
+    return EffectGain(
+        proved.lower, proved.upper, None, proved.status, proved, constants, left, said,
+        conditions=proved.conditions, notes=tuple(f"not in it: {name}: {why}" for name, why in left.items()),
+    )  # fmt: skip
 
 
 def _natures(

@@ -1,10 +1,18 @@
 """System norms with their evidence, the passivity index, and the bilinear map, which keeps the H-infinity norm."""
 
 from robustlab.norms.axis_integral import AxisTuning, panel_ends
-from robustlab.norms.axis_peak import checked_band, linf_norm
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
-from robustlab.norms.hinfinity import QUIET, HinfNorm, gain_rounding, hinf_norm, norm_as_given
+from robustlab.norms.hinfinity import (
+    QUIET,
+    HinfNorm,
+    checked_band,
+    gain_rounding,
+    hinf_norm,
+    linf_norm,
+    norm_as_given,
+)
 from robustlab.norms.impulse_energy import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
+from robustlab.norms.peak_gain import PeakGain
 from robustlab.norms.positive_real import Passivity, passivity
 
 __all__ = [
@@ -13,6 +21,7 @@ __all__ = [
     "H2Norm",
     "HinfNorm",
     "Passivity",
+    "PeakGain",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
     "checked_band",

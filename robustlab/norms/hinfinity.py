@@ -1,16 +1,21 @@
-"""H-infinity norm as a proved bracket."""
+"""H-infinity and L-infinity norm as a proved bracket: one level test, which needs no stability.
+
+The H-infinity norm is infinite where the model is unstable. The L-infinity norm, the peak over the frequency axis or a
+band of it, is infinite where a pole lies on it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.exact_stability import exactly_stable
+from robustlab.linear_analysis.exact_stability import exactly_on_boundary, exactly_stable
 from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.level_set import (
@@ -23,24 +28,10 @@ from robustlab.norms.level_set import (
     search_grid,
     well_scaled,
 )
+from robustlab.norms.peak_gain import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, as_model
-
-__all__ = [
-    "FAR",
-    "QUIET",
-    "HinfNorm",
-    "axis_point",
-    "balanced",
-    "bracketed_norm",
-    "eigenvalue_blur",
-    "gain_rounding",
-    "hinf_norm",
-    "norm_as_given",
-    "pole_text",
-    "unstable_norm",
-]
 
 EPS = float(np.finfo(float).eps)
 # Eigenvalues of a Jordan block of four may be off by this many times those of a matrix with a basis of eigenvectors.
@@ -49,61 +40,60 @@ FAR = 1e12
 # Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
 # unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
+# A pole within so many times what eigenvalues are known to may lie on the boundary: those of Jordan blocks are blurred.
+BESIDE = 1e9
 # Share of the norm that rounding is at the worst frequencies before it may be all of the norm.
 MOST = 0.1
 
 
 @dataclass(frozen=True)
-class HinfNorm(Shown):
-    """H-infinity norm of a model with its evidence.
+class HinfNorm(PeakGain):
+    """H-infinity norm of a model, or its peak gain over the axis or a band, with its evidence.
 
     Attributes
     ----------
-    value
-        The norm; equal to ``lower``.
-    frequency
-        Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
-        infinite norm without such a frequency.
     lower
         ``sigma_max`` of the given model at ``frequency``, evaluated.
     upper
         Level that no singular value crosses, by the Hamiltonian test; ``lower <= norm <= upper``. Where rounding may
         move the gain at the peak by more than 1e-9 of it, both ends are that much further out. A norm that is zero but
         for rounding has zero and the bound of that rounding as its ends.
+    frequency
+        Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
+        infinite norm without such a frequency.
     status
         CERTIFIED, or INACCURATE where rounding leaves the sign of a pole or a level test open.
     reason
         Why the norm is infinite or inaccurate; else empty.
     """
 
-    value: float
     frequency: float
-    lower: float
-    upper: float
-    status: Status
     reason: str = ""
 
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [
-            ("norm", bracket(self.lower, self.upper, ("attained", "proved"))),
-            ("at", number(self.frequency, "rad/s")),
-            ("reason", self.reason),
-        ]
+    quantities: ClassVar[Mapping[str, Any]] = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
+    unstable: ClassVar[str] = "infinite"
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
+    @property
+    def value(self) -> float:
+        """The norm: ``lower``, or inf where there is no finite bound."""
+        return np.inf if np.isinf(self.upper) else self.lower
+
+    def evidence(self) -> Facts:
+        """Why the norm is infinite or inaccurate."""
+        return [("reason", self.reason)]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields and the value."""
+        return {**super().to_json(), "value": self.value}
 
 
-# --- H-infinity ------------------------------------------------------------------------------------------------------
+# Which poles make the norm infinite: its bracket, or None; told times ``2^rate``.
+Infinite = Callable[[StateSpaceModel, int], HinfNorm | None]
 
 
 @told_as("hinf_norm")
 def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) -> HinfNorm:
-    r"""H-infinity norm as a bracket: a frequency attains ``lower``, no frequency exceeds ``upper``.
-
-    .. math:: \|G\|_\infty = \sup_\omega \sigma_{max}(G(j\omega)) \qquad (G(e^{j\omega dt}) \text{ for } dt > 0)
+    r"""`robustlab.peak_gain` of a model: the H-infinity norm, infinite where the model is not stable.
 
     Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
     imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
@@ -113,43 +103,56 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     highest peaks looks for what rounding may have hidden. Values come from the model's modes where a bound of their
     error shows that this is enough; what is told is solved for with A.
 
-    Parameters
-    ----------
-    model
-        Model with any numbers of states, inputs and outputs, including zero; or a python-control object.
-    rtol
-        Relative width of the bracket.
-    tuning
-        How hard it is looked for.
+    Raises InputError: no model, or an ``rtol`` that is not between 1e-12 and 1. Raises NoTrustworthyNumber: the norm is
+    larger than the largest floating-point number.
+    """
+    given = as_model(model, "hinf_norm")
+    return _norm_of(given, rtol, tuning, unstable_norm, None, "hinf_norm")
 
-    Returns
-    -------
-    HinfNorm
-        Infinite for a model that is unstable or has poles on the stability boundary, reachable or not.
+
+@told_as("linf_norm")
+def linf_norm(
+    model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | None = None, tuning: NormTuning = TUNING
+) -> HinfNorm:
+    """The same over the frequency axis or a band of it, of a model that may be unstable.
+
+    Whether a pole lies on the stability boundary is decided in exact arithmetic up to 12 states; beyond them a pole
+    that rounding cannot tell from the boundary makes the norm infinite with status INACCURATE.
+
+    Raises as `hinf_norm`, and InputError: a band without width or beyond pi / dt.
+    """
+    given = as_model(model, "linf_norm")
+    part = None if band is None else checked_band(band, given.dt, "linf_norm")
+    infinite = _on_the_boundary if part is None else partial(_in_the_band, part)
+    return _norm_of(given, rtol, tuning, infinite, part, "linf_norm")
+
+
+def _norm_of(
+    given: StateSpaceModel, rtol: float, tuning: NormTuning, infinite: Infinite, band: Band | None, where: str
+) -> HinfNorm:
+    if not 1e-12 <= rtol < 1:
+        raise InputError(where, f"rtol is {rtol}", "between 1e-12 and 1")
+    ordinary = moderated(given, where)
+    return norm_as_given(bracketed_norm(ordinary, rtol, tuning, infinite, band), ordinary)
+
+
+def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[float, float]:
+    """A band of frequencies in rad/s; its upper end may be infinite, or pi / dt of a discrete model.
 
     Raises
     ------
     InputError
-        No model, or an ``rtol`` that is not between 1e-12 and 1.
-    NoTrustworthyNumber
-        The norm is larger than the largest floating-point number.
-
-    References
-    ----------
-    Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[-2.0]], [[1.0]], [[6.0]], [[0.0]])
-    >>> norm = hinf_norm(lag)
-    >>> norm.value, norm.frequency, norm.status.value
-    (3.0, 0.0, 'certified')
+        No two numbers in order, below zero, or beyond pi / dt.
     """
-    given = as_model(model, "hinf_norm")
-    if not 1e-12 <= rtol < 1:
-        raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
-    ordinary = moderated(given, "hinf_norm")
-    return norm_as_given(bracketed_norm(ordinary, rtol, tuning, unstable_norm), ordinary)
+    last = np.pi / dt if dt else np.inf
+    try:
+        low, high = (float(omega) for omega in band)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: band", f"{band!r}", "two frequencies in rad/s, low and high") from None
+    if not 0 <= low < high or high > last * (1 + 1e-12):
+        limit = f" up to pi / dt = {last:.6g} rad/s" if dt else ""
+        raise InputError(f"{where}: band", f"{low:g} to {high:g} rad/s", f"0 <= low < high{limit}")
+    return low, min(high, last)
 
 
 def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
@@ -162,15 +165,14 @@ def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
             lower = float(np.nextafter(lower, 0))
         if np.ldexp(upper, ordinary.gain) < norm.upper:
             upper = float(np.nextafter(upper, np.inf))
-    value = np.inf if np.isinf(norm.value) else lower
-    return HinfNorm(value, ordinary.frequency(norm.frequency), lower, upper, norm.status, norm.reason)
+    return HinfNorm(lower, upper, ordinary.frequency(norm.frequency), norm.status, norm.reason)
 
 
 def bracketed_norm(
     ordinary: Moderated,
     rtol: float,
     tuning: NormTuning,
-    infinite: Callable[[StateSpaceModel, int], HinfNorm | None],
+    infinite: Infinite,
     band: Band | None = None,
 ) -> HinfNorm:
     """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given.
@@ -180,10 +182,10 @@ def bracketed_norm(
     """
     m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
-        return (infinite(m, ordinary.rate) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
+        return (infinite(m, ordinary.rate) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
-        return HinfNorm(gain, 0.0 if band is None else band[0], gain, gain, Status.CERTIFIED)
+        return HinfNorm(gain, gain, 0.0 if band is None else band[0], Status.CERTIFIED)
     without_bracket = infinite(m, ordinary.rate)
     if without_bracket is not None:
         return without_bracket
@@ -192,7 +194,7 @@ def bracketed_norm(
         part = None if band is None else _band_of(ordinary, band, rate)
         lower, omega, upper, trusted, doubtful = level_bracket(scaled, rtol, tuning, part)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
-        return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
+        return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {error}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
     blind = np.isfinite(omega) and np.sqrt(2 * rtol) * np.abs(1j * omega - scaled.poles()).min() < EPS * omega
     omega *= rate
@@ -223,7 +225,7 @@ def bracketed_norm(
         trusted, reason = False, f"rounding alone may move the gain at the peak by {share:.2g} of it: digits were lost"
     elif error > QUIET * attained:
         lower, upper = attained - error, upper + error
-    return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
+    return HinfNorm(lower, upper, omega, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
 
 def _band_of(ordinary: Moderated, band: Band, rate: float) -> Band:
@@ -291,7 +293,7 @@ def _nothing(
             return None
     except (np.linalg.LinAlgError, NoTrustworthyNumber):
         return None
-    return HinfNorm(0.0, float(omega[np.argmax(sigma)]), 0.0, upper, Status.CERTIFIED)
+    return HinfNorm(0.0, upper, float(omega[np.argmax(sigma)]), Status.CERTIFIED)
 
 
 def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
@@ -311,9 +313,50 @@ def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     stable = exactly_stable(m.A, m.is_discrete) if abscissa < FAR * blur else False
     if stable or (stable is None and abscissa < 0):
         text = f"pole {pole_text(worst)} cannot be told from the stability boundary"
-        return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, text)
+        return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, text)
     word = "unstable" if abscissa > blur else "on the stability boundary"
-    return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {pole_text(worst)} is {word}")
+    return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, f"pole {pole_text(worst)} is {word}")
+
+
+def _on_the_boundary(m: StateSpaceModel, rate: int) -> HinfNorm | None:
+    """The infinite norm of a model with a pole on the stability boundary, or None; poles are told times ``2^rate``."""
+    poles = m.poles()
+    distance = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real)
+    nearest, blur = int(distance.argmin()), eigenvalue_blur(m)
+    # Eigenvalues of Jordan blocks are known to far fewer digits; well away there is no doubt.
+    if distance[nearest] > FAR * blur:
+        return None
+    there = exactly_on_boundary(m.A, m.is_discrete)
+    if not there and distance[nearest] > blur:
+        return None
+    return _infinite(complex(poles[nearest]), 0 if m.is_discrete else rate, bool(there))
+
+
+def _in_the_band(band: tuple[float, float], m: StateSpaceModel, rate: int) -> HinfNorm | None:
+    """The same of the poles in a band alone; those elsewhere make no gain in it infinite."""
+    poles, blur = m.poles(), eigenvalue_blur(m)
+    distance = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real)
+    at = np.abs(np.angle(poles) if m.is_discrete else poles.imag)
+    low, high = (omega * m.dt if m.is_discrete else omega for omega in np.ldexp(band, -rate))
+    inside = (at >= low - blur) & (at <= high + blur)
+    if not (inside & (distance <= FAR * blur)).any():
+        return None
+    nearest = int(np.where(inside, distance, np.inf).argmin())
+    # Exact arithmetic tells whether a pole lies on the boundary, not which: none beside the band may be the one.
+    beside = ~inside & (distance <= BESIDE * blur)
+    there = bool(not beside.any() and exactly_on_boundary(m.A, m.is_discrete))
+    if not there and distance[nearest] > blur:
+        return None
+    return _infinite(complex(poles[nearest]), 0 if m.is_discrete else rate, there)
+
+
+def _infinite(pole: complex, rate: int, there: bool) -> HinfNorm:
+    """What a pole that is on the boundary, or cannot be told from it, makes of the norm; told times ``2^rate``."""
+    word = pole_text(complex(np.ldexp(pole.real, rate), np.ldexp(pole.imag, rate)))
+    if there:
+        return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, f"pole {word} is on the stability boundary")
+    text = f"pole {word} cannot be told from the stability boundary"
+    return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, text)
 
 
 def eigenvalue_blur(m: StateSpaceModel) -> float:

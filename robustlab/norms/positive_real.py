@@ -177,7 +177,7 @@ def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
     one = np.eye(g.n_inputs)
     if is_rank_deficient(one + g.D):
         text = "I + D is singular: some v has v^T (D + D^T) v < 0"
-        relative = HinfNorm(np.inf, np.inf, np.inf, np.inf, Status.CERTIFIED, text)
+        relative = HinfNorm(np.inf, np.inf, np.inf, Status.CERTIFIED, text)
     else:
         relative = hinf_norm(_reflection(g, one), rtol)
     nu, rho = _input_index(g, rtol), _output_index(g, rtol)

@@ -7,7 +7,7 @@ a metric is distributed, what matters for it. The responses are those of figures
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
+from robustlab.norms import PeakGain
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -74,20 +75,19 @@ def mu_figure(margin: Margin) -> Figure:
 def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
     """Both bounds at given frequencies, of all loops at once: points, for nothing is known between them."""
     whole: Any = getattr(found, "simultaneous", found)
-    gain = type(whole).__name__ == "GainAt"
+    gain = isinstance(whole, PeakGain)
     label = "worst-case gain" if gain else "stability margin" if whole is found else "disk margin, all loops at once"
     return _bounds_at(whole, label, "gain" if gain else "margin")
 
 
 def _bounds_at(found: Tabular, label: str, kind: str) -> Figure:
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    omega, bounds = np.asarray(found.table().index[1]), found.table().columns
+    omega, columns = np.asarray(found.table().index[1]), found.table().columns
     words = ("proved", "attained by an explicit Δ") if kind == "margin" else ("attained by an explicit Δ", "proved")
+    bounds = tuple(np.asarray(columns[name]) for name in ("lower", "upper"))
     with house_style():
         shown = omega > 0
-        for bound, word, mark, colour in zip(
-            (np.asarray(bounds["lower"]), np.asarray(bounds["upper"])), words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True
-        ):
+        for bound, word, mark, colour in zip(bounds, words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True):
             finite = shown & np.isfinite(bound)
             axes.plot(omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
         frequency_axis(axes, (omega[shown][0], omega[-1]) if shown.sum() > 1 else None)

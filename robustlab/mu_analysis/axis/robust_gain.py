@@ -135,7 +135,7 @@ def robust_gain(
     tolerance
         Relative gap between the bounds that is aimed at.
     time_limit, seed, effort
-        As in `worst_case_gain`.
+        As in `robustlab.peak_gain`.
 
     Returns
     -------

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,9 +33,9 @@ from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gai
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
 from robustlab.mu_analysis.tuning import TUNING, MuTuning
-from robustlab.norms import QUIET, gain_rounding, hinf_norm
+from robustlab.norms import QUIET, PeakGain, gain_rounding, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, member, number
+from robustlab.shown import Facts, Part, in_words, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
@@ -45,10 +46,11 @@ __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gai
 
 # Rounds in which points stay above a level that is not raised.
 IDLE = 8
+SHOWN_BLOCKS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCaseGain(Tabular, Shown):
+class WorstCaseGain(Tabular, PeakGain):
     """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency.
 
     Attributes
@@ -80,11 +82,7 @@ class WorstCaseGain(Tabular, Shown):
         Remarks for the reader of a report.
     """
 
-    lower: float
-    upper: float
-    frequency: float | None
     delta: Mapping[str, Any]
-    status: Status
     physical: Mapping[str, tuple[float, str]]
     nominal: float
     omega: Array
@@ -94,7 +92,9 @@ class WorstCaseGain(Tabular, Shown):
     intervals: tuple[tuple[float, float, float], ...]
     open: tuple[tuple[float, float], ...]
     proof: tuple[Piece, ...] | tuple[Region, ...]
-    notes: tuple[str, ...]
+
+    quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
+    unsaved: ClassVar[tuple[str, ...]] = ("proof",)
 
     @property
     def gap(self) -> float:
@@ -103,16 +103,33 @@ class WorstCaseGain(Tabular, Shown):
             return 0.0
         return self.upper / self.lower - 1 if self.lower > 0 else float("inf")
 
-    def facts(self) -> Facts:
-        """Both bounds with what they rest on, and the worst member."""
+    def evidence(self) -> Facts:
+        """The worst member, and what proves the bound."""
         return [
-            ("worst gain", bracket(self.lower, self.upper, ("attained", "proved"))),
             ("nominal gain", number(self.nominal)),
             ("worst member", member(self.delta, self.physical)),
-            ("at", number(self.frequency, "rad/s")),
             ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
-            *(("note", note) for note in self.notes),
         ]
+
+    def details(self) -> list[Part]:
+        """The worst Delta, one row a block."""
+        rows = [
+            (
+                name,
+                in_words(value) if getattr(value, "ndim", 0) else f"{value:+.6g}",
+                number(*self.physical[name], digits=6) if name in self.physical else "",
+            )
+            for name, value in list(self.delta.items())[:SHOWN_BLOCKS]
+        ]
+        hidden = len(self.delta) - len(rows)
+        more = [(f"... and {hidden} more blocks", "", "")] if hidden else []
+        return [Part("worst Delta found:", ("block", "delta", "parameter"), [*rows, *more])]
+
+    def proved(self) -> Part:
+        """The frequency intervals with the bound of the gain that is proved in each; inf: none is."""
+        rows = [*self.intervals, *((low, high, math.inf) for low, high in self.open)]
+        texts = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(rows)]
+        return Part("proved intervals:", ("from rad/s", "to rad/s", "gain at most"), texts)
 
     def table(self) -> Table:
         """Nominal gain and both bounds over the frequencies that were asked for."""
@@ -120,9 +137,8 @@ class WorstCaseGain(Tabular, Shown):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``; arrays stay arrays."""
-        names = [name for name in self.__dataclass_fields__ if name != "proof"]
-        return {"type": "WorstCaseGain", **{name: getattr(self, name) for name in names}, "gap": self.gap}
+        """All attributes but ``proof``, and the gap; arrays stay arrays."""
+        return {**super().to_json(), "gap": self.gap}
 
 
 @told_as("worst_case_gain")
@@ -134,51 +150,14 @@ def worst_case_gain(
     seed: int = 0,
     effort: float = 1.0,
 ) -> WorstCaseGain:
-    r"""Worst-case gain :math:`\sup_{|\Delta| \le 1} \sup_\omega \sigma_{max}(F_u(M(j \omega), \Delta))`.
+    """`robustlab.peak_gain` of an uncertain model.
 
     The gain stays below gamma exactly where a performance block of size ``1 / gamma`` between outputs and inputs cannot
     make the loop singular (skewed mu). ``upper`` is proved like the stability margin: constant D, G on intervals that
     cover [0, inf], and box by box of the real parameters where these leave a gap. ``lower`` is the norm of a member,
     evaluated anew.
 
-    Parameters
-    ----------
-    uncertain
-        Uncertain model, continuous or discrete, of any size; use ``select`` for some of its inputs and outputs.
-    omega
-        Frequencies in rad/s for the curves of a figure; none where left out.
-    tolerance
-        Relative gap between the bounds that is aimed at; inf: no branch and bound.
-    time_limit
-        Time in s after which the proof stops where it is; where it strikes, the status is TIMEOUT: the answer cannot
-        be repeated. None: no limit.
-    seed
-        Seed of the search.
-    effort
-        Work that the proof may take, as a multiple of the usual (about a minute); counted, not timed.
-
-    Returns
-    -------
-    WorstCaseGain
-        Both bounds, the worst Delta found with its frequency in rad/s, and what proves ``upper``.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The nominal model is unstable.
-
-    References
-    ----------
-    Fan, Tits (1992); Packard, Balas, Liu, Shin, "Results on worst-case performance assessment" (2000).
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
-    >>> worst = worst_case_gain(UncertainModel(M, [RealScalar("pole")]))
-    >>> round(worst.lower, 6), worst.delta["pole"]
-    (2.0, -1.0)
+    Raises NoTrustworthyNumber: the nominal model is unstable.
     """
     compile_kernels()
     budget = search_budget("worst_case_gain", TUNING.work, effort, time_limit)

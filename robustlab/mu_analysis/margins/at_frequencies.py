@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,8 +43,9 @@ from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
 from robustlab.mu_analysis.matrix.box import lowest, root_box
 from robustlab.mu_analysis.matrix.gain import largest_gain
 from robustlab.mu_analysis.matrix.skew import skew_upper
+from robustlab.norms import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, bracket, member, number
+from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
@@ -129,52 +130,58 @@ class MarginAt(Tabular, StabilityMargin):
 
 
 @dataclass(frozen=True, eq=False)
-class GainAt(Tabular, Shown):
-    """Worst-case gain at given frequencies.
+class GainAt(Tabular, PeakGain):
+    """Largest gain at given frequencies; nothing is claimed between them.
 
     Attributes
     ----------
+    lower, upper, delta, nominal
+        At ``frequency``, the one of the largest ``gain_upper``: the largest gain found and what is proved, the Delta of
+        the former by block name, and the gain of the nominal member.
     omega
         Frequencies in rad/s, (N,).
-    nominal, lower, upper
-        At each of them the gain of the nominal member, the largest one found, and what is proved, (N,); ``upper`` is
+    nominal_gain, gain_lower, gain_upper
+        At each of them the gain of the nominal member, the largest one found, and what is proved, (N,); the last is
         inf where a Delta of the set may make the loop singular.
-    delta
+    deltas
         At each frequency the Delta of the largest gain found, by block name.
     status
-        CERTIFIED: ``upper`` is proved and finite at each frequency, else INCONCLUSIVE.
-    assumed
-        What the answer takes for granted.
+        CERTIFIED: ``gain_upper`` is finite at each frequency, else INCONCLUSIVE.
     """
 
+    frequency: float
+    delta: Mapping[str, Any]
+    nominal: float
     omega: Array
-    nominal: Array
-    lower: Array
-    upper: Array
-    delta: tuple[Mapping[str, Any], ...]
-    status: Status
-    assumed: str = ASSUMED
+    nominal_gain: Array
+    gain_lower: Array
+    gain_upper: Array
+    deltas: tuple[Mapping[str, Any], ...]
 
-    def facts(self) -> Facts:
-        """The largest gain with its Delta, and where it holds."""
-        k = int(np.argmax(self.upper))
+    quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s"}
+
+    def evidence(self) -> Facts:
+        """The nominal gain, the Delta, and where the bounds hold."""
         return [
-            ("largest gain", bracket(float(self.lower[k]), float(self.upper[k]), ("attained", "proved"))),
-            ("nominal there", number(float(self.nominal[k]))),
-            ("at", number(float(self.omega[k]), "rad/s")),
-            ("Delta", member(self.delta[k], {})),
-            ("holds", _scope(self.omega, None)),
-            ("assumed", self.assumed),
+            ("nominal there", number(self.nominal)),
+            ("Delta", member(self.delta, {})),
+            ("scope", _scope(self.omega, None)),
         ]
+
+    def details(self) -> list[Part]:
+        """Both bounds at each frequency."""
+        bounds = zip(self.omega.tolist(), self.gain_lower.tolist(), self.gain_upper.tolist(), strict=True)
+        rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
+        return [Part("", ("rad/s", "at least", "at most"), rows)]
 
     def table(self) -> Table:
         """Nominal gain and both bounds over frequency."""
-        columns = {"nominal": self.nominal, "lower": self.lower, "upper": self.upper}
+        columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return {"type": "GainAt", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+        """All attributes, and what is assumed."""
+        return {**super().to_json(), "assumed": ASSUMED}
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,28 +254,10 @@ def robust_stability_at(
 @told_as("worst_case_gain_at")
 @one_thread()
 def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> GainAt:
-    r"""Largest gain :math:`\bar\sigma(F_u(M(j\omega), \Delta))` over all Delta of the set, at given frequencies.
+    """`robustlab.peak_gain` at given frequencies.
 
-    Parameters
-    ----------
-    system
-        UncertainFrequencyData, or an UncertainModel.
-    frequency
-        Frequencies in rad/s for a model; those of data are their own.
-    seed
-        Of the search for Delta.
-
-    Returns
-    -------
-    GainAt
-        Bounds at each frequency with the Delta; nothing is claimed between them.
-
-    Raises
-    ------
-    InputError
-        No inputs or outputs, no frequency for a model, one for data, ranges that are not symmetric.
-    NoTrustworthyNumber
-        A pole of the nominal model lies at a frequency.
+    Raises InputError: no inputs or outputs, no frequency for a model, one for data, ranges that are not symmetric.
+    Raises NoTrustworthyNumber: a pole of the nominal model lies at a frequency.
     """
     data = _data(system, frequency, "worst_case_gain_at")
     n_u, n_y = len(data.inputs), len(data.outputs)
@@ -284,10 +273,14 @@ def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed:
         k = int(np.argmax(lower - upper))
         text = f"a gain of {lower[k]:.9g} above the proved {upper[k]:.9g} at {data.omega[k]:g} rad/s: digits were lost"
         raise NoTrustworthyNumber("worst_case_gain_at", text)
-    delta = tuple({} if g is None else delta_values(data.blocks, g.delta) for g in found)
+    deltas = tuple({} if g is None else delta_values(data.blocks, g.delta) for g in found)
     nominal = np.linalg.norm(data.nominal, 2, axis=(1, 2))
     status = Status.CERTIFIED if np.isfinite(upper).all() else Status.INCONCLUSIVE
-    return GainAt(data.omega, nominal, np.minimum(lower, upper), upper, delta, status)
+    lower, k = np.minimum(lower, upper), int(np.argmax(upper))
+    peak = float(lower[k]), float(upper[k]), float(data.omega[k])
+    return GainAt(
+        *peak, status, deltas[k], float(nominal[k]), data.omega, nominal, lower, upper, deltas, conditions=(ASSUMED,)
+    )
 
 
 @told_as("disk_margin_at")

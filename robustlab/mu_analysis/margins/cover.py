@@ -235,7 +235,7 @@ def cover(
     progress
         Called with one short line before each step.
     effort
-        Work of that proof, as in `worst_case_gain`.
+        Work of that proof, as in `robustlab.peak_gain`.
 
     Returns
     -------
@@ -346,7 +346,7 @@ def conservatism(
     time_limit
         Time in s for the proof of the worst gain; None: no limit.
     effort
-        Work of that proof, as in `worst_case_gain`.
+        Work of that proof, as in `robustlab.peak_gain`.
 
     Returns
     -------

@@ -18,8 +18,9 @@ from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, proved_peak
 from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
+from robustlab.norms import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.shown import Facts
 
 __all__ = ["DelayGain", "delay_gain"]
 
@@ -29,7 +30,7 @@ SHARE = 0.1  # of the tolerance that the proof aims at: it is cheap
 
 
 @dataclass(frozen=True, eq=False)
-class DelayGain(Shown):
+class DelayGain(PeakGain):
     """Bounds of the largest gain over frequency of a model with exact delays.
 
     Attributes
@@ -46,58 +47,19 @@ class DelayGain(Shown):
         upper one.
     """
 
-    lower: float
-    upper: float
     frequency: float
     stability: DelayStability
-    status: Status
 
-    def facts(self) -> Facts:
-        """Both bounds, and what they rest on."""
-        return [
-            ("gain", bracket(self.lower, self.upper, ("attained", "proved"))),
-            ("at", number(self.frequency, "rad/s")),
-            ("stable", self.stability.facts()[0][1]),
-        ]
-
-    def to_json(self) -> dict[str, object]:
-        """All attributes."""
-        return {"type": "DelayGain", **vars(self)}
+    def evidence(self) -> Facts:
+        """Whether the model is stable."""
+        return [("stable", self.stability.facts()[0][1])]
 
 
 @told_as("delay_gain")
 def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int = 16, effort: float = 1.0) -> DelayGain:
-    r"""Largest gain :math:`\sup_\omega \sigma_{max}(G(j\omega))` of a stable model with exact delays.
+    """`robustlab.peak_gain` of a model with exact delays, or of one without.
 
-    Parameters
-    ----------
-    model
-        A DelayedModel, or a model without delays.
-    tolerance
-        Relative distance of the bounds at which the search ends.
-    highest_order
-        Of Padé's approximations with which the model is proved stable, as in `delay_stability`.
-    effort
-        Of the proofs of stability, as in `delay_stability`.
-
-    Returns
-    -------
-    DelayGain
-        The gain attained at a frequency, and the bound that is proved for all.
-
-    Raises
-    ------
-    InputError
-        A discrete or an uncertain model, a tolerance or an order out of range.
-
-    Examples
-    --------
-    >>> from robustlab.delays import delay
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> found = delay_gain((2.0 * lag @ delay(0.5)).feedback())
-    >>> round(found.lower, 4), str(found.status), found.upper <= 1.01 * found.lower
-    (1.3201, 'certified', True)
+    Raises InputError: a discrete or an uncertain model, a tolerance or an order out of range.
     """
     g = as_delayed(model, "delay_gain")
     if not FINEST <= tolerance < 1:
@@ -105,7 +67,7 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     lower, frequency = _attained(g)
     known = delay_stability(g, highest_order, effort)
     if not known.stable:
-        return DelayGain(lower, np.inf, frequency, known, Status.INCONCLUSIVE)
+        return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
     axis = DelayAxis(g, range(g.n_outputs), range(g.n_inputs))
     best = [lower, frequency]
 
@@ -122,7 +84,7 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     upper = proved_peak(axis, axis.D, SHARE * tolerance, attained, measured)
     near = upper <= (1.0 + tolerance) * best[0] * (1.0 + 10.0 * ROUNDING)
     status = Status.CERTIFIED if near else Status.INACCURATE if np.isfinite(upper) else Status.INCONCLUSIVE
-    return DelayGain(best[0], upper, best[1], known, status)
+    return DelayGain(best[0], upper, best[1], status, known)
 
 
 def _attained(g: DelayedModel) -> tuple[float, float]:

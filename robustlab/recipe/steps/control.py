@@ -210,7 +210,7 @@ class RobustPerformanceStep(Step):
         remarks: list[str] = []
         for name in self.controllers:
             loop, K = _closed(self, work, name)
-            row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.hinf_norm(loop.nominal).upper}
+            row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.peak_gain(loop.nominal).upper}
             if not loop.nominal.is_stable():
                 raise InputError(f"controller {name!r}", f"does not stabilise {self.of}", "a stable nominal loop")
             grid = frequencies(loop.M, self.points)
@@ -221,7 +221,7 @@ class RobustPerformanceStep(Step):
             statuses.append(margin.status)
             remarks += [f"{name}, μ: {text}." for text in margin.notes]
             if self.gain:
-                worst = rl.worst_case_gain(loop, tolerance=0.01, **options)
+                worst = rl.peak_gain(loop, tolerance=0.01, **options)
                 row |= {"gain_lower": worst.lower, "gain_upper": worst.upper}
                 statuses.append(worst.status)
                 remarks += [f"{name}, gain: {text}." for text in worst.notes]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
 import robustlab as rl
@@ -15,8 +15,8 @@ from robustlab.iqc import IqcStability
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.axis.robust_gain import RobustGain
 from robustlab.mu_analysis.margins.classical import ClassicalMargins
-from robustlab.norms import HinfNorm
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, picked, quantity, step, told
+from robustlab.norms import HinfNorm, PeakGain
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, picked, quantity, step, told
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Band,
@@ -34,45 +34,36 @@ from robustlab.recipe.steps.vocabulary import (
 )
 
 if TYPE_CHECKING:
-    from robustlab.iqc import IqcGain, Nature
+    from robustlab.iqc import Nature
 
-NORM = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
-BOUNDS = {"lower": float, "upper": float}
+BOUNDS = PeakGain.quantities
 
 
 @step
 class HinfNormStep(Step):
     """H-infinity norm of a model."""
 
-    leaves: ClassVar[Any] = NORM
+    leaves: ClassVar[Any] = HinfNorm.quantities
     do: Literal["hinf-norm"]
     of: ToModel
 
     def run(self, work: Workspace) -> Outcome:
-        return _peak(rl.hinf_norm(work.values[self.of]), "H-infinity norm", self.of)
+        return _gain(rl.peak_gain(work.values[self.of], norm="hinf"), f"H-infinity norm of {self.of}.")
 
 
 @step
 class LinfNormStep(Step):
     """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis, or in a band."""
 
-    leaves: ClassVar[Any] = NORM
+    leaves: ClassVar[Any] = HinfNorm.quantities
     do: Literal["linf-norm"]
     of: ToModel
     band: Band | None = Field(None, description="[low, high] in rad/s; all frequencies where left out.")
 
     def run(self, work: Workspace) -> Outcome:
         title = "L-infinity norm" if self.band is None else f"Peak gain from {self.band[0]:g} to {self.band[1]:g} rad/s"
-        return _peak(rl.linf_norm(work.values[self.of], band=as_pair(self.band)), title, self.of)
-
-
-def _peak(norm: HinfNorm, title: str, of: str) -> Outcome:
-    numbers = picked(norm, *NORM)
-    facts = (
-        Fact(title, f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
-        Fact("attained at", quantity(norm.frequency, "rad/s")),
-    )
-    return Outcome(None, f"{title} of {of}.", numbers, facts, norm.status)
+        found = rl.peak_gain(work.values[self.of], norm="linf", band=as_pair(self.band))
+        return _gain(found, f"{title} of {self.of}.")
 
 
 @step
@@ -165,18 +156,15 @@ class RobustnessAtStep(Step):
         if self.controller is not None:
             around, sign, said = fed_back(system, work.values[self.controller], self.sign, self.of, None)
             system = system.feedback(around, sign)
-        if self.what == "margin":
-            margin = rl.robust_stability(system, frequency=self.frequency, seed=work.seed)
-            text = f"{self.of}: {margin.headline()}."
-            outcome = told(margin, None, text, picked(margin, *self.leaves), work)
-            return replace(outcome, facts=(Fact("Loop", said), *outcome.facts)) if said else outcome
-        found = rl.worst_case_gain_at(system, self.frequency, seed=work.seed)
-        work.keep(found)
-        k = int(np.argmax(found.upper))
-        numbers = {"lower": float(found.lower[k]), "upper": float(found.upper[k]), "frequency": float(found.omega[k])}
-        facts = tuple(Fact(label, text) for label, text in [("loop", said), *found.facts()] if text)
-        text = f"{self.what} of {self.of} at {len(found.omega)} frequencies; nothing is claimed between them."
-        return Outcome(None, text[0].upper() + text[1:], numbers, facts, found.status, (found.assumed,))
+        loop = [Fact("Loop", said)] if said else []
+        if self.what == "gain":
+            gain: Any = rl.peak_gain(system, frequency=self.frequency, seed=work.seed)
+            work.keep(gain)
+            text = f"Gain of {self.of} at {len(gain.omega)} frequencies; nothing is claimed between them."
+            return _gain(gain, text, loop)
+        margin = rl.robust_stability(system, frequency=self.frequency, seed=work.seed)
+        outcome = told(margin, None, f"{self.of}: {margin.headline()}.", picked(margin, *self.leaves), work)
+        return replace(outcome, facts=(*loop, *outcome.facts))
 
 
 @step
@@ -248,15 +236,12 @@ class IqcGainStep(NonlinearStep):
     )
 
     def run(self, work: Workspace) -> Outcome:
-        found = rl.iqc_gain(
-            work.values[self.of], self.natures(work), self.inputs, self.outputs, self.order, None, self.time_limit,
-            self.effort,
+        found = rl.peak_gain(
+            work.values[self.of], natures=self.natures(work), inputs=self.inputs, outputs=self.outputs,
+            order=self.order, time_limit=self.time_limit, effort=self.effort,
         )  # fmt: skip
         work.keep(found)
-        facts = [_gain("Worst L2 gain", found), *(Fact(name, text) for name, text in found.nature.items())]
-        numbers = {"lower": found.lower, "upper": found.upper}
-        text = f"Worst L2 gain of {self.of} over all blocks of their classes."
-        return Outcome(None, text, numbers, tuple(facts), found.status, found.conditions)
+        return _gain(found, f"Worst L2 gain of {self.of} over all blocks of their classes.")
 
 
 @step
@@ -296,17 +281,12 @@ class EffectGainStep(Step):
         sign = self.sign
         if base is not None:
             sign = closing(base().select(None, self.outputs), k, sign, self.of, None).sign
-        found = rl.effect_gain(
-            plant, k, self.outputs, self.amplitude, self.stick_speed, sign, self.order, self.time_limit, self.effort,
+        found = rl.peak_gain(
+            plant, k, outputs=self.outputs, amplitude=self.amplitude, stick_speed=self.stick_speed, sign=sign,
+            order=self.order, time_limit=self.time_limit, effort=self.effort,
         )  # fmt: skip
         work.keep(found)
-        facts = [Fact("Loop", found.loop), _gain("Worst L2 gain", found.proved),
-                 Fact("As constant gains", quantity(found.as_constants.upper)),
-                 *(Fact(name, text) for name, text in found.proved.nature.items())]  # fmt: skip
-        numbers = {"lower": found.proved.lower, "upper": found.proved.upper, "as_constants": found.as_constants.upper}
-        left = tuple(f"{name}: {why}" for name, why in found.left_out.items())
-        text = f"Worst L2 gain of {self.of} with {self.controller}, its effects taken for what they are."
-        return Outcome(None, text, numbers, tuple(facts), found.status, (*found.proved.conditions, *left))
+        return _gain(found, f"Worst L2 gain of {self.of} with {self.controller}, its effects taken for what they are.")
 
 
 @step
@@ -340,15 +320,16 @@ class AntiWindupStep(Step):
         )  # fmt: skip
         work.keep(found)
         loop = f"{law(K.inputs)}, as {self.controller} says" if law(K.inputs) else "u = K y; nothing else is said of it"
-        facts = (Fact("Loop", loop), _gain("Worst L2 gain", found.proved), _gain("Without anti-windup", found.without),
-                 _gain("Back-calculation", found.back), Fact("Never saturating", quantity(found.linear)))  # fmt: skip
+        gains = {"Worst L2 gain": found.proved, "Without anti-windup": found.without, "Back-calculation": found.back}
+        facts = (Fact("Loop", loop), *(Fact(label, gain.bounds()) for label, gain in gains.items()),
+                 Fact("Never saturating", quantity(found.linear)))  # fmt: skip
         numbers = {"upper": found.proved.upper, "lower": found.proved.lower, "without": found.without.upper,
                    "back": found.back.upper, "linear": found.linear, "L": found.L.tolist()}  # fmt: skip
         text = f"Static anti-windup for {self.controller} at {self.of}."
         return Outcome(None, text, numbers, facts, found.status, found.proved.conditions)
 
 
-def _gain(label: str, found: IqcGain) -> Fact:
-    if math.isfinite(found.upper):
-        return Fact(label, f"{quantity(found.upper)} (proved), {quantity(found.lower)} attained")
-    return Fact(label, "a linear member is unstable" if math.isinf(found.lower) else "nothing proved")
+def _gain(found: PeakGain, summary: str, loop: Sequence[Fact] = ()) -> Outcome:
+    """A gain as it shows itself; what its bounds take for granted stands once, among the notes."""
+    facts = tuple(fact for fact in facts_of(found) if fact.label not in ("Holds", "Note"))
+    return Outcome(None, summary, found.numbers(), (*loop, *facts), found.status, (*found.conditions, *found.notes))

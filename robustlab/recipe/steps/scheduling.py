@@ -8,7 +8,7 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Outcome, Step, Workspace, picked, step, told
+from robustlab.recipe.steps.contract import Outcome, Step, Workspace, step, told
 from robustlab.recipe.steps.vocabulary import GUARD, Effort, TimeLimit, ToUncertain
 
 Counts = dict[str, Annotated[int, Field(ge=2, le=100)]]
@@ -48,8 +48,8 @@ class LpvGainStep(ScheduledStep):
     do: Literal["lpv-gain"]
 
     def run(self, work: Workspace) -> Outcome:
-        found = rl.lpv_gain(self.scheduled(work), **self.options)
-        return told(found, None, f"Induced gain of {self.of}.", picked(found, *self.leaves), work)
+        found = rl.peak_gain(self.scheduled(work), **self.options)
+        return told(found, None, f"Induced gain of {self.of}.", found.numbers(), work)
 
 
 @step

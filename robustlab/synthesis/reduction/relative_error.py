@@ -111,7 +111,7 @@ class Spectrum:
         """The norm of an error relative to the model, proved for every frequency."""
         found = linf_norm(series(error, inverse(_conjugate(self.factor))), rtol)
         lower = found.lower / np.sqrt(1 + self.doubt) if self.doubt < np.inf else 0.0
-        found = replace(found, value=lower, lower=lower, upper=self._widened(found.upper))
+        found = replace(found, lower=lower, upper=self._widened(found.upper))
         if found.status is Status.CERTIFIED and not self.doubt <= TRUSTED_SHARE:
             reason = f"the factor of the spectrum may be off by {self.doubt:.1e} of it"
             return replace(found, status=Status.INACCURATE, reason=reason)

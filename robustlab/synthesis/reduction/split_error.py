@@ -110,7 +110,7 @@ def _as_rates(model: StateSpaceModel) -> AnyArray:
 def widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
     """The bracket of a norm to which so much may be added; not certified where there is a reason against it."""
     lower, status = max(norm.lower - by, 0.0), Status.INACCURATE if reason else norm.status
-    return HinfNorm(lower, norm.frequency, lower, norm.upper + by, status, norm.reason or reason)
+    return HinfNorm(lower, norm.upper + by, norm.frequency, status, norm.reason or reason)
 
 
 def merged(intervals: Iterable[Band]) -> tuple[Band, ...]:

@@ -18,16 +18,16 @@ Gramians. Both sides meet like 1 / N^2.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.budget import dense, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, told_as
-from robustlab.norms import hinf_norm
+from robustlab.norms import PeakGain, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, listed, number
+from robustlab.shown import Facts, listed, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
@@ -39,7 +39,7 @@ LONGEST_DELAY = 1000  # samples: each is a state of every control
 
 
 @dataclass(frozen=True, eq=False)
-class SampledDataNorm(Shown):
+class SampledDataNorm(PeakGain):
     """Norm of a sampled-data loop as a bracket.
 
     Attributes
@@ -67,35 +67,29 @@ class SampledDataNorm(Shown):
         Why it is not certified, or infinite; else empty.
     """
 
-    lower: float
-    upper: float
     frequency: float
     n_intervals: int
     history: tuple[tuple[int, float, float], ...]
     loop: StateSpaceModel
     held: tuple[str, ...]
-    status: Status
     reason: str = ""
+
+    unsaved: ClassVar[tuple[str, ...]] = ("loop",)
+    unstable: ClassVar[str] = "infinite: the loop is not stable"
 
     @property
     def value(self) -> float:
         """``upper``."""
         return self.upper
 
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
+    def evidence(self) -> Facts:
+        """The sampling, and what is taken for granted between the samples."""
         return [
-            ("norm", bracket(self.lower, self.upper, ("attained", "proved"))),
-            ("at", number(self.frequency, "rad/s")),
             ("sample time", number(self.loop.dt, "s")),
             ("intervals of a period", str(self.n_intervals)),
             ("taken as constant between samples", listed(self.held)),
             ("reason", self.reason),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        """All but the loop."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "loop"}
 
 
 @told_as("sampled_data_norm")
@@ -244,7 +238,7 @@ def sampled_loop_norm(
             status = Status.CONVERGED if settled else Status.INACCURATE
             reason = f"the proved bracket is {100 * (upper / lower - 1):.2g} % wide" if lower else "the bracket is open"
         best = SampledDataNorm(
-            lower, upper, found.frequency, lifted.n_intervals, tuple(history), found.loop, found.held, status, reason
+            lower, upper, found.frequency, status, lifted.n_intervals, tuple(history), found.loop, found.held, reason
         )
         if not np.isfinite(upper) or upper <= lower * (1 + rtol) or upper == 0 or lower > enough:
             break
@@ -293,7 +287,7 @@ def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> Sampled
     reason = doubtful[0].reason if doubtful else lower.reason
     held = tuple(loop.input_names[i] for i in range(n - len(lifted.held), n))
     return SampledDataNorm(
-        lower.lower, upper, lower.frequency, lifted.n_intervals, (), whole, held, status, reason
+        lower.lower, upper, lower.frequency, status, lifted.n_intervals, (), whole, held, reason
     )  # fmt: skip
 
 

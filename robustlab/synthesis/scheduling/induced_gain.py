@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, did_you_mean, told_as
-from robustlab.norms import hinf_norm
+from robustlab.norms import PeakGain, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import Facts, number
 from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
@@ -26,7 +26,7 @@ Lyapunov = Literal["constant", "varying"]
 
 
 @dataclass(frozen=True, eq=False)
-class LPVGain(Shown, Traced):
+class LPVGain(PeakGain, Traced):
     r"""A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
 
     Attributes
@@ -56,15 +56,15 @@ class LPVGain(Shown, Traced):
         How it was found, and what it holds for.
     """
 
-    lower: float
-    upper: float
-    at: dict[str, float]
     frequency: float
+    at: dict[str, float]
     P: Array
     lyapunov: str
     model: LPVModel
-    status: Status
     reason: str
+
+    unsaved: ClassVar[tuple[str, ...]] = ("model",)
+    unstable: ClassVar[str] = "infinite: a frozen model is not stable"
 
     @property
     def scope(self) -> str:
@@ -86,24 +86,26 @@ class LPVGain(Shown, Traced):
         posed = Inequality(self.model, self.lyapunov == "varying", self.lower)
         return posed.proves(posed.scaled(self.P), self.upper * posed.gain)
 
-    def facts(self) -> Facts:
-        """The bracket, where it is attained, what it holds for."""
-        place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
+    def bounds(self) -> str:
+        """The bracket, with what each side rests on."""
+        if np.isinf(self.lower):
+            return self.unstable
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
-        lower = f"{number(self.lower, digits=6)} (frozen, attained)"
+        return f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
+
+    def evidence(self) -> Facts:
+        """Which frozen model attains it, what it holds for, and how it was proved."""
+        place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
         return [
-            ("gain", f"{lower} .. {upper}" if np.isfinite(self.lower) else "infinite: a frozen model is not stable"),
-            ("attained at", f"{place}, {number(self.frequency, 'rad/s')}" if np.isfinite(self.lower) else ""),
-            ("holds", self.scope),
+            ("frozen at", place if np.isfinite(self.lower) else ""),
+            ("holds for", self.scope),
             ("Lyapunov function", self.lyapunov),
             ("how", self.reason),
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All but the model."""
-        return {name: value for name, value in vars(self).items() if name not in ("model", "provenance")} | {
-            "scope": self.scope
-        }
+        """All but the model, and what the bound holds for."""
+        return {**super().to_json(), "scope": self.scope}
 
 
 @told_as("lpv_gain")
@@ -115,52 +117,13 @@ def lpv_gain(
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> LPVGain:
-    r"""Bound of the induced L2 gain of an LPV model over all admissible trajectories of its parameters.
+    r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`.
 
-    .. math:: \sup_{\rho(\cdot)} \sup_{w \ne 0} \frac{\|z\|_2}{\|w\|_2} \le \gamma
+    The inequality of `robustlab.synthesis.scheduling.lyapunov_inequality` is imposed on the Bernstein coefficients of
+    every cell: it holds between the grid points because it is a convex combination of them there. A family that is not
+    multi-linear is allowed for by the model's ``deviation``. ``progress`` gets one short line after every stage.
 
-    by a Lyapunov function :math:`x^T P(\rho) x` and the inequality of
-    `robustlab.synthesis.scheduling.lyapunov_inequality`, imposed on the Bernstein coefficients of every cell: it holds
-    between the grid points because it is a convex combination of them there. A family that is not multi-linear is
-    allowed for by the model's ``deviation``.
-
-    Parameters
-    ----------
-    model
-        `LPVModel`, from w to z.
-    lyapunov
-        ``"constant"``: one P, for parameters of any rate. ``"varying"``: P multi-linear on the model's grid along the
-        parameters whose rates are bounded; `LPVModel.refined` gives it more freedom. Where left out: varying where a
-        rate is bounded.
-    effort
-        Multiple of the usual work.
-    time_limit
-        Guard in s; where it strikes the answer is not repeatable.
-    progress
-        Called with one short line after every stage.
-
-    Returns
-    -------
-    LPVGain
-        ``upper`` is infinite where nothing could be proved: ``status`` and ``reason`` say why.
-
-    Raises
-    ------
-    InputError
-        Not an LPV model, an unknown ``lyapunov``, more inequalities than can be solved.
-
-    References
-    ----------
-    Becker, Packard 1994; Wu, Yang, Packard, Becker 1996; Apkarian, Tuan 2000 (relaxations by coefficients); Rump 2006
-    (definiteness with rounding errors).
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> slow, fast = (StateSpaceModel([[-a]], [[a]], [[1.0]], [[0.0]]) for a in (1.0, 4.0))
-    >>> found = lpv_gain(LPVModel({"a": [1.0, 4.0]}, [slow, fast]))
-    >>> found.status.value, round(found.lower, 3), round(found.upper, 3)
-    ('certified', 1.0, 1.25)
+    Raises InputError: not an LPV model, an unknown ``lyapunov``, more inequalities than can be solved.
     """
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
@@ -195,7 +158,7 @@ def gain_from(
     word = "varying" if varying else "constant"
 
     def told(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
-        return LPVGain(lower, upper, at, frequency, P, word, model, status, reason)
+        return LPVGain(lower, upper, frequency, status, at, P, word, model, reason)
 
     nothing = np.zeros((0, 0))
     if doubt:

@@ -37,7 +37,7 @@ from robustlab.iqc import IqcGain, Nonlinearity, iqc_gain
 from robustlab.norms import hinf_norm
 from robustlab.norms.level_set import well_scaled
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.shown import Facts, Shown, number
 from robustlab.signals import is_number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.lmi_synthesis import solve_conic
@@ -113,7 +113,7 @@ class AntiWindup(Shown):
         """The proved gain and what it is to be compared with."""
         rows = [("worst-case L2 gain", self.proved), ("without anti-windup", self.without),
                 (f"back-calculation, {number(self.time, 's')}", self.back)]  # fmt: skip
-        said = [(label, _gain(found)) for label, found in rows]
+        said = [(label, found.bounds()) for label, found in rows]
         return [
             *said,
             ("loop that never saturates", number(self.linear)),
@@ -127,12 +127,6 @@ class AntiWindup(Shown):
     def to_json(self) -> dict[str, Any]:
         """All attributes and the status."""
         return {"type": "AntiWindup", **vars(self), "status": self.status}
-
-
-def _gain(found: IqcGain) -> str:
-    if math.isfinite(found.upper):
-        return bracket(found.lower, found.upper, ("attained", "proved"))
-    return "a member is unstable" if math.isinf(found.lower) else f"{number(found.lower)} (attained), no bound proved"
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +180,7 @@ def anti_windup(
     time
         Of the back-calculation that is compared, in s; the slowest time constant of the loop where left out.
     order, time_limit, effort
-        As in `iqc_gain`.
+        As in `robustlab.peak_gain`.
 
     Returns
     -------

@@ -1,0 +1,72 @@
+"""What every answer to "how large can the gain be?" is: two bounds, where the lower is attained, what they rest on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from robustlab.result import Bracket
+from robustlab.shown import Facts, bracket, listed, number
+
+
+@dataclass(frozen=True, eq=False)
+class PeakGain(Bracket):
+    """Bounds of the largest gain of a system; each kind of system has a class of its own with more evidence.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= gain <= upper``: ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf
+        where nothing was. Both inf where the system, or a member of it, is unstable.
+    frequency
+        Where ``lower`` is attained, rad/s; None where that has no meaning, NaN or None where the gain is infinite.
+    status
+        How far both can be trusted.
+    conditions
+        What they take for granted, where that is not all that can happen.
+    notes
+        Remarks for the reader of a report.
+    """
+
+    conditions: tuple[str, ...] = field(default=(), kw_only=True)
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
+
+    quantities: ClassVar[Mapping[str, Any]] = {"lower": float, "upper": float}
+    unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
+    unstable: ClassVar[str] = "infinite: a member is unstable"  # what both bounds say where they are infinite
+
+    def bounds(self) -> str:
+        """Both bounds in words, with what each rests on."""
+        if math.isinf(self.lower):
+            return self.unstable
+        if math.isinf(self.upper):
+            return f"{number(self.lower)} (attained), no bound proved"
+        return bracket(self.lower, self.upper, ("attained", "proved"))
+
+    def headline(self) -> str:
+        """The proved bound, or that there is none."""
+        if math.isinf(self.lower):
+            return f"the gain is {self.unstable}" if self.unstable.startswith("infinite") else self.unstable
+        proved = f"is at most {number(self.upper)}" if math.isfinite(self.upper) else "has no proved bound"
+        return f"the gain {proved}; {number(self.lower)} is attained"
+
+    def facts(self) -> Facts:
+        """Both bounds, where the lower is attained, the evidence of this kind, conditions and notes."""
+        return [
+            ("largest gain", self.bounds()),
+            ("attained at", number(self.frequency, "rad/s")),
+            *self.evidence(),
+            ("holds", listed(self.conditions)),
+            *(("note", note) for note in self.notes),
+        ]
+
+    def evidence(self) -> Facts:
+        """The facts of this kind of system alone."""
+        return []
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields but those that can be made anew; arrays stay arrays."""
+        kept = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in self.unsaved}
+        return {"type": type(self).__name__, **kept}
