@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
-    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, TrackingProblem
 
 # Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
 DESIGNS = (
@@ -259,34 +259,6 @@ def tracking_panels(
     return panels
 
 
-@dataclass(frozen=True)
-class WeightedResponse:
-    """Largest singular value of one closed-loop function over frequency, and the bound its weight asks for."""
-
-    name: str  # for example `"S (control error)"`
-    gain: Array  # shape (n_omega,)
-    bound: Array | None  # `gamma / |W|`, shape (n_omega,), or None where the function has no weight
-
-
-def sensitivity_figure(omega: Array, responses: Sequence[WeightedResponse], gamma: float) -> Figure:
-    """One panel per function: its gain, and below which curve the verified ``gamma`` keeps it."""
-    figure, panels = new_figure(1, len(responses), width=3.4 * max(2, len(responses)), height=3.4)
-    with house_style():
-        for axes, response in zip(panels, responses, strict=True):
-            axes.plot(omega, response.gain, color=COLOURS["nominal"], label="closed loop")
-            if response.bound is not None:
-                axes.plot(
-                    omega, response.bound, color=COLOURS["worst"], ls=(0, (5, 2)), label=f"γ / |W|, γ = {gamma:.4g}"
-                )
-            frequency_axis(axes)
-            logarithmic(axes.yaxis)
-            axes.set_title(plain_label(response.name))
-        panels[0].set_ylabel("largest singular value")
-        labelled = max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
-        legend_below(figure, (labelled,), 2)
-    return figure
-
-
 # --- all figures of a finished design -------------------------------------------------------------------------------
 
 PICTURE_HEADINGS = {"S": "S: r → error", "T": "T: r → y", "KS": "K S: r → u", "SG": "S G: d → y"}
@@ -317,6 +289,15 @@ def functions_picture(design: Synthesis) -> Figure:
     from robustlab.synthesis.specifications.loop_functions import loop_functions
 
     return gangs_picture(loop_functions(design), around=getattr(design, "peak_frequency", None))
+
+
+def tracking_picture(loop: TrackingLoop) -> Figure:
+    """S, K S and T of a tracking problem against what the weights ask for, and what gamma proves."""
+    from robustlab.synthesis.specifications.loop_functions import frequencies
+
+    omega = frequencies(loop.design.closed_loop)
+    panels = tracking_panels(loop.problem, {loop.design.method: loop.design.K}, omega, loop.gamma)
+    return functions_figure(omega, panels, loop.gamma)
 
 
 def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:

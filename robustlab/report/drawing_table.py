@@ -56,6 +56,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # designs
     "Synthesis": _LOOP,
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
+    "TrackingLoop": {"functions": "design_figures.tracking_picture"},
     "SampledController": {"loop": "design_figures.loop_picture"},
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
@@ -83,7 +84,8 @@ CAPTIONS: Mapping[str, str] = {
     "shaded level.",
     "robustness_figures.margin_shares": "What each block weighs in the margin: the one on top is to be tightened "
     "first.",
-    "design_figures.loop_picture": "The loop that the design closes.",
-    "design_figures.functions_picture": "S, K S, T and S G of the loop.",
+    "design_figures.loop_picture": "The weighted closed loop with its peak, and the controller.",
+    "design_figures.functions_picture": "S, K S, T and S G of the loop, below γ / |W| where there is a weight.",
+    "design_figures.tracking_picture": "The nominal loop against its weights.",
     "design_figures.history_picture": "The search: what each iterate proves of μ, and its order.",
 }

@@ -107,6 +107,11 @@ class SampledController(Synthesis):
         """``gamma / norm of the continuous loop - 1``; negative where the sampled loop has the smaller norm."""
         return _loss(self.gamma, self.continuous_norm)
 
+    @property
+    def met(self) -> bool:
+        """Whether no more is lost than was allowed."""
+        return self.loss <= self.allowed_loss
+
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (sampled loop, between samples too; at least {self.norm.lower:.6g})"
 

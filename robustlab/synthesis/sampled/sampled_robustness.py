@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.sampled.lifting import lift
+from robustlab.synthesis.sampled.sampled_controller import SampledController
 from robustlab.synthesis.sampled.sampled_norm import (
     norm_work,
     plant_and_controller,
@@ -126,6 +127,76 @@ class SampledRobustness(Shown):
         names = [name for name in self.__dataclass_fields__ if not name.endswith("loop")]
         data = {name: getattr(self, name) for name in names}
         return {"type": "SampledRobustness", **data, "margin": self.margin, "mu_upper": self.mu_upper}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobustSampledController(SampledController):
+    """A digital controller of an uncertain plant, with robust performance proved before and after.
+
+    Attributes
+    ----------
+    before
+        Margin of robust performance of the continuous loop.
+    after
+        Robustness of the sampled loop; it holds for every member of the continuous set with its own exact
+        discretisation, and for the signals between the samples.
+    """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **SampledController.quantities,
+        **{key: {"lower": "1", "upper": "1"} for key in ("mu_before", "mu_after")},
+        **dict.fromkeys(("margin_before", "margin_after", "stability_margin_after", "mu_growth"), "1"),
+    }
+
+    before: Margin
+    after: SampledRobustness
+
+    @property
+    def mu_before(self) -> dict[str, float]:
+        """Bounds of mu of robust performance of the continuous loop."""
+        return {"lower": _inverse(self.before.upper), "upper": _inverse(self.before.lower)}
+
+    @property
+    def mu_after(self) -> dict[str, float]:
+        """The same of the sampled loop."""
+        return {"lower": self.after.mu_lower, "upper": self.after.mu_upper}
+
+    @property
+    def margin_before(self) -> float:
+        """Proved margin of the continuous loop."""
+        return self.before.lower
+
+    @property
+    def margin_after(self) -> float:
+        """Proved margin of the sampled loop."""
+        return self.after.margin
+
+    @property
+    def stability_margin_after(self) -> float:
+        """Proved margin of the sampled loop's stability."""
+        return self.after.stability.lower
+
+    @property
+    def mu_growth(self) -> float:
+        """By which share sampling makes the bound of mu larger."""
+        before = self.mu_before["upper"]
+        return self.after.mu_upper / before - 1 if before > 0 else 0.0
+
+    def headline(self) -> str:
+        """What sampling costs."""
+        before, after = self.mu_before["upper"], self.after.mu_upper
+        return f"{super().headline()}; mu of robust performance: {before:.4g} before, {after:.4g} sampled"
+
+    def facts(self) -> Facts:
+        """Those of the controller, and mu before and after."""
+        mu = self.mu_before
+        before = f"{mu['lower']:.4g} .. {mu['upper']:.4g} (attained .. proved)"
+        sampled = [(f"sampled: {label}", text) for label, text in self.after.facts()]
+        return [*super().facts(), ("mu of robust performance, continuous", before), *sampled]
+
+    def to_json(self) -> dict[str, Any]:
+        """That of the controller, with the robustness of the sampled loop and the margin of the continuous one."""
+        return super().to_json() | {"robustness": self.after.to_json(), "margin_before": self.margin_before}
 
 
 @told_as("sampled_robustness")

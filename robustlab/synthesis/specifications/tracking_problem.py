@@ -30,6 +30,7 @@ from robustlab.arrays import Array
 from robustlab.closing import wired
 from robustlab.errors import InputError, did_you_mean
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.shown import Facts, Shown
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -135,6 +136,29 @@ class TrackingProblem:
                 f"{self.n_meas} inputs ({', '.join(s.name for s in self.plant.measurements)}) and {self.n_con} outputs",
             )
         return wired(model, self.plant.measurements, self.plant.controls, "controller")
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingLoop(Shown):
+    """The nominal loop of a tracking problem under a design, to be drawn against what the weights ask for.
+
+    Attributes
+    ----------
+    problem
+        What was asked for.
+    design
+        The design, a `Synthesis`.
+    gamma
+        Verified gamma of the nominal loop, where that is what the design proves; else None.
+    """
+
+    problem: TrackingProblem
+    design: Any
+    gamma: float | None
+
+    def facts(self) -> Facts:
+        """Nothing that the design does not say."""
+        return []
 
 
 def tracking_problem(

@@ -1,0 +1,193 @@
+"""Kinds of values of designs: channels by number or by name, weights, costs, disturbances, goals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from robustlab.doors.kinds import Given, Kind, Thing
+from robustlab.errors import UsageError, did_you_mean
+from robustlab.units import amount
+
+
+def number(where: str, text: str) -> float:
+    """A number, or a usage error."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(where, f"{text.strip()!r}", "a number") from None
+
+
+@dataclass(frozen=True)
+class Channels(Kind):
+    """Signals by name, or how many of the last ones: ``2`` or ``a,b``."""
+
+    @property
+    def metavar(self) -> str | None:
+        """Either."""
+        return "NAME,...|NUMBER"
+
+    def read(self, option: str, given: Any) -> Any:
+        """A number, or a list of names."""
+        if given is None or given.isdecimal():
+            return given if given is None else int(given)
+        return [part.strip() for part in given.split(",") if part.strip()]
+
+    def field(self) -> Any:
+        """A number, or a list of names."""
+        from pydantic import Field
+
+        from robustlab.recipe.steps.vocabulary import Text
+
+        return Annotated[int, Field(ge=1)] | Annotated[list[Text], Field(min_length=1, max_length=100)]
+
+
+@dataclass(frozen=True)
+class Weight(Kind):
+    """A weight: a number, or what the function ``maker`` of robustlab takes, ``bandwidth=10,error=0.01``."""
+
+    maker: str
+
+    @property
+    def metavar(self) -> str | None:
+        """A word of its own."""
+        return "WEIGHT"
+
+    def read(self, option: str, given: Any) -> Any:
+        """The number, or the model that the function makes."""
+        if given is None or "=" not in given:
+            return given if given is None else number(option, given)
+        from inspect import signature
+
+        import robustlab as rl
+
+        known = list(signature(getattr(rl, self.maker)).parameters)
+        found: dict[str, Any] = {}
+        for part in given.split(","):
+            key, _, value = part.partition("=")
+            key = key.strip().replace("-", "_")
+            if key not in known:
+                expected = f"one of {', '.join(known)}"
+                raise UsageError(option, f"unknown word {key!r}", expected, did_you_mean(key, known))
+            found[key] = amount(f"{option}: {key}", value, "rad/s" if key == "bandwidth" else "")
+        if "order" in found and found["order"].is_integer():
+            found["order"] = int(found["order"])
+        if known[0] not in found:
+            raise UsageError(option, f"{known[0]} is missing", f"at least {known[0]}=NUMBER")
+        return self._made(found)
+
+    def _made(self, found: Mapping[str, Any]) -> Any:
+        import robustlab as rl
+
+        return getattr(rl, self.maker)(**found)
+
+    def field(self) -> Any:
+        """A number, or a table."""
+        from robustlab.recipe.steps import vocabulary
+
+        return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
+
+    def of_field(self, given: Any) -> Any:
+        """The same."""
+        return given if given is None or isinstance(given, float) else self._made(given.model_dump())
+
+
+@dataclass(frozen=True)
+class Diagonal(Kind):
+    """A cost or intensity: one number for all, or one for each."""
+
+    @property
+    def metavar(self) -> str | None:
+        """One or several."""
+        return "NUMBER,..."
+
+    def read(self, option: str, given: Any) -> Any:
+        """A list of numbers."""
+        return given if given is None else [number(option, part) for part in given.split(",") if part.strip()]
+
+    def field(self) -> Any:
+        """A number or a list."""
+        from pydantic import Field
+
+        from robustlab.recipe.steps.vocabulary import Positive
+
+        return Positive | list[Annotated[float, Field(ge=0)]]
+
+
+@dataclass(frozen=True)
+class Disturbance(Thing):
+    """``constant``, the frequency of a sinusoid in rad/s, or a model of a filter."""
+
+    gives: tuple[str, ...] = ("model", "any")
+    model: bool = True
+    number: bool = True
+
+    @property
+    def metavar(self) -> str | None:
+        """A word of its own."""
+        return "WEIGHT"
+
+    def load(self, file: str, remark: Any, **reading: Any) -> Any:
+        """The word stays a word."""
+        return file if file == "constant" else super().load(file, remark, **reading)
+
+    def field(self) -> Any:
+        """The word, a frequency, or the name of an earlier step."""
+        from robustlab.recipe.steps.vocabulary import Positive
+
+        return Literal["constant"] | Positive
+
+
+@dataclass(frozen=True)
+class Goals(Kind):
+    """Goals of a tuned loop: ``tracking:response_time=1,peak=2``, repeatable; a list of tables in a recipe.
+
+    ``hard``: whether those of a command must be met.
+    """
+
+    hard: bool = False
+
+    def annotation(self) -> Any:
+        """A repeatable option."""
+        return list[str]
+
+    @property
+    def metavar(self) -> str | None:
+        """A word of its own."""
+        return "GOAL"
+
+    def read(self, option: str, given: Given) -> Any:
+        """The goals; ``outputs=a+b`` are names."""
+        from robustlab.synthesis.fixed.design_goals import goal_in_words
+
+        found = []
+        for text in given or []:
+            word, _, rest = text.partition(":")
+            options: dict[str, Any] = {}
+            for part in [p for p in rest.split(",") if p.strip()]:
+                key, equals, value = part.partition("=")
+                if not equals:
+                    raise UsageError(f"goal {text!r}", repr(part), "key=value")
+                try:
+                    options[key.strip()] = float(value)
+                except ValueError:
+                    listed = word == "tracking" and key.strip() == "outputs"
+                    options[key.strip()] = value.split("+") if listed else value.strip()
+            found.append(goal_in_words(word.strip(), options, self.hard))
+        return found or None
+
+    def field(self) -> Any:
+        """A list of tables."""
+        from pydantic import Field
+
+        from robustlab.recipe.steps.vocabulary import GoalWords
+
+        return Annotated[list[GoalWords], Field(min_length=1, max_length=50)]
+
+    def of_field(self, given: Any) -> Any:
+        """The goals."""
+        from robustlab.synthesis.fixed.design_goals import goal_in_words
+
+        words = [(g, g.model_dump(exclude={"goal", "hard"}, exclude_none=True)) for g in given or []]
+        return [goal_in_words(g.goal, options, g.hard) for g, options in words] or None

@@ -1,0 +1,758 @@
+"""Doors of designs: controllers by every method, what makes them smaller or digital, state feedback, scheduling."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import robustlab as rl
+from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.design_kinds import Channels, Diagonal, Disturbance, Goals, Weight
+from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
+from robustlab.doors.words import Band, Design, Effort, Model, SampleTime, Seed, TimeLimit
+from robustlab.errors import InputError, UsageError
+
+DESIGN = "synthesis.problem.design."
+Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model.", Named(key="of")]
+Of = Annotated[Model, Named(key="of")]
+K = Annotated[Any, Thing(("controller", "any"), model=True), "File with the controller."]
+Measurements = Annotated[
+    Any, Channels(), "Measured outputs by name, or how many of the last; a tracking problem knows its own."
+]
+Controls = Annotated[
+    Any, Channels(), "Control inputs by name, or how many of the last; a tracking problem knows its own."
+]
+Disturbances = Annotated[
+    list[str] | None,
+    Names(),
+    "With names: the inputs w; all that are no controls where left out.",
+    Named(option="--disturbance-inputs"),
+]
+Performance = Annotated[
+    list[str] | None,
+    Names(),
+    "With names: the outputs z; all outputs where left out.",
+    Named(option="--performance-outputs"),
+]
+Nominal = Annotated[
+    bool, Flag(), "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
+]
+GammaRel = Annotated[
+    float, Number(least=1, most=10), "Allowed ratio to the smallest gamma; within it the slowest controller wins."
+]
+Structure = Annotated[
+    str,
+    Kind(),
+    "static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, :diagonal, "
+    ":scalar), decentralised:WORD.",
+]
+Starts = Annotated[int, Whole(0, 1000), "Number of random starts."]
+Order = Annotated[int | None, Whole(0, 1000)]
+UsedInputs = Annotated[list[str] | None, Names("inputs"), "Control inputs of the model to use; all if left out."]
+UsedOutputs = Annotated[list[str] | None, Names("outputs"), "Outputs of the model to control; all if left out."]
+
+
+def _posed(
+    system: Any,
+    measurements: Any,
+    controls: Any,
+    disturbances: list[str] | None = None,
+    performance: list[str] | None = None,
+    nominal: bool = False,
+    where: str = "design",
+) -> Any:
+    """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
+    from robustlab.synthesis.problem.partition import as_generalized_plant
+    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+
+    if isinstance(system, TrackingProblem):
+        if measurements is not None or controls is not None:
+            raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
+        return system.nominal if nominal else system.plant
+    if nominal and isinstance(system, rl.UncertainModel):
+        system = system.nominal
+    named = [isinstance(side, list) for side in (measurements, controls)]
+    if measurements is None or controls is None or any(named) != all(named):
+        expected = "--measurements and --controls: names, or how many of the last outputs and inputs"
+        raise UsageError(where, "channels are not given", expected)
+    if all(named):
+        return rl.generalized_plant(system, measurements, controls, disturbances, performance)
+    if disturbances or performance:
+        raise UsageError(where, "disturbance inputs or performance outputs", "measurements and controls by name, too")
+    return as_generalized_plant(system, measurements, controls, where)
+
+
+def _used(model: Any, inputs: list[str] | None, outputs: list[str] | None) -> Any:
+    return model if inputs is None and outputs is None else model.select(inputs, outputs)
+
+
+def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
+    """A design, beside it the loop of a tracking problem against its weights, where that is drawn."""
+    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, TrackingProblem
+
+    if not drawn or not isinstance(system, TrackingProblem):
+        return found
+    return InLoop(found, "", (), {"functions": TrackingLoop(system, found, found.gamma if proved else None)})
+
+
+# --- generalised plants -----------------------------------------------------------------------------------------------
+
+
+@door("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
+def hinf(
+    system: Plant,
+    measurements: Measurements = None,
+    controls: Controls = None,
+    disturbances: Disturbances = None,
+    performance: Performance = None,
+    nominal: Annotated[Nominal, Named(in_step=True)] = False,
+    gamma_rel: GammaRel = 1.05,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Any = None,
+    drawn: bool = False,
+) -> Any:
+    """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
+
+    Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
+    """
+    P = _posed(system, measurements, controls, disturbances, performance, nominal, "hinf")
+    found = rl.hinf(P, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=progress)
+    return _design(found, system, drawn=drawn)
+
+
+@door("synth h2", "h2", result=DESIGN + "H2Synthesis", gives="controller", made="controller")
+def h2(
+    system: Plant,
+    measurements: Measurements = None,
+    controls: Controls = None,
+    disturbances: Disturbances = None,
+    performance: Performance = None,
+    nominal: Annotated[Nominal, Named(in_step=True)] = False,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Any = None,
+    drawn: bool = False,
+) -> Any:
+    """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
+
+    Exit code 4: no controller could be vouched for, or no finite H2 norm exists.
+
+    Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
+    """
+    P = _posed(system, measurements, controls, disturbances, performance, nominal, "h2")
+    return _design(rl.h2(P, effort=effort, time_limit=time_limit, progress=progress), system, drawn=drawn)
+
+
+@door("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
+def dk(
+    system: Plant,
+    measurements: Measurements = None,
+    controls: Controls = None,
+    disturbances: Disturbances = None,
+    performance: Performance = None,
+    blocks: Annotated[
+        str | None,
+        Kind(),
+        'Blocks of Delta as rows "r,c" separated by ";" (-r,0 real repeated, r,0 complex repeated, r,c full); those of '
+        "the uncertain model where left out.",
+    ] = None,
+    start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
+    structure: Annotated[Structure | None, "What the controller may look like, as for fixed; D-K alone then."] = None,
+    starts: Annotated[Starts, "With a structure: random starts."] = 3,
+    direct: Annotated[bool, Flag(), "Go on with direct minimisation after D-K iteration."] = True,
+    mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True,
+    max_order: Annotated[Order, "Largest order of the controller."] = None,
+    order_rel: Annotated[
+        float,
+        Number(least=0, below=1),
+        "Loss of level allowed for a controller of lower order, then for one with slower poles.",
+    ] = 0.01,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    progress: Any = None,
+    drawn: bool = False,
+) -> Any:
+    """Robust controller u = K y (positive feedback): makes the peak of mu small, by D-K iteration and directly.
+
+    Of an uncertain plant the blocks are known; what they leave of w and z is the performance. gamma is an upper bound
+    of mu at all frequencies. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
+    """
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
+
+    rows = None if blocks is None else _rows(blocks)
+    P = _posed(system, measurements, controls, disturbances, performance, where="dk")
+    options: dict[str, Any] = {"starts": starts, "seed": seed} if structure is not None else {}
+    found = rl.dk(
+        P, rows, K0=start, structure=None if structure is None else structure_in_words(structure, P), direct=direct,
+        mixed=mixed, max_order=max_order, order_rel=order_rel, effort=effort, time_limit=time_limit,
+        progress=progress, **options,
+    )  # fmt: skip
+    return _design(found, system, proved=False, drawn=drawn)
+
+
+def _rows(text: str) -> list[list[int]]:
+    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
+    rows: list[list[int]] = []
+    for part in text.split(";"):
+        try:
+            row = [int(number) for number in part.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 2:
+            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
+            raise UsageError("--blocks", repr(part.strip()), expected)
+        rows.append(row)
+    return rows
+
+
+@door("synth fixed", "fixed", result=DESIGN + "FixedSynthesis", gives="controller", made="controller")
+def fixed_structure(
+    system: Plant,
+    structure: Structure = "static",
+    measurements: Measurements = None,
+    controls: Controls = None,
+    disturbances: Disturbances = None,
+    performance: Performance = None,
+    nominal: Nominal = False,
+    objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
+    starts: Starts = 3,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    progress: Any = None,
+    drawn: bool = False,
+) -> Any:
+    """Controller u = K y (positive feedback) of a given structure: the smallest norm found, verified; a local optimum.
+
+    Of a tracking problem or an uncertain model the worst member counts, unless nominal.
+    Exit code 4: no start stabilised the plant.
+
+    Example: robustlab synth fixed plant.h5 --structure order:2 --measurements 1 --controls 1 --out controller.h5
+    """
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
+
+    P = _posed(system, measurements, controls, disturbances, performance, nominal, "fixed")
+    found = rl.fixed_structure(
+        P, structure_in_words(structure, P), objective=objective, starts=starts, seed=seed, effort=effort,
+        time_limit=time_limit, progress=progress,
+    )  # fmt: skip
+    return _design(found, system, nominal and objective == "hinf", drawn)
+
+
+# --- plain models -----------------------------------------------------------------------------------------------------
+
+
+@door("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
+def mixsyn(
+    system: Of,
+    w1: Annotated[
+        Any,
+        Weight("performance_weight"),
+        'On the error: a number, or "bandwidth=10,error=0.01,peak=2".',
+        Named(key="W1"),
+    ] = None,
+    w2: Annotated[
+        Any, Weight("control_weight"), 'On the control: a number, or "limit=20,bandwidth=1000".', Named(key="W2")
+    ] = None,
+    w3: Annotated[
+        Any,
+        Weight("complementary_weight"),
+        'On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".',
+        Named(key="W3"),
+    ] = None,
+    inputs: UsedInputs = None,
+    outputs: UsedOutputs = None,
+    gamma_rel: GammaRel = 1.05,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Any = None,
+) -> Any:
+    """Mixed-sensitivity controller u = K (r - y) of a plant: makes the norm of [W1 S; W2 K S; W3 T] small, verified.
+
+    States that the chosen inputs and outputs do not touch are left out, with a note.
+    Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth mixsyn motor.h5 --outputs omega --w1 bandwidth=100,error=0.01 --w2 limit=2 --out k.h5
+    """
+    from robustlab.linear_analysis.structural import drop_unconnected
+
+    if w1 is None and w2 is None and w3 is None:
+        raise UsageError("mixsyn", "no weight", "at least one of W1, W2, W3")
+    model = _used(system, inputs, outputs)
+    kept = drop_unconnected(model)
+    gone = [name for name in model.state_names if name not in kept.state_names]
+    notes = (f"left out, for no chosen input or output touches them: states {', '.join(gone)}",) if gone else ()
+    found = rl.mixsyn(kept, w1, w2, w3, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=progress)
+    return InLoop(found, "", notes)
+
+
+@door("synth ncf", "ncf", result="synthesis.hinf.loop_shaping.NcfSynthesis", gives="controller", made="controller")
+def ncf(
+    system: Of,
+    w1: Annotated[
+        Any,
+        Thing(("model", "any"), model=True, number=True),
+        "Before the plant: a number, or a model.",
+        Named(key="W1"),
+    ] = None,
+    w2: Annotated[
+        Any,
+        Thing(("model", "any"), model=True, number=True),
+        "Behind the plant: a number, or a model.",
+        Named(key="W2"),
+    ] = None,
+    inputs: UsedInputs = None,
+    outputs: UsedOutputs = None,
+    factor: Annotated[float, Number(above=1, most=100), "Back-off from the smallest gamma, above 1."] = 1.1,
+    reference_model: Annotated[
+        Model | None, "Two degrees of freedom, u = K [r; y]: what the outputs are to do."
+    ] = None,
+    rho: Annotated[float, Number(above=0), "Weight of following the reference model, 1 to 3."] = 1.0,
+    follow: Annotated[list[str] | None, Names("outputs"), "Outputs that follow it; all where left out."] = None,
+) -> Any:
+    """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
+
+    Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
+    With a reference model the controller takes references too, u = K [r; y]. Exit code 4: no controller could be
+    vouched for.
+
+    Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
+    """
+    options: dict[str, Any] = {"factor": factor}
+    if reference_model is not None:
+        options |= {"reference_model": reference_model, "rho": rho, "outputs": follow}
+    return rl.ncf(_used(system, inputs, outputs), w1, w2, **options)
+
+
+@door("synth lqg", "lqg", result="synthesis.h2.gaussian_regulator.LqgSynthesis", gives="controller", made="controller")
+def lqg(
+    system: Of,
+    q: Annotated[Any, Diagonal(), "Cost of the states: a number, or one for each.", Named(key="Q")] = 1.0,
+    r: Annotated[Any, Diagonal(), "Cost of the controls.", Named(key="R")] = 1.0,
+    w: Annotated[Any, Diagonal(), "Intensity of the noise on the states.", Named(key="W")] = 1.0,
+    v: Annotated[Any, Diagonal(), "Intensity of the noise on the measurements.", Named(key="V")] = 1.0,
+    inputs: UsedInputs = None,
+    outputs: UsedOutputs = None,
+    disturbance: Annotated[
+        Any, Disturbance(), "constant, the frequency of a sinusoid in rad/s, or a file with a filter."
+    ] = None,
+    at: Annotated[
+        str, Choice(("input", "output")), "Where the disturbance adds.", Named(option="--disturbance-at")
+    ] = "input",
+    channels: Annotated[list[str] | None, Names("signals"), "On which inputs or outputs; all where left out."] = None,
+    disturbance_noise: Annotated[Any, Diagonal(), "The larger, the faster the disturbance is estimated."] = 1.0,
+    regulated: Annotated[list[str] | None, Names("outputs"), "Outputs that it must leave; all where left out."] = None,
+) -> Any:
+    """Linear-quadratic-Gaussian controller u = K y (positive feedback), with disturbances that its filter estimates.
+
+    Of a constant or sinusoidal disturbance nothing is left in the regulated outputs. The disk margins are beside it:
+    LQG guarantees none. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth lqg motor.h5 --outputs omega --q 1 --r 0.1 --disturbance constant --out controller.h5
+    """
+    import numpy as np
+
+    model = _used(system, inputs, outputs)
+    sizes = {"q": model.n_states, "r": model.n_inputs, "w": model.n_states, "v": model.n_outputs}
+    weights = []
+    for (name, size), given in zip(sizes.items(), (q, r, w, v), strict=True):
+        values = np.atleast_1d(np.asarray(given, dtype=float))
+        if len(values) not in (1, size):
+            raise InputError(name, f"{len(values)} numbers", f"one, or {size}")
+        weights.append(np.diag(np.broadcast_to(values, (size,))))
+    options: dict[str, Any] = {"disturbance": disturbance, "at": at, "channels": channels, "regulated": regulated}
+    return rl.lqg(model, *weights, disturbance_noise=disturbance_noise, **options)
+
+
+@door("synth tune", "tune", result="synthesis.fixed.goal_tuning.TunedSynthesis", gives="controller", made="controller")
+def tune(
+    system: Of,
+    also: Annotated[
+        list[Any] | None,
+        Thing(("plant", "model", "uncertain", "any"), model=True, many=True),
+        "Further plants for the same controller.",
+    ] = None,
+    structure: Structure = "pid",
+    goals: Annotated[
+        Any,
+        Goals(),
+        'Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".',
+        Named(option="--goal"),
+    ] = None,
+    hard: Annotated[Any, Goals(hard=True), 'Must be met: "margin:disk=0.8,at=input".', Named(only="command")] = None,
+    pole_limit: Annotated[
+        dict[str, float] | None,
+        Table(Number(above=0)),
+        "Always kept by the loop's poles: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s).",
+    ] = None,
+    damping: Annotated[
+        float | None, Number(above=0, most=1), "Least damping of the loop's poles.", Named(only="step")
+    ] = None,
+    decay: Annotated[
+        float | None, Number(above=0), "Least decay rate of the loop's poles, in 1/s.", Named(only="step")
+    ] = None,
+    bandwidth: Annotated[
+        float | None, Number(above=0), "Largest modulus of the loop's poles, in rad/s.", Named(only="step")
+    ] = None,
+    inputs: UsedInputs = None,
+    outputs: UsedOutputs = None,
+    starts: Starts = 3,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    progress: Any = None,
+) -> Any:
+    """Controller u = K (r - y) of a given structure that meets hard goals and makes the others small.
+
+    Goals: tracking, sensitivity, gain, rejection, variance, margin, overshoot (by a proxy); each is met where its value
+    is at most 1. Exit code 4: a hard goal is missed, or no controller could be vouched for.
+
+    Example: robustlab synth tune motor.h5 --structure pi --outputs omega --goal tracking:response_time=0.1
+    """
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
+    from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+    models = [_used(model, inputs, outputs) for model in (system, *(also or []))]
+    first = models[0]
+    words = structure_in_words(structure, GeneralizedPlant(first, max(first.n_outputs, 1), max(first.n_inputs, 1)))
+    known: dict[str, Any] = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
+    given = {"damping": damping, "decay": decay, "bandwidth": bandwidth, **(pole_limit or {})}
+    unknown = [name for name in given if name not in known]
+    if unknown:
+        raise UsageError("--pole-limit", repr(unknown[0]), f"one of {', '.join(known)}, each =NUMBER")
+    limits = [known[name](value) for name, value in given.items() if value is not None]
+    options: dict[str, Any] = {"starts": starts, "seed": seed, "effort": effort, "time_limit": time_limit}
+    return rl.tune(models, words, [*(goals or []), *(hard or []), *limits], progress=progress, **options)
+
+
+# --- state feedback and estimators ------------------------------------------------------------------------------------
+
+Weights = dict[str, float] | None
+States = Annotated[Weights, Table(Number(least=0)), "Weights on states by name; 0 where left out.",
+                   Named(option="--state-weight", key="states")]  # fmt: skip
+ControlWeights = Annotated[Weights, Table(Number(above=0), "inputs"), "Weights on controls by name; 1 where left out.",
+                           Named(option="--control-weight", key="controls")]  # fmt: skip
+
+
+@door("synth lqr", "lqr", result="synthesis.h2.state_feedback.StateFeedback", gives="controller", made="controller")
+def lqr(system: Of, states: States = None, controls: ControlWeights = None) -> Any:
+    """State feedback u = -K x of least quadratic cost; all states are measured.
+
+    The controller takes the states, by their names. Exit code 4: no gain could be vouched for.
+
+    Example: robustlab synth lqr motor.h5 --state-weight omega=100 --control-weight u=0.1 --out k.h5
+    """
+    from robustlab.synthesis.h2.named_weights import integral_weights
+
+    if not states:
+        raise UsageError("lqr", "no state", "weights on states: which is to be small, and its weight")
+    return rl.lqr(system, *integral_weights(system, {}, states, controls or {}))
+
+
+@door("synth lqi", "lqi", result="synthesis.h2.integral_feedback.IntegralFeedback", gives="controller",
+      made="controller")  # fmt: skip
+def lqi(
+    system: Of,
+    integral: Annotated[
+        Weights,
+        Table(Number(above=0), "outputs"),
+        "Outputs that are to follow, with the weights on their integrated errors.",
+    ] = None,
+    states: States = None,
+    controls: ControlWeights = None,
+) -> Any:
+    """State feedback with integral action: outputs follow constant references without error; the loop is rebuilt.
+
+    All states are measured. The controller takes references, followed outputs and states; it is made for export, not
+    for `close-loop`. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth lqi motor.h5 --integral omega=100 --control-weight u=0.1 --out k.h5
+    """
+    from robustlab.synthesis.h2.named_weights import integral_weights
+
+    if not integral:
+        raise UsageError("lqi", "no output", "integral: which output follows, and its weight")
+    Q, R = integral_weights(system, integral, states or {}, controls or {})
+    return rl.lqi(system, Q, R, outputs=list(integral))
+
+
+@door("synth kalman", "kalman", result="synthesis.h2.kalman_filter.KalmanFilter", gives="model", made="estimator")
+def kalman(
+    system: Of,
+    process: Annotated[
+        Weights,
+        Table(Number(least=0)),
+        "Intensities of the noise on states, or on inputs, by name.",
+        Named(option="--process-noise", key="process"),
+    ] = None,
+    measurement: Annotated[
+        Weights,
+        Table(Number(least=0), "outputs"),
+        "Intensities of the noise on each output by name; discrete: variances.",
+        Named(option="--measurement-noise", key="measurement"),
+    ] = None,
+) -> Any:
+    """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
+
+    White noise; of a discrete model the numbers are variances. Exit code 4: no filter could be vouched for.
+
+    Example: robustlab synth kalman motor.h5 --process-noise u=0.04 --measurement-noise omega=1e-4 --out filter.h5
+    """
+    from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
+
+    W = process_noise(system, process or {}, "process")
+    return rl.kalman(system, W, diagonal_weight(measurement or {}, system.output_names, "measurement"))
+
+
+# --- smaller, digital -------------------------------------------------------------------------------------------------
+
+
+def _around(system: Any, K: Any, measurements: Any, controls: Any, nominal: bool, where: str) -> Any:
+    """The generalised plant of a controller: by names, or with as many channels at the end as the controller has."""
+    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+
+    if (measurements is None) != (controls is None):
+        raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
+    if measurements is None and not isinstance(system, TrackingProblem):
+        measurements, controls = K.n_inputs, K.n_outputs
+    return _posed(system, measurements, controls, nominal=nominal, where=where)
+
+
+@door("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
+      gives="controller", made="controller")  # fmt: skip
+def reduce_controller(
+    plant: Plant,
+    controller: K,
+    loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
+    order: Annotated[Order, "States of the result, whatever it loses."] = None,
+    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
+    measurements: Measurements = None,
+    controls: Controls = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Any = None,
+) -> Any:
+    """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
+
+    Exit code 4: no controller of the order wanted could be vouched for.
+
+    Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
+    """
+    P = _around(plant, controller, measurements, controls, measure != "mu", "reduce-controller")
+    given: Any = measure
+    return rl.reduce_controller(
+        P, controller, loss=loss, order=order, measure=given, effort=effort, time_limit=time_limit, progress=progress
+    )
+
+
+Method = Annotated[
+    str,
+    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
+    "Formula, or a design for the sampled plant.",
+]
+
+
+@door("synth discretise", "discretise", result="synthesis.sampled.sampled_robustness.RobustSampledController",
+      gives="controller", made="controller")  # fmt: skip
+def discretise(
+    plant: Annotated[
+        Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
+    ],
+    controller: Annotated[K, Named(key="of")],
+    dt: SampleTime,
+    method: Method = "auto",
+    loss: Annotated[
+        float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
+    ] = 0.1,
+    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
+    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None,
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
+    ] = None,
+    measurements: Measurements = None,
+    controls: Controls = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    progress: Any = None,
+) -> Any:
+    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and what it loses.
+
+    Of an uncertain plant the norm is that of the nominal loop, and mu of robust performance is proved for the sampled
+    loop as well, beside that of the continuous one.
+
+    Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
+
+    Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
+    """
+    import math
+
+    from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
+
+    P = _around(plant, controller, measurements, controls, False, "discretise")
+    given: Any = method
+    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit}
+    found = rl.discretise(
+        controller, dt, given, plant=_at_rest(P), loss=loss, delay=delay, antialiasing=antialiasing, prewarp=prewarp,
+        progress=progress, **options,
+    )  # fmt: skip
+    if not P.blocks:
+        return found
+    options["seed"] = seed
+    loop = rl.UncertainModel(P.model, P.blocks).close(controller)
+    before = rl.robust_performance(loop, accuracy=1e-3, tolerance=math.inf, **options)
+    judged = {"delay": delay, "antialiasing": antialiasing, "progress": progress}
+    after = rl.sampled_robustness(P, found.K, **judged, **options)
+    status = max((found.status, before.status, after.status), key=list(rl.Status).index)
+    robust = RobustSampledController(**{**vars(found), "status": status}, before=before, after=after)
+    return InLoop(robust, "", (), {"robustness": after})
+
+
+def _at_rest(plant: Any) -> Any:
+    """The generalised plant at Delta = 0."""
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+    nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
+    return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
+
+
+@door("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+      made="model", foretell="of")  # fmt: skip
+def reduce_model(
+    system: Of,
+    order: Annotated[Order, "States of the result."] = None,
+    tolerance: Annotated[
+        float | None,
+        Number(above=0),
+        "In place of the order: largest error, as it is told.",
+        Named(option="--max-error"),
+    ] = None,
+    method: Annotated[
+        str,
+        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
+        "stochastic: relative error; coprime: unstable modes too.",
+    ] = "truncation",
+    input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
+    output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
+    band: Band = None,
+    floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
+) -> Any:
+    """A model of lower order, with its certified error beside what theory promises.
+
+    Modes that are not stable are kept, or reduced too with the method coprime.
+    Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
+
+    Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
+    """
+    given: Any = method
+    return rl.reduce_model(
+        system, order, tolerance=tolerance, method=given, band=band, floor=floor, input_weight=input_weight,
+        output_weight=output_weight,
+    )  # fmt: skip
+
+
+# --- scheduling -------------------------------------------------------------------------------------------------------
+
+Scheduled = Annotated[
+    Any, Thing(("uncertain", "any")), "Uncertain model with real parameters, or an LPV model.", Named(key="of")
+]
+Points = Annotated[
+    dict[str, int] | None,
+    Table(Whole(2, 100), words="NAME=NUMBER"),
+    "Parameter -> how many points its range gets; 2 where left out.",
+    Named(option="--grid", key="points"),
+]
+Rates = Annotated[
+    dict[str, float] | None,
+    Table(Number(least=0)),
+    "Parameter -> bound of its rate per second; any rate where left out.",
+    Named(option="--rate", key="rates"),
+]
+Lyapunov = Annotated[
+    str | None, Choice(("constant", "varying")), "Lyapunov matrix; both, as far as rates are bounded, where left out."
+]
+
+
+def _scheduled(system: Any, points: dict[str, int] | None, rates: dict[str, float] | None) -> Any:
+    """The LPV model, or that of an uncertain one."""
+    if isinstance(system, rl.UncertainModel):
+        return rl.lpv_model(system, points, rates)
+    if not isinstance(system, rl.LPVModel):
+        raise InputError("lpv", f"a {type(system).__name__}", "an LPV or an uncertain model")
+    if points:
+        raise InputError("points", "given", "none: the LPV model has its own")
+    return system.with_rates(**(rates or {}))
+
+
+@door("lpv build", "lpv", result="synthesis.scheduling.parameter_varying.LPVModel", gives="any")
+def lpv_model(system: Scheduled, points: Points = None, rates: Rates = None) -> Any:
+    """LPV model of an uncertain one: its real parameters become measured ones; what it is between the points is proved.
+
+    Example: robustlab lpv build spring.h5 --grid k=5 --rate k=0.5 --out lpv.h5
+    """
+    return _scheduled(system, points, rates)
+
+
+@door("lpv gain", "lpv-gain", result="synthesis.scheduling.induced_gain.LPVGain")
+def lpv_gain(
+    system: Scheduled,
+    points: Points = None,
+    rates: Rates = None,
+    lyapunov: Lyapunov = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+) -> Any:
+    """Induced L2 gain over all trajectories of measured parameters, proved between the points too.
+
+    Exit code 4: none could be proved.
+
+    Example: robustlab lpv gain lpv.h5 --rate k=0.5
+    """
+    given: Any = lyapunov
+    return rl.peak_gain(_scheduled(system, points, rates), lyapunov=given, effort=effort, time_limit=time_limit)
+
+
+@door("lpv hinf", "lpv-hinf", result="synthesis.scheduling.scheduled_synthesis.LPVSynthesis", gives="controller",
+      made="controller")  # fmt: skip
+def lpv_hinf(
+    system: Scheduled,
+    measurements: Annotated[int, Whole(1), "How many of the last outputs are measured."],
+    controls: Annotated[int, Whole(1), "How many of the last inputs are controls."],
+    points: Points = None,
+    rates: Rates = None,
+    lyapunov: Lyapunov = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Any = None,
+) -> Any:
+    """Scheduled H-infinity controller u = K(rho) y (positive feedback), its loop verified for all trajectories.
+
+    Exit code 4: no controller could be vouched for.
+
+    Example: robustlab lpv hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
+    """
+    given: Any = lyapunov
+    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit, "progress": progress}
+    return rl.hinf(_scheduled(system, points, rates), measurements, controls, lyapunov=given, **options)
+
+
+@door("lpv at", "lpv-at", result="statespace.StateSpaceModel", gives="model")
+def lpv_at(
+    system: Annotated[Any, Thing(("any",)), "LPV model or scheduled controller: HDF5 file.", Named(key="of")],
+    values: Annotated[dict[str, float] | None, Table(Number()), "Value of each parameter."] = None,
+) -> Any:
+    """The model or the controller at one value of every parameter.
+
+    Example: robustlab lpv at controller.h5 --values k=2.5 --out frozen.h5
+    """
+    from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+
+    if not isinstance(system, (rl.LPVModel, LPVController)):
+        raise InputError("lpv at", f"a {type(system).__name__}", "an LPV model or a scheduled controller")
+    return system.at(values or {})

@@ -1,0 +1,408 @@
+"""Doors of margins, gains and stability: of one model, of a set, of blocks that are not linear."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import robustlab as rl
+from robustlab.doors.declaration import InLoop, Named, closed, door
+from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Numbers, Table, Thing, Whole
+from robustlab.doors.words import (
+    Band,
+    Controller,
+    Effort,
+    Frequency,
+    Inputs,
+    Model,
+    Outputs,
+    Seed,
+    Sign,
+    System,
+    TimeLimit,
+    Uncertain,
+)
+
+Of = Annotated[Model, Named(key="of")]
+OfSet = Annotated[Uncertain, Named(key="of")]
+Around = Annotated[Controller | None, Named(option="--controller,-k")]
+Feedback = Annotated[Sign, Named(option="--feedback")]
+Tolerance = Annotated[float, Number(above=0), "Relative gap of the bounds that is aimed at; inf: no branch and bound."]
+Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
+FilterOrder = Annotated[int, Whole(0, 8), "Order of the multipliers' filters.", Named(option="--filter-order")]
+Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
+CrossCheck = Annotated[
+    bool, Flag(), "Ask SLICOT too (AB13MD, AB13DD); where it contradicts, exit code 4.", Named(only="command")
+]
+Nature = Annotated[
+    dict[str, str] | None,
+    Table(Kind(), words="NAME=WORD"),
+    "Block, or OUTPUT:INPUT between two signals -> what is there: varying[:RATE], saturation, dead-zone[:SIZE:REACH], "
+    "friction:LEVEL:SPEED, sector:LOW:HIGH, slope:LOW:HIGH, odd-slope:LOW:HIGH.",
+]
+
+
+# --- norms of one model -----------------------------------------------------------------------------------------------
+
+
+@door("model norm", "hinf-norm", result="norms.HinfNorm")
+def hinf_norm(system: Of) -> Any:
+    """A norm of a model with its evidence: peak gain (hinf; linf of unstable models), white noise (h2), passivity.
+
+    Exit code 4: the number cannot be vouched for.
+
+    Example: robustlab model norm motor.h5 --kind h2
+    """
+    return rl.peak_gain(system)
+
+
+@door("model norm --kind=linf", "linf-norm", result="norms.HinfNorm")
+def linf_norm(system: Of, band: Band = None) -> Any:
+    """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis, or in a band."""
+    return rl.peak_gain(system, norm="linf", band=band)
+
+
+@door("model norm --kind=h2", "h2-norm", result="norms.impulse_energy.H2Norm")
+def h2_norm(system: Of) -> Any:
+    """H2 norm of a model."""
+    return rl.h2_norm(system)
+
+
+@door("model norm --kind=passivity", "passivity", result="norms.positive_real.Passivity")
+def passivity(system: Of) -> Any:
+    """Relative passivity index of a square model, input k belonging to output k, and its input and output index."""
+    return rl.passivity(system)
+
+
+# --- margins of a loop ------------------------------------------------------------------------------------------------
+
+
+Skew = Annotated[float, Number(), "0: gain up as much as down; positive: rather up."]
+At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase change."]
+
+
+@door("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
+def disk_margin(
+    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
+    controller: Around = None,
+    at: At = "output",
+    sign: Feedback = None,
+    frequency: Frequency = None,
+    skew: Skew = 0.0,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+) -> Any:
+    """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
+
+    Of a plant with exact delays: with its delays exact, proved for all frequencies.
+
+    Example: robustlab model margins plant.h5 --controller K.h5 --at both
+    """
+    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit, "seed": seed}
+    return rl.disk_margin(plant, controller, at=at, sign=sign, frequency=frequency, skew=skew, **options)
+
+
+@door("model margins --classical", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
+def classical_margins(
+    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
+    controller: Around = None,
+    at: At = "output",
+    sign: Feedback = None,
+) -> Any:
+    """Gain, phase and delay margin of each loop alone, with all crossings."""
+    return rl.classical_margins(plant, controller, at=at, sign=sign)
+
+
+# --- a set ------------------------------------------------------------------------------------------------------------
+
+
+def _kept(system: Any, inputs: list[str] | None, outputs: list[str] | None) -> Any:
+    """The channels that were asked for."""
+    if inputs is None and outputs is None:
+        return system
+    if isinstance(system, rl.UncertainModel):
+        return system.select(inputs, outputs)
+    return system[outputs or [s.name for s in system.outputs], inputs or [s.name for s in system.inputs]]
+
+
+def _grid(system: Any, drawn: bool) -> Any:
+    """Frequencies for the curves of a figure; none where nothing is drawn."""
+    from robustlab.linear_analysis.frequency import default_grid
+
+    return default_grid(system.M, 60) if drawn and hasattr(system, "M") and system.M.n_states else None
+
+
+def _checked(found: Any, system: Any, cross_check: bool) -> dict[str, Any]:
+    """What SLICOT says, where it is asked."""
+    if not cross_check:
+        return {}
+    from robustlab.mu_analysis.cross_check import cross_check as ask
+
+    return {"cross_check": ask(system, found)}
+
+
+@door("mu", "robust-stability", result="mu_analysis.axis.margin.Margin")
+def robust_stability(
+    system: OfSet,
+    controller: Around = None,
+    sign: Feedback = None,
+    frequency: Frequency = None,
+    tolerance: Tolerance | None = None,
+    accuracy: Accuracy | None = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    intervals: Intervals = False,
+    certify: Annotated[
+        bool, Flag(), "Confirm the scalings in ball arithmetic (needs robustlab[certify]).", Named(only="command")
+    ] = False,
+    cross_check: CrossCheck = False,
+    drawn: bool = False,
+) -> Any:
+    """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
+
+    With frequencies, and for a file with frequency data: at these frequencies, and nothing is claimed between them.
+
+    Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
+    """
+    from robustlab.mu_analysis.axis.critical_delta import replay
+    from robustlab.mu_analysis.axis.margin import Margin, margin_in_balls
+
+    loop, words = closed(system, controller, sign, "robust stability")
+    options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
+    if frequency is not None or isinstance(loop, rl.UncertainFrequencyData):
+        del options["omega"]
+    found = rl.robust_stability(loop, frequency=frequency, effort=effort, time_limit=time_limit, seed=seed, **options)
+    beside = _checked(found, loop, cross_check)
+    if certify:
+        beside["balls"] = margin_in_balls(loop, found)
+    if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
+        try:
+            beside["replay"] = replay(loop, found)
+        except rl.RobustlabError as error:
+            return InLoop(found, words, (f"no replay: {error}",), beside)
+    return InLoop(found, words, (), beside, (found.proved_intervals(),) if intervals else ())
+
+
+@door("mu --gain", "worst-gain", result="mu_analysis.axis.worst_gain.WorstCaseGain")
+def worst_case_gain(
+    system: OfSet,
+    controller: Around = None,
+    sign: Feedback = None,
+    frequency: Frequency = None,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    tolerance: Tolerance | None = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    intervals: Intervals = False,
+    cross_check: CrossCheck = False,
+    drawn: bool = False,
+) -> Any:
+    """Worst-case gain from inputs to outputs."""
+    loop, words = closed(system, controller, sign, "worst-case gain")
+    kept = _kept(loop, inputs, outputs)
+    at = frequency is not None or isinstance(kept, rl.UncertainFrequencyData)
+    options: dict[str, Any] = {} if at else {
+        "omega": _grid(kept, drawn), "tolerance": tolerance, "effort": effort, "time_limit": time_limit
+    }  # fmt: skip
+    found = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
+    return InLoop(found, words, (), _checked(found, kept, cross_check), (found.proved(),) if intervals else ())
+
+
+@door("mu --performance", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
+def robust_performance(
+    system: OfSet,
+    controller: Around = None,
+    sign: Feedback = None,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    tolerance: Tolerance = 0.01,
+    accuracy: Accuracy = 3e-5,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+    intervals: Intervals = False,
+    drawn: bool = False,
+) -> Any:
+    """Robust performance margin of weighted inputs and outputs."""
+    loop, words = closed(system, controller, sign, "robust performance")
+    kept = _kept(loop, inputs, outputs)
+    found = rl.robust_performance(
+        kept, omega=_grid(kept, drawn), tolerance=tolerance, accuracy=accuracy, effort=effort,
+        time_limit=time_limit, seed=seed,
+    )  # fmt: skip
+    return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
+
+
+@door("mu --level", "robust-gain", result="mu_analysis.axis.robust_gain.RobustGain")
+def robust_gain(
+    system: OfSet,
+    level: Annotated[float, Number(above=0), "How much of the set keeps the gain below this level."],
+    controller: Around = None,
+    sign: Feedback = None,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    tolerance: Tolerance = 0.01,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    seed: Seed = 0,
+) -> Any:
+    """How much of the set keeps every member's gain below a level."""
+    loop, words = closed(system, controller, sign, "robust gain")
+    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit, "seed": seed}
+    return InLoop(rl.robust_gain(_kept(loop, inputs, outputs), level, tolerance=tolerance, **options), words)
+
+
+@door("", "robustness-at", result="mu_analysis.margins.at_frequencies.MarginAt")
+def robustness_at(
+    system: OfSet,
+    controller: Around = None,
+    sign: Feedback = None,
+    frequency: Frequency = None,
+    what: Annotated[str, Choice(("margin", "gain")), "Stability margin, or largest gain."] = "margin",
+    seed: Seed = 0,
+) -> Any:
+    """Margin, or worst-case gain, at given frequencies; nothing is claimed between them."""
+    loop, words = closed(system, controller, sign, "robustness at frequencies")
+    asked: Any = rl.robust_stability if what == "margin" else rl.peak_gain
+    return InLoop(asked(loop, frequency=frequency, seed=seed), words)
+
+
+# --- blocks that are not linear, or vary with time --------------------------------------------------------------------
+
+
+def _natures(nature: dict[str, str] | None, system: Any) -> Any:
+    from robustlab.iqc.nature import natures_in_words
+
+    return natures_in_words(nature or {}, "--nature", [b.name for b in getattr(system, "blocks", ())])
+
+
+@door("iqc gain", "iqc-gain", result="iqc.IqcGain")
+def iqc_gain(
+    system: Annotated[System, "Uncertain model, model, or a plant with effects: HDF5 file.", Named(key="of")],
+    nature: Nature = None,
+    controller: Around = None,
+    sign: Feedback = None,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    order: FilterOrder = 2,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    amplitude: Annotated[dict[str, float] | None, Table(Number(above=0)), "Bound of the signal at an effect's place."]
+    | None = None,
+) -> Any:
+    """Worst L2 gain, proved for blocks that are nonlinear, vary with time, or are uncertain.
+
+    Example: robustlab iqc gain loop.h5 --nature y:u=saturation --nature k=varying:0.5
+    """
+    loop, words = closed(system, controller, sign, "iqc gain")
+    found = rl.peak_gain(
+        loop, natures=_natures(nature, loop), inputs=inputs, outputs=outputs, order=order, effort=effort,
+        time_limit=time_limit,
+    )  # fmt: skip
+    return InLoop(found, words)
+
+
+@door("iqc gain --stability", "iqc-stability", result="iqc.IqcStability")
+def iqc_stability(
+    system: Annotated[System, "Uncertain model, or model: HDF5 file.", Named(key="of")],
+    nature: Nature = None,
+    controller: Around = None,
+    sign: Feedback = None,
+    order: FilterOrder = 2,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+) -> Any:
+    """Stability, proved for blocks that are nonlinear, vary with time, or are uncertain."""
+    loop, words = closed(system, controller, sign, "iqc gain")
+    options: dict[str, Any] = {"order": order, "effort": effort, "time_limit": time_limit}
+    return InLoop(rl.robust_stability(loop, natures=_natures(nature, loop), **options), words)
+
+
+@door("iqc effects", "effect-gain", result="iqc.effect_gain_bounds.EffectGain")
+def effect_gain(
+    plant: Annotated[
+        Any, Thing(("plant", "any")), "A plant with effects: what a discovery found, or its file.", Named(key="of")
+    ],
+    controller: Annotated[Controller, Named(option="--controller,-k")],
+    outputs: Annotated[list[str] | None, Names("outputs"), "Outputs that the controller sees; all if left out."] = None,
+    amplitude: Annotated[
+        dict[str, float] | None, Table(Number(above=0)), "Place of an effect -> bound of its signal."
+    ] = None,
+    stick_speed: Annotated[
+        dict[str, float] | None, Table(Number(above=0)), "Joint -> speed below which dry friction is creep."
+    ] = None,
+    sign: Feedback = None,
+    order: FilterOrder = 2,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+) -> Any:
+    """Worst L2 gain of a loop with the plant's effects as nonlinearities, beside that of constant gains.
+
+    Example: robustlab iqc effects machine.h5 --controller K.h5 --outputs q --amplitude u=40 --stick-speed v=0.01
+    """
+    from robustlab.closing import closing
+
+    base = getattr(getattr(plant, "plant", None), "state_space", None)
+    if base is not None:
+        sign = closing(base().select(None, outputs), controller, sign, "effects", None).sign
+    return rl.peak_gain(
+        plant, controller, outputs=outputs, amplitude=amplitude, stick_speed=stick_speed, sign=sign, order=order,
+        effort=effort, time_limit=time_limit,
+    )  # fmt: skip
+
+
+@door("iqc anti-windup", "anti-windup", result="synthesis.windup.static_anti_windup.AntiWindup")
+def anti_windup(
+    plant: Annotated[Model, "The plant; u and y are its last inputs and outputs.", Named(key="of")],
+    controller: Annotated[Any, Thing(("controller", "any"), model=True), "Controller u = K y."],
+    limits: Annotated[
+        dict[str, tuple[float, float]] | None,
+        Table(Numbers(count=2), words="NAME=LOW:HIGH"),
+        "Limits of each control signal; -1:1 where left out.",
+        Named(option="--saturation"),
+    ] = None,
+    reach: Annotated[
+        float, Number(above=1), "Bound of the demanded signal as a multiple of its limit; where the plant is unstable."
+    ] = math.inf,
+    direct: Annotated[
+        bool, Flag(), "Correct the outputs too, an algebraic loop.", Named(option="--correct-outputs")
+    ] = False,
+    dt: Annotated[
+        float | None, Number(above=0), "With --code: sample time in s of what is written.", Named(only="command")
+    ] = None,
+    code: Annotated[
+        str | None, Kind(), "C file to write: the controller held, with its gain.", Named(only="command")
+    ] = None,
+    order: FilterOrder = 2,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+) -> Any:
+    """Static anti-windup gain of least proved L2 gain, beside back-calculation and none.
+
+    Example: robustlab iqc anti-windup motor.h5 pi.h5 --saturation u=-10:10 --out windup.h5
+    """
+    from robustlab.errors import InputError
+    from robustlab.signals import law
+
+    unknown = [name for name in limits or {} if name not in controller.output_names]
+    if unknown:
+        raise InputError("limits", f"no control signal {unknown[0]!r}", f"one of {', '.join(controller.output_names)}")
+    if (code is None) != (dt is None):
+        raise InputError("anti-windup", "one of code and dt", "both, or none")
+    pairs = [(limits or {}).get(name, (-1.0, 1.0)) for name in controller.output_names]
+    found = rl.anti_windup(plant, controller, pairs, reach, direct, order=order, effort=effort, time_limit=time_limit)
+    words = (
+        f"{law(controller.inputs)}, as the controller says"
+        if law(controller.inputs)
+        else "u = K y; nothing else is said of it"
+    )
+    if code is not None and dt is not None:
+        held, back = found.sampled(dt)
+        saturation = dict(zip(controller.output_names, pairs, strict=True))
+        rl.export_controller(code, held, saturation=saturation, anti_windup=back)
+        return InLoop(found, words, (f"written: {code}",))
+    return InLoop(found, words)
