@@ -1,4 +1,4 @@
-"""What other programs' names are called here: ``rl.wcgain`` is answered with ``rl.worst_case_gain``."""
+"""What other programs' names, and earlier ones of ours, are called here: ``rl.wcgain`` is ``rl.peak_gain``."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ MATLAB = {
     "rl.robust_stability": "robstab robuststab",
     "rl.robust_gain(set, level)": "robgain",
     "rl.robust_performance": "robustperf",
-    "rl.worst_case_gain": "wcgain",
-    "rl.worst_case_gain(set, omega=...)": "wcsigma",
-    "not there; close the loop, then rl.worst_case_gain": "wcsens",
+    "rl.peak_gain": "wcgain hinfnorm",
+    "rl.peak_gain(set, omega=...)": "wcsigma",
+    "not there; close the loop, then rl.peak_gain": "wcsens",
     "not there; rl.skew_mu of the matrix": "wcnorm",
     "rl.disk_margin": "diskmargin loopmargin",
     "rl.classical_margins": "allmargin margin",
@@ -49,12 +49,11 @@ MATLAB = {
     "fields D, G, delta of the result": "mussvextract",
     "rl.gap, rl.nu_gap": "gapmetric",
     "rl.coprime_margin": "ncfmargin",
-    "rl.hinf_norm, rl.linf_norm, rl.h2_norm": "norm",
-    "rl.hinf_norm": "hinfnorm",
-    "rl.linf_norm": "getPeakGain",
+    "rl.peak_gain, rl.h2_norm": "norm",
+    'rl.peak_gain(G, norm="linf")': "getPeakGain",
     "rl.passivity": "isPassive getPassiveIndex",
     "rl.loop_functions": "loopsens",
-    "rl.iqc_stability, rl.iqc_gain": "popov quadstab pdlstab quadperf",
+    "rl.iqc_stability, rl.peak_gain(G, natures=...)": "popov quadstab pdlstab quadperf",
     "not there; branch and bound handles purely real problems": "complexify",
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn",
@@ -122,8 +121,8 @@ PYTHON_CONTROL = {
     "rl.lqr": "dlqr",
     "rl.place": "acker",
     "rl.kalman": "lqe dlqe create_estimator_iosystem",
-    "rl.linf_norm, rl.hinf_norm": "linfnorm",
-    "rl.hinf_norm, rl.linf_norm, rl.h2_norm": "system_norm norm",
+    'rl.peak_gain(G, norm="linf")': "linfnorm",
+    "rl.peak_gain, rl.h2_norm": "system_norm norm",
     "rl.passivity": "ispassive get_input_ff_index get_output_fb_index",
     "rl.disk_margin": "disk_margins",
     "rl.classical_margins": "margin stability_margins",
@@ -149,7 +148,16 @@ PYTHON_CONTROL = {
     "not there; use python-control": "root_locus_map root_locus describing_function_response flatsys optimal",
 }
 
-PROGRAMS = {"MATLAB": MATLAB, "python-control": PYTHON_CONTROL}
+# Answer -> public names that are gone; the changelog has the same table.
+EARLIER = {
+    "rl.peak_gain": "hinf_norm worst_case_gain delay_gain lpv_gain",
+    'rl.peak_gain(G, norm="linf")': "linf_norm",
+    "rl.peak_gain(G, frequency=...)": "worst_case_gain_at",
+    "rl.peak_gain(G, natures=...)": "iqc_gain",
+    "rl.peak_gain(plant, K)": "effect_gain",
+}
+
+PROGRAMS = {"MATLAB": MATLAB, "python-control": PYTHON_CONTROL, "an earlier robustlab": EARLIER}
 
 
 def unknown_public_name(name: str, known: Iterable[str]) -> str:
@@ -157,10 +165,12 @@ def unknown_public_name(name: str, known: Iterable[str]) -> str:
 
     Examples
     --------
-    >>> unknown_public_name("wcgain", ["worst_case_gain"])
-    "robustlab has no 'wcgain'; MATLAB's wcgain is rl.worst_case_gain"
-    >>> unknown_public_name("worst_case_gian", ["worst_case_gain"])
-    "robustlab has no 'worst_case_gian'; did you mean worst_case_gain?"
+    >>> unknown_public_name("wcgain", ["peak_gain"])
+    "robustlab has no 'wcgain'; MATLAB's wcgain is rl.peak_gain"
+    >>> unknown_public_name("hinf_norm", ["peak_gain"])
+    "robustlab has no 'hinf_norm'; an earlier robustlab's hinf_norm is rl.peak_gain"
+    >>> unknown_public_name("peak_gian", ["peak_gain"])
+    "robustlab has no 'peak_gian'; did you mean peak_gain?"
     """
     found = f"robustlab has no {name!r}"
     if said := _elsewhere(name):

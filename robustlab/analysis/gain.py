@@ -18,6 +18,9 @@ from robustlab.uncertainty.lft import UncertainModel
 if TYPE_CHECKING:
     from robustlab.iqc.problem import Natures
 
+Norm = Literal["hinf", "linf"]
+Lyapunov = Literal["constant", "varying"]
+
 # What is asked -> the options that it has; another one is refused, with those that have it.
 OPTIONS: Mapping[str, tuple[str, ...]] = {
     "a model": ("norm", "band", "inputs", "outputs", "tolerance"),
@@ -46,7 +49,7 @@ def peak_gain(
     system: Any,
     controller: Any = None,
     *,
-    norm: Literal["hinf", "linf"] | None = None,
+    norm: Norm | None = None,
     band: tuple[float, float] | None = None,
     frequency: ArrayLike | None = None,
     natures: Natures | None = None,
@@ -59,7 +62,7 @@ def peak_gain(
     time_limit: float | None = None,
     order: int | None = None,
     pole: float | None = None,
-    lyapunov: Literal["constant", "varying"] | None = None,
+    lyapunov: Lyapunov | None = None,
     amplitude: Mapping[str, float] | None = None,
     stick_speed: Mapping[str, float] | None = None,
     sign: int | None = None,
