@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
@@ -15,9 +15,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 
-if TYPE_CHECKING:
-    from robustlab.iqc.problem import Natures
-
+Natures = Mapping[Any, Any]  # name of a block, or (output, input) -> `Varying` or `Nonlinearity`
 Norm = Literal["hinf", "linf"]
 Lyapunov = Literal["constant", "varying"]
 

@@ -497,7 +497,9 @@ def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(od
 
 @pytest.mark.parametrize("pole", [1e-300, 1e300])
 def test_filters_beyond_all_measure_prove_nothing(pole):
-    assert rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, pole=pole).status is Status.INCONCLUSIVE
+    assert (
+        rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, pole=pole).status is Status.INCONCLUSIVE
+    )
 
 
 def test_an_algebraic_loop_counts_slopes_only():
@@ -515,7 +517,10 @@ def test_an_algebraic_loop_counts_slopes_only():
         (lambda: rl.Nonlinearity((0.0, math.inf)), "two finite numbers"),
         (lambda: rl.Nonlinearity(5.0), "two finite numbers"),
         (lambda: rl.peak_gain(CUBE, natures="saturation"), "block -> what it is"),
-        (lambda: rl.peak_gain(random_set(1, [rl.RealScalar("f")]), natures={}, inputs=["nope"]), r"expected one of \w+$"),
+        (
+            lambda: rl.peak_gain(random_set(1, [rl.RealScalar("f")]), natures={}, inputs=["nope"]),
+            r"expected one of \w+$",
+        ),
         (lambda: rl.Nonlinearity.friction(2.0), "no stick_speed"),
         (lambda: rl.Nonlinearity((0.0, 1.0), (2.0, 3.0)), "meets the sector"),
         (lambda: rl.Nonlinearity.saturation(2.0, 1.0), "more than 2"),

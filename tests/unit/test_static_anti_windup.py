@@ -82,7 +82,9 @@ def test_the_gain_is_proved_apart_from_the_synthesis(found):
     # cut off, the integrator is free: no gain without anti-windup
     assert found.without.status is Status.INFEASIBLE
     static = rl.peak_gain(
-        rl.StateSpaceModel(*_by_hand(found)), natures={("uc", "q"): rl.Nonlinearity((0.0, 1.0), steady=False)}, outputs=["z"]
+        rl.StateSpaceModel(*_by_hand(found)),
+        natures={("uc", "q"): rl.Nonlinearity((0.0, 1.0), steady=False)},
+        outputs=["z"],
     )
     # the circle criterion of the loop built by hand is the inequality that was solved
     assert static.upper == pytest.approx(found.level, rel=0.03)
