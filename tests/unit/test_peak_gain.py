@@ -11,6 +11,7 @@ from robustlab.norms import PeakGain
 
 LAG = rl.tf([1.0], [1.0, 1.0])
 RUNAWAY = rl.tf([6.0], [1.0, -2.0])
+ROUGH = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_channels_are_chosen_by_name():
         (lambda: rl.peak_gain(made.first_order(), norm="hinf"), "norm: given for an uncertain model"),
         (lambda: rl.peak_gain(LAG, norm="h2"), "'hinf' or 'linf'"),
         (lambda: rl.peak_gain(LAG, norm="hinf", band=(1.0, 2.0)), "norm='linf': the peak in the band"),
-        (lambda: rl.peak_gain(rl.with_effects(rl.plant("servo-axis"), {})), "controller: none for a plant"),
+        (lambda: rl.peak_gain(ROUGH), "controller: none for a plant"),
     ],
 )
 def test_an_option_of_another_kind_is_refused_with_the_way_there(call, text):
