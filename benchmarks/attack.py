@@ -113,9 +113,9 @@ def call(case: Case) -> Any:
         return rl.mu(data["matrix"], _blocks(data["parts"]))
     if case.function == "norm":
         G = _rl_model(data["G"])
-        return rl.hinf_norm(G), h2_norm(G)
+        return rl.peak_gain(G), h2_norm(G)
     uncertain = rl.UncertainModel(_rl_model(data["M"]), _blocks(data["parts"]))
-    return rl.robust_stability(uncertain) if case.function == "margin" else rl.worst_case_gain(uncertain)
+    return rl.robust_stability(uncertain) if case.function == "margin" else rl.peak_gain(uncertain)
 
 
 def claim_of(case: Case, result: Any) -> dict[str, Any]:

@@ -205,7 +205,7 @@ def controlled_lines(made, output: str, record) -> list[str]:
     )  # fmt: skip
     designed = rl.hinf(problem.nominal)
     loop = problem.close(designed.K)
-    margin, worst = rl.robust_stability(loop), rl.worst_case_gain(loop, time_limit=60)
+    margin, worst = rl.robust_stability(loop), rl.peak_gain(loop, time_limit=60)
     text = f"controller: gamma {designed.gamma:.4g} ({designed.status}); stable on {margin.lower:.4g} times the set"
     text += f" ({margin.status}); worst gain {worst.lower:.4g} .. {worst.upper:.4g} ({worst.status})"
     return [f"{text}; {time.process_time() - start:.1f} s CPU"]

@@ -60,18 +60,18 @@ def random_set(seed: int) -> tuple[rl.UncertainModel, np.random.Generator]:
 
 def gain(seed: int) -> tuple[str, float, bool]:
     uncertain, rng = random_set(seed)
-    level = rl.hinf_norm(uncertain.nominal).upper * float(rng.choice([1.05, 1.5, 3.0, 20.0]))
+    level = rl.peak_gain(uncertain.nominal).upper * float(rng.choice([1.05, 1.5, 3.0, 20.0]))
     found, seconds = timed(lambda: rl.robust_gain(uncertain, level))
     if isinstance(found, rl.RobustlabError):
         return "refused", seconds, True
     true = True
     if 0 < found.lower < 1e5:
         inside = times(uncertain, found.lower * (1 - 1e-6))
-        true = rl.worst_case_gain(inside, tolerance=0.05, effort=0.02).lower <= level * (1 + 1e-6)
+        true = rl.peak_gain(inside, tolerance=0.05, effort=0.02).lower <= level * (1 + 1e-6)
     if 0 < found.upper < np.inf and all(b.interval for b in uncertain.blocks):
         member, _ = timed(lambda: uncertain.evaluate({k: float(np.real(v)) for k, v in found.delta.items()}))
         if not isinstance(member, rl.RobustlabError) and member.is_stable():
-            true &= rl.hinf_norm(member).upper >= level * (1 - 1e-6)
+            true &= rl.peak_gain(member).upper >= level * (1 - 1e-6)
     return str(found.status), seconds, bool(true)
 
 

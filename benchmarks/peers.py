@@ -62,7 +62,7 @@ def cases() -> Iterator[Case]:
         yield (
             "hinf_norm / slycot ab13dd",
             n,
-            lambda G=G: rl.hinf_norm(G).value,
+            lambda G=G: rl.peak_gain(G).value,
             lambda n=n, A=A, B=B, C=C, D=D, E=E: slycot.ab13dd("C", "I", "S", "D", n, 2, 2, A, E, B, C, D, 1e-6)[0],
         )
         yield (

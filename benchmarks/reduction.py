@@ -109,7 +109,7 @@ def row(G: StateSpaceModel, order: int, name: str, own: str, seen: str, status: 
 def told(G: StateSpaceModel, small: StateSpaceModel, low: float, high: float) -> str:
     """Proved size of the difference at all frequencies, and in a band."""
     gap = G - small
-    return f"{rl.hinf_norm(gap).upper:9.3g}  {rl.linf_norm(gap, band=(low, high)).upper:8.3g}"
+    return f"{rl.peak_gain(gap).upper:9.3g}  {rl.peak_gain(gap, band=(low, high)).upper:8.3g}"
 
 
 def main() -> None:

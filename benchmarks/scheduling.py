@@ -40,14 +40,14 @@ def best_constant(plant: rl.LPVModel) -> tuple[float, rl.StateSpaceModel]:
     found = []
     for _, model in plant.nodes():
         K = rl.hinf(model, 2, 1).K
-        found.append((rl.lpv_gain(closed_loop(plant, K), "constant").upper, K))
+        found.append((rl.peak_gain(closed_loop(plant, K), lyapunov="constant").upper, K))
     return min(found, key=lambda pair: pair[0])
 
 
 def one_for_all(name: str, plant: rl.LPVModel) -> None:
     """One controller with the plant's order, made for all grid points at once: its frozen loops, and what is proved."""
     found = rl.fixed_structure([model for _, model in plant.nodes()], plant.n_states, n_meas=2, n_con=1, starts=2)
-    proved = rl.lpv_gain(closed_loop(plant, found.K)).upper
+    proved = rl.peak_gain(closed_loop(plant, found.K)).upper
     print(f"{name:34} one controller for all points: worst frozen loop {found.gamma:8.4f}, proved {proved:8.4f}")
 
 

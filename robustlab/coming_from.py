@@ -1,4 +1,4 @@
-"""What other programs' names are called here: ``rl.wcgain`` is answered with ``rl.worst_case_gain``."""
+"""What other programs' names, and earlier ones of ours, are called here: ``rl.wcgain`` is ``rl.peak_gain``."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ MATLAB = {
     "rl.robust_stability": "robstab robuststab",
     "rl.robust_gain(set, level)": "robgain",
     "rl.robust_performance": "robustperf",
-    "rl.worst_case_gain": "wcgain",
-    "rl.worst_case_gain(set, omega=...)": "wcsigma",
-    "not there; close the loop, then rl.worst_case_gain": "wcsens",
+    "rl.peak_gain": "wcgain hinfnorm",
+    "rl.peak_gain(set, omega=...)": "wcsigma",
+    "not there; close the loop, then rl.peak_gain": "wcsens",
     "not there; rl.mu of the matrix, with fixed=": "wcnorm",
     "rl.disk_margin": "diskmargin loopmargin wcdiskmargin wcmargin",
     "rl.classical_margins": "allmargin margin",
@@ -48,12 +48,11 @@ MATLAB = {
     "fields D, G, delta of the result": "mussvextract",
     "rl.gap, rl.nu_gap": "gapmetric",
     "rl.coprime_margin": "ncfmargin",
-    "rl.hinf_norm, rl.linf_norm, rl.h2_norm": "norm",
-    "rl.hinf_norm": "hinfnorm",
-    "rl.linf_norm": "getPeakGain",
+    "rl.peak_gain, rl.h2_norm": "norm",
+    'rl.peak_gain(G, norm="linf")': "getPeakGain",
     "rl.passivity": "isPassive getPassiveIndex",
     "rl.loop_functions": "loopsens",
-    "rl.robust_stability(set, natures=...), rl.iqc_gain": "popov quadstab pdlstab quadperf",
+    "rl.robust_stability(G, natures=...), rl.peak_gain(G, natures=...)": "popov quadstab pdlstab quadperf",
     "not there; branch and bound handles purely real problems": "complexify",
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn",
@@ -121,8 +120,8 @@ PYTHON_CONTROL = {
     "rl.lqr": "dlqr",
     "rl.place": "acker",
     "rl.kalman": "lqe dlqe create_estimator_iosystem",
-    "rl.linf_norm, rl.hinf_norm": "linfnorm",
-    "rl.hinf_norm, rl.linf_norm, rl.h2_norm": "system_norm norm",
+    'rl.peak_gain(G, norm="linf")': "linfnorm",
+    "rl.peak_gain, rl.h2_norm": "system_norm norm",
     "rl.passivity": "ispassive get_input_ff_index get_output_fb_index",
     "rl.disk_margin": "disk_margins",
     "rl.classical_margins": "margin stability_margins",
@@ -150,6 +149,14 @@ PYTHON_CONTROL = {
 
 # Names of earlier versions -> what asks the same now.
 EARLIER = {
+    "delay_gain": "rl.peak_gain(model)",
+    "effect_gain": "rl.peak_gain(plant, K)",
+    "hinf_norm": "rl.peak_gain(model)",
+    "iqc_gain": "rl.peak_gain(G, natures=...)",
+    "linf_norm": 'rl.peak_gain(G, norm="linf")',
+    "lpv_gain": "rl.peak_gain(model)",
+    "worst_case_gain": "rl.peak_gain(set)",
+    "worst_case_gain_at": "rl.peak_gain(G, frequency=...)",
     "balanced_truncation": "rl.reduce_model(model, order)",
     "by_cause": "rl.elementwise(nominal, {cause: model})",
     "centred": "set.centred(level)",
@@ -187,10 +194,10 @@ def unknown_public_name(name: str, known: Iterable[str]) -> str:
 
     Examples
     --------
-    >>> unknown_public_name("wcgain", ["worst_case_gain"])
-    "robustlab has no 'wcgain'; MATLAB's wcgain is rl.worst_case_gain"
-    >>> unknown_public_name("worst_case_gian", ["worst_case_gain"])
-    "robustlab has no 'worst_case_gian'; did you mean worst_case_gain?"
+    >>> unknown_public_name("wcgain", ["peak_gain"])
+    "robustlab has no 'wcgain'; MATLAB's wcgain is rl.peak_gain"
+    >>> unknown_public_name("peak_gian", ["peak_gain"])
+    "robustlab has no 'peak_gian'; did you mean peak_gain?"
     >>> unknown_public_name("skew_mu", [])
     "robustlab has no 'skew_mu' any more; it is rl.mu(M, blocks, fixed=...)"
     """

@@ -158,7 +158,7 @@ def made_effects() -> Any:
 
 def effect_gain() -> Any:
     rough = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
-    return rl.effect_gain(rough, 30.0, outputs=["q"], amplitude={"u": 12.0}, order=1)
+    return rl.peak_gain(rough, 30.0, outputs=["q"], amplitude={"u": 12.0}, order=1)
 
 
 def scheduled_plant() -> rl.LPVModel:
@@ -212,25 +212,25 @@ OBJECTS: dict[str, Any] = {
     "Influence": lambda: made("ViolationProbability").influence,
     "MuBounds": lambda: rl.mu(np.array([[[0.5, 1.0], [1.0, 0.0]], [[1.0, 0.2], [0.1, 1.0j]]]), [[1, 0], [1, 0]]),
     "Margin": lambda: rl.robust_stability(loop(), omega=np.geomspace(0.05, 20.0, 200)),
-    "WorstCaseGain": lambda: rl.worst_case_gain(loop(), omega=np.geomspace(0.05, 20.0, 200)),
+    "WorstCaseGain": lambda: rl.peak_gain(loop(), omega=np.geomspace(0.05, 20.0, 200)),
     "MarginAt": lambda: rl.robust_stability_at(measured_loop()),
-    "GainAt": lambda: rl.worst_case_gain_at(measured_loop()),
+    "GainAt": lambda: rl.peak_gain(measured_loop()),
     "DiskMarginsAt": lambda: rl.disk_margin_at(2.0 * rl.delay(0.5) @ lag(), frequency=[0.5, 1.0]),
     "SmallGain": lambda: rl.small_gain(rl.unstructured(lag(), 0.2).feedback(2.0)),
     "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
     "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
     "WorstCaseDiskMargin": lambda: rl.worst_case_disk_margin(first_order()[0, 0]),
     "DelayStability": lambda: rl.delay_stability(rl.with_delays(lag(), inputs={"u": 0.5}).feedback()),
-    "DelayGain": lambda: rl.delay_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
+    "DelayGain": lambda: rl.peak_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
     "DelayDiskMargin": lambda: rl.delay_disk_margin(2.0 * rl.with_delays(lag(), inputs={"u": 0.5})),
     "GapMetric": lambda: rl.gap(spring().nominal, four_models()[1]),
     "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),
     "CoprimeMargin": lambda: rl.coprime_margin(spring().nominal, INTEGRAL),
-    "HinfNorm": lambda: rl.hinf_norm(spring().nominal),
+    "HinfNorm": lambda: rl.peak_gain(spring().nominal),
     "ClassicalMargins": lambda: rl.classical_margins(lag()),
     "Zeros": lambda: rl.zeros(lag()),
     "RobustGain": lambda: rl.robust_gain(loop(), 4.0),
-    "IqcGain": lambda: rl.iqc_gain(loop(), {"k": rl.Varying(0.1)}),
+    "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.iqc_stability(first_order(), {"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
     "AntiWindup": lambda: rl.anti_windup(lag().select(), rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]])),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
@@ -15,8 +15,9 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 
-if TYPE_CHECKING:
-    from robustlab.iqc.problem import Natures
+Natures = Mapping[Any, Any]  # name of a block, or (output, input) -> `Varying` or `Nonlinearity`
+Norm = Literal["hinf", "linf"]
+Lyapunov = Literal["constant", "varying"]
 
 # What is asked -> the options that it has; another one is refused, with those that have it.
 OPTIONS: Mapping[str, tuple[str, ...]] = {
@@ -46,7 +47,7 @@ def peak_gain(
     system: Any,
     controller: Any = None,
     *,
-    norm: Literal["hinf", "linf"] | None = None,
+    norm: Norm | None = None,
     band: tuple[float, float] | None = None,
     frequency: ArrayLike | None = None,
     natures: Natures | None = None,
@@ -59,7 +60,7 @@ def peak_gain(
     time_limit: float | None = None,
     order: int | None = None,
     pole: float | None = None,
-    lyapunov: Literal["constant", "varying"] | None = None,
+    lyapunov: Lyapunov | None = None,
     amplitude: Mapping[str, float] | None = None,
     stick_speed: Mapping[str, float] | None = None,
     sign: int | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from robustlab.result import Bracket
@@ -45,6 +45,10 @@ class PeakGain(Bracket):
             return f"{number(self.lower)} (attained), no bound proved"
         return bracket(self.lower, self.upper, ("attained", "proved"))
 
+    def place(self) -> str:
+        """Where ``lower`` is attained, in words; empty where that is unknown."""
+        return number(self.frequency, "rad/s")
+
     def headline(self) -> str:
         """The proved bound, or that there is none."""
         if math.isinf(self.lower):
@@ -56,7 +60,7 @@ class PeakGain(Bracket):
         """Both bounds, where the lower is attained, the evidence of this kind, conditions and notes."""
         return [
             ("largest gain", self.bounds()),
-            ("attained at", number(self.frequency, "rad/s")),
+            ("attained at", self.place()),
             *self.evidence(),
             ("holds", listed(self.conditions)),
             *(("note", note) for note in self.notes),
@@ -68,5 +72,5 @@ class PeakGain(Bracket):
 
     def to_json(self) -> dict[str, Any]:
         """All fields but those that can be made anew; arrays stay arrays."""
-        kept = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in self.unsaved}
+        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
         return {"type": type(self).__name__, **kept}

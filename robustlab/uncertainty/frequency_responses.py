@@ -179,7 +179,7 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
 
     operator_rank = 3  # data and a model make data
     for_control = "control.frd(np.moveaxis(G.nominal, 0, 2), G.omega) is its nominal response"
-    no_model = "frequency-response data have no state-space model: rl.robust_stability and rl.worst_case_gain_at"
+    no_model = "frequency-response data have no state-space model: rl.robust_stability and rl.peak_gain"
 
     def carried(self, function: Callable[..., Any], *operands: Any, **options: Any) -> UncertainFrequencyData:
         """An interconnection that is written for sets, of data and what has a response at their frequencies."""

@@ -43,7 +43,7 @@ def test_mu_of_data_says_where_it_holds(run):
     expected = abs(1 + 3 * G) / (0.3 * abs(G))
     assert found["lower"] == pytest.approx(expected.tolist(), rel=1e-6)
     gain = json.loads(run("mu", "loop.h5", "--gain", "--json"))
-    assert gain["upper"][0] > abs(G[0] / (1 + 3 * G[0]))
+    assert gain["gain_upper"][0] > abs(G[0] / (1 + 3 * G[0]))
     run("mu", "loop.h5", "--figure", "margin", "--out", "margin.h5")
     assert rl.load("margin.h5").status is rl.Status.CERTIFIED
 

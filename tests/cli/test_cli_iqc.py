@@ -88,7 +88,7 @@ def test_an_uncertain_model_is_closed_as_the_controllers_file_says(files, capfd)
     assert run(["iqc", "gain", "spring.h5", "--nature", "k=varying", "--controller", "k.h5"]) == 0
     text = capfd.readouterr().out
     assert text.startswith("loop  u = K (r - y), as k.h5 says\n")
-    expected = rl.iqc_gain(rl.load("spring.h5").feedback(gain, -1), {"k": rl.Varying()})
+    expected = rl.peak_gain(rl.load("spring.h5").feedback(gain, -1), natures={"k": rl.Varying()})
     assert f"{expected.upper:.4g}" in text
 
 

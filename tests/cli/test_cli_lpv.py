@@ -35,7 +35,7 @@ def test_an_uncertain_model_is_built_and_bounded(spring):
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told["status"] == "certified"
-    assert told["upper"] == pytest.approx(rl.lpv_gain(model).upper, rel=1e-6)
+    assert told["upper"] == pytest.approx(rl.peak_gain(model).upper, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,11 @@ def test_worst_gain_with_its_figure(model_file, tmp_path, capsys):
     assert data["physical"]["pole"][0] == pytest.approx(0.8)
     assert (tmp_path / "gain.png").stat().st_size > 5000
     assert call(model_file, "--gain") == 0
-    assert "worst-case gain  1.25" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert text.startswith("WorstCaseGain (certified)\n")
+    assert "largest gain" in text
+    assert "1.25 (attained)" in text
+    assert "pole   -1     0.8" in text
 
 
 def test_performance_shares_and_replay(model_file, tmp_path, capsys):

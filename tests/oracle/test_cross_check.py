@@ -48,7 +48,7 @@ def test_slicot_agrees_with_margins(name, dt):
 def test_slicot_agrees_with_gains(name, dt):
     uncertain = oscillators(SETS[name], seed=5, dt=dt)
     small = rl.UncertainModel(scaled(uncertain.M, 0.02), uncertain.blocks)
-    worst = rl.worst_case_gain(small)
+    worst = rl.peak_gain(small)
     check = cross_check(small, worst)
     assert check.status is Status.CONVERGED
     assert worst.lower * (1 - 1e-6) <= check.theirs <= worst.upper * (1 + 1e-6)
@@ -65,7 +65,7 @@ def test_a_margin_that_is_too_small_or_too_large_is_contradicted():
 
 def test_a_gain_that_is_not_attained_is_contradicted():
     uncertain = rl.UncertainModel(scaled(oscillators(SETS["one full"]).M, 0.02), SETS["one full"])
-    worst = rl.worst_case_gain(uncertain)
+    worst = rl.peak_gain(uncertain)
     check = cross_check(uncertain, dataclasses.replace(worst, lower=1.02 * worst.upper, upper=1.03 * worst.upper))
     assert check.status is Status.FAILED
     assert "contradicts" in check.said
@@ -75,7 +75,7 @@ def test_an_unstable_member_has_no_norm_to_compare():
     uncertain = oscillators(SETS["one full"])
     margin = rl.robust_stability(uncertain)
     large = rl.UncertainModel(scaled(uncertain.M, 2 * margin.upper), uncertain.blocks)
-    assert cross_check(large, rl.worst_case_gain(large)).status is Status.INCONCLUSIVE
+    assert cross_check(large, rl.peak_gain(large)).status is Status.INCONCLUSIVE
 
 
 def scaled(M, factor):

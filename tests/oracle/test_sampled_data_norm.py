@@ -35,7 +35,7 @@ def test_without_control_the_norm_is_the_continuous_one(delay):
     D = np.zeros((3, 3))
     D[:2, :2] = 0.1 * rng.normal(size=(2, 2))
     P = rl.StateSpaceModel(A, rng.normal(size=(4, 3)), rng.normal(size=(3, 4)), D)
-    exact = rl.hinf_norm(rl.StateSpaceModel(A, P.B[:, :2], P.C[:2], D[:2, :2])).value
+    exact = rl.peak_gain(rl.StateSpaceModel(A, P.B[:, :2], P.C[:2], D[:2, :2])).value
     found = rl.sampled_data_norm(P, gain(0.0, 0.5), delay=delay, n_meas=1, n_con=1, rtol=5e-3)
     assert found.status is Status.CERTIFIED
     assert found.lower <= exact * (1 + 1e-6)
@@ -109,7 +109,7 @@ def test_no_sinusoid_exceeds_the_norm_and_the_loop_between_samples_counts():
     # At the samples alone: the exact discrete loop for a w held over the period.
     from robustlab.statespace import lower_lft
 
-    sampled = rl.hinf_norm(lower_lft(rl.discretise(P, K.dt, "zoh"), K)).value
+    sampled = rl.peak_gain(lower_lft(rl.discretise(P, K.dt, "zoh"), K)).value
     assert sampled < found.lower
     fine, periods = 60, 200
     t = np.arange(fine * periods) * K.dt / fine
@@ -150,7 +150,7 @@ def test_the_bracket_shrinks_from_both_sides_to_the_continuous_norm():
     static = rl.StateSpaceModel([], [], [], [[-2.0]])
     from robustlab.statespace import lower_lft
 
-    continuous = rl.hinf_norm(lower_lft(P, static)).value
+    continuous = rl.peak_gain(lower_lft(P, static)).value
     found = rl.sampled_data_norm(P, gain(-2.0, 1e-3), n_meas=1, n_con=1, rtol=1e-3)
     assert found.lower == pytest.approx(continuous, rel=0.02)
     history = rl.sampled_data_norm(P, gain(-0.2, 1.0), n_meas=1, n_con=1, rtol=1e-3).history

@@ -46,11 +46,11 @@ def test_what_a_table_names_is_there():
 @pytest.mark.parametrize(
     ("name", "answer"),
     [
-        ("wcgain", "robustlab has no 'wcgain'; MATLAB's wcgain is rl.worst_case_gain"),
+        ("wcgain", "robustlab has no 'wcgain'; MATLAB's wcgain is rl.peak_gain"),
         ("hinfsyn", "robustlab has no 'hinfsyn'; MATLAB's and python-control's hinfsyn is rl.hinf"),
         ("robust_stabilty", "robustlab has no 'robust_stabilty'; did you mean robust_stability?"),
         ("step_response", "robustlab has no 'step_response'; python-control's step_response is G.step()"),
-        ("wcgian", "robustlab has no 'wcgian'; did you mean wcgain? MATLAB's wcgain is rl.worst_case_gain"),
+        ("wcgian", "robustlab has no 'wcgian'; did you mean wcgain? MATLAB's wcgain is rl.peak_gain"),
         ("tf2ss", "robustlab has no 'tf2ss'; MATLAB's and python-control's tf2ss is rl.tf"),
         ("qqqqqqqq", "robustlab has no 'qqqqqqqq'"),
     ],

@@ -82,4 +82,4 @@ def test_the_real_model_of_twice_the_size_is_the_complex_one():
         truth = np.sort(np.concatenate([singular_values(omega), singular_values(-omega)]))[::-1]
         np.testing.assert_allclose(found, truth)
     peak = max(singular_values(omega)[0] for omega in np.linspace(-40, 40, 20001))
-    assert rl.hinf_norm(real).upper == pytest.approx(peak, rel=1e-5)
+    assert rl.peak_gain(real).upper == pytest.approx(peak, rel=1e-5)

@@ -158,7 +158,7 @@ def test_an_integrator_in_the_loop_is_no_pole_of_it():
     omega = np.array([0.0, 1e-12, 1e-6, 0.3, 2.0])
     s = 1j * omega
     assert rl.frequency_response(loop, omega)[:, 0, 0] == pytest.approx(1 / (s * np.exp(0.5 * s) + 1), rel=1e-14)
-    found = rl.delay_gain(loop)
+    found = rl.peak_gain(loop)
     grid = np.linspace(0.0, 20.0, 4001)
     assert found.lower <= found.upper
     assert np.abs(1 / (1j * grid * np.exp(0.5j * grid) + 1)).max() <= found.upper <= 1.01

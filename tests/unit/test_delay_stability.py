@@ -111,7 +111,7 @@ def test_the_proved_gain_holds_the_exact_peak():
     loop = (2.0 * LAG @ rl.delay(0.5)).feedback()
     peak = np.abs(rl.frequency_response(loop, np.linspace(0.01, 20, 20_000))).max()
     for order, weight_order, above in ((4, 3, 1.03), (8, 7, 1.001)):
-        found = rl.worst_case_gain(loop.uncertain(order, weight_order=weight_order))
+        found = rl.peak_gain(loop.uncertain(order, weight_order=weight_order))
         assert found.status is Status.CERTIFIED
         assert peak <= found.upper <= above * peak
 
@@ -128,7 +128,7 @@ def test_the_proved_disk_margin_is_below_the_exact_one():
 def test_the_gain_of_a_loop_is_bracketed(k, tau):
     s = 1j * np.linspace(0.0, 60, 600_001)
     L = k * np.exp(-tau * s) / (s + 1)
-    found = rl.delay_gain((k * LAG @ rl.delay(tau)).feedback())
+    found = rl.peak_gain((k * LAG @ rl.delay(tau)).feedback())
     peak = np.abs(L / (1 + L)).max()
     assert found.status is Status.CERTIFIED
     assert found.lower == pytest.approx(peak, rel=1e-8)
@@ -152,12 +152,12 @@ def test_the_disk_margin_of_a_loop_is_bracketed(skew, sign):
 def test_gains_of_several_channels_and_of_no_delay():
     plant = rl.StateSpaceModel(-np.diag([1.0, 2.0]), np.eye(2), [[1.0, 2.0], [0.5, 1.0]], np.zeros((2, 2)))
     late = rl.with_delays(plant, inputs={0: 0.3}, outputs={1: 0.4})
-    found = rl.delay_gain(late)
+    found = rl.peak_gain(late)
     s = np.linspace(0, 50, 50_001)
     exact = np.linalg.svd(rl.frequency_response(late, s), compute_uv=False).max()
     assert found.lower == pytest.approx(exact, rel=1e-6)
     assert found.status is Status.CERTIFIED
-    assert rl.delay_gain(LAG).upper == pytest.approx(1.0, rel=1e-3)
+    assert rl.peak_gain(LAG).upper == pytest.approx(1.0, rel=1e-3)
     with pytest.raises(InputError, match="one channel"):
         rl.delay_disk_margin(late)
 
@@ -165,7 +165,7 @@ def test_gains_of_several_channels_and_of_no_delay():
 def test_without_a_proof_there_is_no_margin():
     with pytest.raises(NoTrustworthyNumber, match="proves the loop stable"):
         rl.delay_disk_margin(3.0 * LAG @ rl.delay(1.0))
-    assert rl.delay_gain((3.0 * LAG @ rl.delay(1.0)).feedback()).status is Status.INCONCLUSIVE
+    assert rl.peak_gain((3.0 * LAG @ rl.delay(1.0)).feedback()).status is Status.INCONCLUSIVE
 
 
 def test_an_uncertain_plant_with_a_delay():

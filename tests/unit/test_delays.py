@@ -113,7 +113,7 @@ def test_a_discrete_delay_is_a_row_of_states():
         (lambda: rl.delay("1 s"), "real numbers"),
         (lambda: rl.with_delays(LAG, inputs={"none": 1.0}), "one of u1"),
         (lambda: rl.DelayedModel(LAG, [1.0, 2.0]), "at least 2"),
-        (lambda: rl.hinf_norm(rl.delay(1.0)), r"pade\(order\)"),
+        (lambda: rl.h2_norm(rl.delay(1.0)), r"pade\(order\)"),
         (lambda: rl.delay(1.0) @ rl.delay(1.0).uncertain(2), "cover the delays first"),
         (lambda: rl.delay(1.0).pade(-1), "from 0 to 40"),
         (lambda: rl.delay(1.0).uncertain(2, spread=2.0), "the delay itself"),

@@ -14,7 +14,7 @@ AXIS = rl.plant("servo-axis")
 
 
 def gain_of(effects, **options):
-    return rl.effect_gain(rl.with_effects(AXIS, effects), K, outputs=["q"], **options)
+    return rl.peak_gain(rl.with_effects(AXIS, effects), K, outputs=["q"], **options)
 
 
 def simulated(d, dt, u_max=np.inf, friction=None):
@@ -77,8 +77,8 @@ def test_friction_without_one_is_refused_with_the_reason():
         gain_of({"coulomb-friction": {"Fc": 20.0}})
     with pytest.raises(InputError, match="no Coulomb friction there"):
         gain_of({"coulomb-friction": {"Fc": 20.0}}, stick_speed={"q": 0.01})
-    with pytest.raises(InputError, match="a linear plant with effects"):
-        rl.effect_gain(AXIS, K)
+    with pytest.raises(InputError, match="controller: given for a model, expected it for a plant with effects"):
+        rl.peak_gain(AXIS, K)
 
 
 def test_any_other_sector_may_change_at_every_instant():

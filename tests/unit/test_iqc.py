@@ -96,7 +96,7 @@ def test_more_filters_never_prove_a_larger_gain():
     """A basis holds the smaller ones: where the bound rises with the order, the solver and not the theory ended it."""
     axis = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
     K = rl.StateSpaceModel([[-300.0]], [[1.0]], [[-90000.0]], [[320.0]])
-    found = [rl.effect_gain(axis, K, outputs=["q"], amplitude={"u": 40.0}, order=k).proved for k in (0, 1, 2)]
+    found = [rl.peak_gain(axis, K, outputs=["q"], amplitude={"u": 40.0}, order=k).proved for k in (0, 1, 2)]
     assert [f.status for f in found] == [Status.CERTIFIED] * 3
     assert all(more.upper <= 1.01 * less.upper for less, more in pairwise(found))
     assert found[-1].upper < 1.5 * found[-1].lower
@@ -153,10 +153,10 @@ def test_the_gain_of_constant_blocks_is_that_of_mu():
     uncertain = rl.parametric(
         [[0, 1], ["-k", "-c"]], [[0], [1]], [[1, 0]], [[0]], {"k": (2.0, 1.4, 3.0), "c": (0.3, 0.25, 0.4)}
     )
-    mu, found = rl.worst_case_gain(uncertain), rl.iqc_gain(uncertain)
+    mu, found = rl.peak_gain(uncertain), rl.peak_gain(uncertain, natures={})
     assert mu.lower <= found.upper * (1 + 1e-9)
     assert found.upper == pytest.approx(mu.upper, rel=2e-3)
-    slow, fast = (rl.iqc_gain(uncertain, {"k": rl.Varying(rate)}).upper for rate in (0.01, 0.1))
+    slow, fast = (rl.peak_gain(uncertain, natures={"k": rl.Varying(rate)}).upper for rate in (0.01, 0.1))
     assert found.upper < slow < fast < math.inf
 
 
@@ -315,7 +315,7 @@ def test_no_input_reaches_more_than_the_proved_gain(name):
     function, law = LAWS[name]
     stiff = 3.0
     law = rl.Nonlinearity((0.0, stiff), (0.0, stiff), odd=law.odd)
-    found = rl.iqc_gain(CUBE, {("y", "u"): law}, order=3)
+    found = rl.peak_gain(CUBE, natures={("y", "u"): law}, order=3)
     assert found.status is Status.CERTIFIED
     rng, dt = np.random.default_rng(0), 0.03
     t = np.arange(0.0, 60.0, dt)
@@ -330,7 +330,7 @@ def test_no_input_reaches_more_than_the_proved_gain(name):
 def test_no_varying_spring_reaches_more_than_the_proved_gain():
     spring = rl.parametric([[0, 1], ["-k", -0.3]], [[0], [1]], [[1, 0]], [[0]], {"k": (2.0, 1.8, 2.2)})
     rate = 0.2
-    found = rl.iqc_gain(spring, {"k": rl.Varying(rate)})
+    found = rl.peak_gain(spring, natures={"k": rl.Varying(rate)})
     dt = 0.01
     t = np.arange(0.0, 150.0, dt)
     worst = 0.0
@@ -360,7 +360,7 @@ def test_no_mixed_loop_reaches_more_than_the_proved_gain(seed, direct):
     rate = float(rng.choice([0.5, 3.0, np.inf]))
     laws = {("y1", "v"): rl.Nonlinearity.saturation(), ("y2", "s"): rl.Nonlinearity((0.0, 1.0), (0.0, 1.0))}
     uncertain = rl.UncertainModel(model, [rl.RealScalar("k")])
-    found = rl.iqc_gain(uncertain, {"k": rl.Varying(rate), **laws}, ["d"], ["e"])
+    found = rl.peak_gain(uncertain, natures={"k": rl.Varying(rate), **laws}, inputs=["d"], outputs=["e"])
     assert found.status is Status.CERTIFIED
     assert found.lower <= found.upper
     count, dt = 120, 0.02
@@ -451,7 +451,7 @@ def test_a_solver_that_lies_proves_nothing(monkeypatch):
     monkeypatch.setattr(
         inequality_module, "_clarabel", lambda rows, *more: np.abs(rng.normal(size=rows.shape[1])) + 0.1
     )
-    found = rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity((0.0, 3.0))})
+    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0))})
     assert (found.status, found.upper, found.proof) == (Status.INCONCLUSIVE, math.inf, None)
 
 
@@ -477,7 +477,7 @@ def test_the_norm_of_a_kernel_is_its_integral(seed):
 
 
 def test_an_unstable_member_is_shown():
-    found = rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity((0.0, 9.0))})
+    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 9.0))})
     assert (found.status, found.lower, found.upper) == (Status.INFEASIBLE, math.inf, math.inf)
     assert found.delta == {"y:u": 1.0}
     assert "unstable" in found.summary()
@@ -497,16 +497,18 @@ def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(od
 
 @pytest.mark.parametrize("pole", [1e-300, 1e300])
 def test_filters_beyond_all_measure_prove_nothing(pole):
-    assert rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity.saturation()}, pole=pole).status is Status.INCONCLUSIVE
+    assert (
+        rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, pole=pole).status is Status.INCONCLUSIVE
+    )
 
 
 def test_an_algebraic_loop_counts_slopes_only():
     direct = rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[-1.0]], [[-0.5, 0.0]], 0.0, ["u", "d"], ["y"])
-    found = rl.iqc_gain(direct, {("y", "u"): rl.Nonlinearity.saturation()})
+    found = rl.peak_gain(direct, natures={("y", "u"): rl.Nonlinearity.saturation()})
     assert found.status is Status.CERTIFIED
     assert found.proof.constraints["y:u"] == "Zames-Falb"
     with pytest.raises(InputError, match="algebraic loop"):
-        rl.iqc_gain(direct, {("y", "u"): rl.Nonlinearity((0.0, 1.0))})
+        rl.peak_gain(direct, natures={("y", "u"): rl.Nonlinearity((0.0, 1.0))})
 
 
 @pytest.mark.parametrize(
@@ -514,16 +516,19 @@ def test_an_algebraic_loop_counts_slopes_only():
     [
         (lambda: rl.Nonlinearity((0.0, math.inf)), "two finite numbers"),
         (lambda: rl.Nonlinearity(5.0), "two finite numbers"),
-        (lambda: rl.iqc_gain(CUBE, "saturation"), "block -> what it is"),
-        (lambda: rl.iqc_gain(random_set(1, [rl.RealScalar("f")]), {}, inputs=["nope"]), r"expected one of \w+$"),
+        (lambda: rl.peak_gain(CUBE, natures="saturation"), "block -> what it is"),
+        (
+            lambda: rl.peak_gain(random_set(1, [rl.RealScalar("f")]), natures={}, inputs=["nope"]),
+            r"expected one of \w+$",
+        ),
         (lambda: rl.Nonlinearity.friction(2.0), "no stick_speed"),
         (lambda: rl.Nonlinearity((0.0, 1.0), (2.0, 3.0)), "meets the sector"),
         (lambda: rl.Nonlinearity.saturation(2.0, 1.0), "more than 2"),
         (lambda: rl.Varying(0.0), "a positive number"),
-        (lambda: rl.iqc_gain(CUBE, {("y", "v"): rl.Nonlinearity.saturation()}), "no input 'v'"),
-        (lambda: rl.iqc_gain(CUBE, {("y", "u"): rl.Varying()}), "a Nonlinearity"),
-        (lambda: rl.iqc_gain(CUBE, {}), "no block at all"),
-        (lambda: rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
+        (lambda: rl.peak_gain(CUBE, natures={("y", "v"): rl.Nonlinearity.saturation()}), "no input 'v'"),
+        (lambda: rl.peak_gain(CUBE, natures={("y", "u"): rl.Varying()}), "a Nonlinearity"),
+        (lambda: rl.peak_gain(CUBE, natures={}), "no block at all"),
+        (lambda: rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
         (lambda: rl.iqc_stability(random_set(1, [rl.FullBlock("f", 1, 1)]), {"f": rl.Varying(1.0)}), "a rate of 1"),
         (lambda: rl.iqc_stability(random_set(1, [rl.RealScalar("f")]), {"g": rl.Varying(1.0)}), "no such block"),
         (lambda: rl.iqc_stability(random_set(1, [rl.RealScalar("f")]), {"f": rl.Nonlinearity((0, 1))}), "own range"),

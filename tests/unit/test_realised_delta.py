@@ -47,7 +47,7 @@ def test_value_and_singular_values(shape, kind, dt):
 def test_the_norm_by_the_level_set_method():
     value = matrix("full", 3, 2)
     made = realise_delta([rl.FullBlock("d", 3, 2)], {"d": value}, 2.0)["d"]
-    assert rl.hinf_norm(made).upper <= np.linalg.norm(value, 2) * (1 + 2e-6)
+    assert rl.peak_gain(made).upper <= np.linalg.norm(value, 2) * (1 + 2e-6)
 
 
 def test_rank_one_needs_three_states_whatever_its_size():

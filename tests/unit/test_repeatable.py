@@ -54,7 +54,7 @@ def test_margin_and_gain_are_the_same_under_load_where_the_budget_ends_the_proof
         MODEL
         + """
 margin = rl.robust_stability(model(0.3), effort=1e-3, tolerance=1e-4)
-gain = rl.worst_case_gain(model(0.2), effort=5e-4, tolerance=1e-4)
+gain = rl.peak_gain(model(0.2), effort=5e-4, tolerance=1e-4)
 print(*margin.notes, digest(margin), *gain.notes, digest(gain))
 """
     )
@@ -151,7 +151,7 @@ def test_a_time_limit_that_strikes_is_told():
     for found in (
         rl.mu(matrix, [[-1, 0]] * 8, tolerance=1e-4, time_limit=0.0),
         rl.robust_stability(uncertain, time_limit=0.0),
-        rl.worst_case_gain(uncertain, time_limit=0.0),
+        rl.peak_gain(uncertain, time_limit=0.0),
         rl.worst_case_disk_margin(uncertain, K, time_limit=0.0),
         rl.validate(names["model"], names["record"], {"y3": 0.012}, at_rest=True, time_limit=0.0),
     ):
@@ -179,7 +179,7 @@ def test_an_effort_or_a_limit_that_is_none_is_refused(options):
     for call in (
         lambda: rl.mu(np.eye(2), [[1, 0], [1, 0]], **options),
         lambda: rl.robust_stability(uncertain, **options),
-        lambda: rl.worst_case_gain(uncertain, **options),
+        lambda: rl.peak_gain(uncertain, **options),
         lambda: rl.worst_case(uncertain, "h2", **options),
         lambda: rl.disk_margin(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), **options),
         lambda: rl.worst_case_disk_margin(uncertain, **options),

@@ -81,8 +81,10 @@ def test_the_gain_is_proved_apart_from_the_synthesis(found):
     assert found.linear <= found.proved.upper < found.back.upper
     # cut off, the integrator is free: no gain without anti-windup
     assert found.without.status is Status.INFEASIBLE
-    static = rl.iqc_gain(
-        rl.StateSpaceModel(*_by_hand(found)), {("uc", "q"): rl.Nonlinearity((0.0, 1.0), steady=False)}, outputs=["z"]
+    static = rl.peak_gain(
+        rl.StateSpaceModel(*_by_hand(found)),
+        natures={("uc", "q"): rl.Nonlinearity((0.0, 1.0), steady=False)},
+        outputs=["z"],
     )
     # the circle criterion of the loop built by hand is the inequality that was solved
     assert static.upper == pytest.approx(found.level, rel=0.03)
@@ -111,7 +113,7 @@ def test_the_channel_of_a_generalised_plant_is_kept():
     wide = rl.StateSpaceModel([[-0.1]], [[0.5, 1.0]], [[2.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     found = rl.anti_windup(wide, PI)
     loop = rl.StateSpaceModel([[-3.1, 2.0], [-1.0, 0.0]], [[0.5], [0.0]], [[2.0, 0.0]], [[0.0]])
-    assert found.linear == pytest.approx(rl.hinf_norm(loop).upper, rel=1e-6)
+    assert found.linear == pytest.approx(rl.peak_gain(loop).upper, rel=1e-6)
     assert found.proved.upper >= found.linear
 
 

@@ -31,13 +31,13 @@ def random_set(seed: int, n_blocks: int = 3, kind=rl.RealScalar, size: float = 0
     q = n_blocks + 2
     B, C = rng.standard_normal((4, q)), rng.standard_normal((q, 4))
     channels = rl.StateSpaceModel(A, B[:, :n_blocks], C[:n_blocks], np.zeros((n_blocks, n_blocks)))
-    B[:, :n_blocks] *= size / rl.hinf_norm(channels).value
+    B[:, :n_blocks] *= size / rl.peak_gain(channels).value
     return rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((q, q))), [kind(f"d{i}") for i in range(n_blocks)])
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_oscillator_has_its_closed_form(dt):
-    worst = rl.worst_case_gain(oscillator(dt))
+    worst = rl.peak_gain(oscillator(dt))
     truth = 1 / (0.1 * np.sqrt(1 - 0.1**2 / 4))
     assert worst.lower == pytest.approx(truth, rel=1e-6)
     assert truth * (1 - 1e-9) <= worst.upper <= 1.0002 * truth
@@ -52,33 +52,33 @@ def test_oscillator_has_its_closed_form(dt):
 @pytest.mark.parametrize("seed", range(3))
 def test_no_member_exceeds_the_bound_and_one_attains_it(seed):
     uncertain = random_set(seed, size=0.9)
-    worst = rl.worst_case_gain(uncertain)
+    worst = rl.peak_gain(uncertain)
     assert worst.gap <= 0.0101
     rng = np.random.default_rng(seed)
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     gains = [
-        rl.hinf_norm(uncertain.evaluate(dict(zip(("d0", "d1", "d2"), delta, strict=True)))).value
+        rl.peak_gain(uncertain.evaluate(dict(zip(("d0", "d1", "d2"), delta, strict=True)))).value
         for delta in [*corners, *rng.uniform(-1, 1, (40, 3))]
     ]
     assert max(gains) <= worst.upper
     assert max(gains) <= worst.lower * (1 + 1e-6)
-    assert rl.hinf_norm(uncertain.evaluate(worst.delta)).value == pytest.approx(worst.lower, rel=1e-9)
+    assert rl.peak_gain(uncertain.evaluate(worst.delta)).value == pytest.approx(worst.lower, rel=1e-9)
 
 
 def test_complex_blocks_are_attained_at_their_frequency():
     uncertain = random_set(5, kind=rl.ComplexScalar)
-    worst = rl.worst_case_gain(uncertain)
+    worst = rl.peak_gain(uncertain)
     gain = np.linalg.norm(uncertain.response([worst.frequency], worst.delta)[0], 2)
     assert gain == pytest.approx(worst.lower, rel=1e-9)
     assert max(abs(value) for value in worst.delta.values()) <= 1 + 1e-12
     assert worst.gap < 0.01
-    real = rl.worst_case_gain(random_set(5))
+    real = rl.peak_gain(random_set(5))
     assert real.upper <= worst.upper * 1.01
 
 
 def test_the_bound_holds_between_the_frequencies_of_any_grid():
     uncertain = oscillator()
-    worst = rl.worst_case_gain(uncertain, omega=np.geomspace(0.1, 10, 30))
+    worst = rl.peak_gain(uncertain, omega=np.geomspace(0.1, 10, 30))
     reached = 0.0
     for low, high, bound in sorted(worst.intervals):
         assert low <= reached
@@ -92,7 +92,7 @@ def test_the_bound_holds_between_the_frequencies_of_any_grid():
 
 def test_a_set_with_an_unstable_member_has_no_gain():
     M = rl.StateSpaceModel([[-1.0]], [[1.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    worst = rl.worst_case_gain(rl.UncertainModel(M, [rl.RealScalar("pole")]))
+    worst = rl.peak_gain(rl.UncertainModel(M, [rl.RealScalar("pole")]))
     assert worst.lower == worst.upper == np.inf
     assert rl.UncertainModel(M, [rl.RealScalar("pole")]).evaluate(worst.delta).spectral_abscissa() >= -1e-9
     assert "unstable" in worst.notes[0]
@@ -102,14 +102,14 @@ def test_wider_below_than_above():
     """1 / (s + a), a in [0.25, 1.5] around 1: the worst gain is 4, not the 2 of a symmetric range."""
     M = rl.StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     block = rl.RealScalar("a", parameter=rl.ParameterRange(1.0, 0.5, "1/s", below=0.75))
-    worst = rl.worst_case_gain(rl.UncertainModel(M, [block]))
+    worst = rl.peak_gain(rl.UncertainModel(M, [block]))
     assert worst.lower == pytest.approx(4.0, rel=1e-9)
     assert worst.upper == pytest.approx(4.0, rel=1e-3)
     assert worst.physical["a"] == (pytest.approx(0.25), "1/s")
 
 
 def test_without_blocks_it_is_the_nominal_norm():
-    worst = rl.worst_case_gain(rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[3.0]], [[0.0]]), []))
+    worst = rl.peak_gain(rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[3.0]], [[0.0]]), []))
     assert worst.lower == pytest.approx(3.0)
     assert worst.status is rl.Status.CERTIFIED
 
@@ -117,13 +117,13 @@ def test_without_blocks_it_is_the_nominal_norm():
 def test_static_model():
     """y = (1 + 0.5 delta) u has the gain 1.5, at every frequency."""
     M = rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[0.0, 1.0], [0.5, 1.0]])
-    worst = rl.worst_case_gain(rl.UncertainModel(M, [rl.RealScalar("k")]))
+    worst = rl.peak_gain(rl.UncertainModel(M, [rl.RealScalar("k")]))
     assert worst.lower == pytest.approx(1.5)
     assert worst.upper == pytest.approx(1.5, rel=1e-3)
 
 
 def test_no_time_is_said():
-    worst = rl.worst_case_gain(oscillator(), time_limit=0.0)
+    worst = rl.peak_gain(oscillator(), time_limit=0.0)
     assert worst.status is rl.Status.TIMEOUT
     assert worst.upper == np.inf
     assert worst.lower > 0
@@ -138,12 +138,12 @@ def test_robust_performance_is_the_fixed_point_of_the_worst_case_gain():
     M = uncertain.M
     scaled = np.concatenate([np.full(3, margin.upper), np.ones(2)])
     inside = rl.UncertainModel(rl.StateSpaceModel(M.A, M.B * scaled, M.C, M.D * scaled), uncertain.blocks)
-    assert rl.worst_case_gain(inside).lower == pytest.approx(1 / margin.upper, rel=0.02)
+    assert rl.peak_gain(inside).lower == pytest.approx(1 / margin.upper, rel=0.02)
     assert np.linalg.norm(margin.delta["performance"], 2) <= margin.upper * (1 + 1e-9)
 
 
 def test_results_are_plain():
-    data = json.loads(json.dumps(plain(rl.worst_case_gain(oscillator(), omega=[0.5, 1.0]).to_json())))
+    data = json.loads(json.dumps(plain(rl.peak_gain(oscillator(), omega=[0.5, 1.0]).to_json())))
     assert data["type"] == "WorstCaseGain"
     assert len(data["gain_upper"]) == 2
     assert "proof" not in data
@@ -151,14 +151,14 @@ def test_results_are_plain():
 
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"time_limit": -1.0}, {"omega": [-1.0]}])
 def test_bad_options_are_named(options):
-    with pytest.raises(rl.InputError, match="worst_case_gain"):
-        rl.worst_case_gain(oscillator(), **options)
+    with pytest.raises(rl.InputError, match="peak_gain"):
+        rl.peak_gain(oscillator(), **options)
 
 
 def test_an_unstable_nominal_model_is_refused():
     M = rl.StateSpaceModel([[0.5]], [[0.1, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     with pytest.raises(rl.NoTrustworthyNumber, match="nominal closed loop unstable"):
-        rl.worst_case_gain(rl.UncertainModel(M, [rl.RealScalar("a")]))
+        rl.peak_gain(rl.UncertainModel(M, [rl.RealScalar("a")]))
 
 
 def test_a_block_called_performance_is_refused():
@@ -170,6 +170,6 @@ def test_a_block_called_performance_is_refused():
 def test_the_gain_without_uncertainty_is_no_surer_than_the_norm():
     """1/(s + 1) - (1 - 1e-13)/(s + 1): what is left of it has lost its digits."""
     little = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, 1e-13 - 1.0]], [[0.0]])
-    worst = rl.worst_case_gain(rl.UncertainModel(little, []))
+    worst = rl.peak_gain(rl.UncertainModel(little, []))
     assert worst.status is rl.Status.INACCURATE
     assert any("digits were lost" in note for note in worst.notes)

@@ -93,12 +93,15 @@ class LPVGain(PeakGain, Traced):
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
         return f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
 
+    def place(self) -> str:
+        """Which frozen model attains ``lower``, and where."""
+        values = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
+        return f"{values}, {number(self.frequency, 'rad/s')}" if np.isfinite(self.lower) else ""
+
     def evidence(self) -> Facts:
-        """Which frozen model attains it, what it holds for, and how it was proved."""
-        place = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
+        """What it holds for, and how it was proved."""
         return [
-            ("frozen at", place if np.isfinite(self.lower) else ""),
-            ("holds for", self.scope),
+            ("holds", self.scope),
             ("Lyapunov function", self.lyapunov),
             ("how", self.reason),
         ]
