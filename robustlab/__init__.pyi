@@ -1,4 +1,7 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
+from robustlab.analysis.margins import classical_margins as classical_margins
+from robustlab.analysis.margins import disk_margin as disk_margin
+from robustlab.analysis.stability import robust_stability as robust_stability
 from robustlab.delays import DelayedModel as DelayedModel
 from robustlab.delays import delay as delay
 from robustlab.delays import neglected_delay as neglected_delay
@@ -27,7 +30,6 @@ from robustlab.identification.validation.data_cover import data_cover as data_co
 from robustlab.iqc import Nonlinearity as Nonlinearity
 from robustlab.iqc import Varying as Varying
 from robustlab.iqc import iqc_gain as iqc_gain
-from robustlab.iqc import iqc_stability as iqc_stability
 from robustlab.iqc.effect_gain_bounds import effect_gain as effect_gain
 from robustlab.linear_analysis.frequency import frequency_response as frequency_response
 from robustlab.linear_analysis.invariant_zeros import zeros as zeros
@@ -40,24 +42,14 @@ from robustlab.linear_analysis.structural import controllability as controllabil
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
-from robustlab.mu_analysis import robust_stability as robust_stability
 from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
 from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
-from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at as disk_margin_at
-from robustlab.mu_analysis.margins.at_frequencies import robust_stability_at as robust_stability_at
 from robustlab.mu_analysis.margins.at_frequencies import worst_case_gain_at as worst_case_gain_at
-from robustlab.mu_analysis.margins.classical import classical_margins as classical_margins
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
-from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins as delay_classical_margins
-from robustlab.mu_analysis.margins.delay_loops import delay_disk_margins as delay_disk_margins
-from robustlab.mu_analysis.margins.delay_margins import delay_disk_margin as delay_disk_margin
 from robustlab.mu_analysis.margins.delay_margins import delay_gain as delay_gain
-from robustlab.mu_analysis.margins.delay_stability import delay_stability as delay_stability
-from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
-from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
 from robustlab.norms import h2_norm as h2_norm
 from robustlab.norms import hinf_norm as hinf_norm
 from robustlab.norms import linf_norm as linf_norm
@@ -200,21 +192,14 @@ __all__ = [
     "mu",
     "skew_mu",
     "robust_stability",
+    "disk_margin",
+    "classical_margins",
     "robust_performance",
     "worst_case_gain",
     "robust_gain",
-    "robust_stability_at",
     "worst_case_gain_at",
-    "disk_margin_at",
     "small_gain",
-    "classical_margins",
-    "disk_margin",
-    "worst_case_disk_margin",
-    "delay_stability",
     "delay_gain",
-    "delay_disk_margin",
-    "delay_disk_margins",
-    "delay_classical_margins",
     "gap",
     "nu_gap",
     "coprime_margin",
@@ -232,7 +217,6 @@ __all__ = [
     "observability",
     "frequency_response",
     "iqc_gain",
-    "iqc_stability",
     "effect_gain",
     "Varying",
     "Nonlinearity",

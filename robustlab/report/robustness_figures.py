@@ -7,7 +7,7 @@ a metric is distributed, what matters for it. The responses are those of figures
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -86,7 +86,11 @@ def _bounds_at(found: Tabular, label: str, kind: str) -> Figure:
     with house_style():
         shown = omega > 0
         for bound, word, mark, colour in zip(
-            (np.asarray(bounds["lower"]), np.asarray(bounds["upper"])), words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True
+            (np.asarray(bounds["lower"]), np.asarray(bounds["upper"])),
+            words,
+            "^v",
+            (COLOURS["nominal"], COLOURS["worst"]),
+            strict=True,
         ):
             finite = shown & np.isfinite(bound)
             axes.plot(omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)

@@ -57,17 +57,13 @@ CALLS: dict[str, Any] = {
     "d2d": lambda: {"model": DIGITAL, "dt": 0.2},
     "dare": lambda: {"A": [[0.5]], "B": ONE, "Q": ONE, "R": ONE},
     "delay": lambda: {"tau": 0.1},
-    "delay_classical_margins": lambda: {"plant": delayed(), "K": GAIN},
-    "delay_disk_margin": lambda: {"loop": 2.0 * delayed()},
     "delay_gain": lambda: {"model": delayed()},
     "delay_hinf": lambda: {"P": rl.with_delays(made.problem(), inputs={"u": 0.1}), "n_meas": 1, "n_con": 1},
-    "delay_stability": lambda: {"model": delayed().feedback()},
     "DelayedModel": lambda: {"H": delayed().H, "delays": delayed().delays},
     "descriptor": lambda: {"A": [[-1.0]], "B": ONE, "C": ONE, "D": [[0.0]], "E": [[2.0]]},
     "design_weights": lambda: {"bandwidth": 10.0, "control_limit": 5.0, "noise_from": 200.0},
     "discretise": lambda: {"model": made.lag(), "dt": 0.1},
     "disk_margin": lambda: {"plant": made.lag(), "K": GAIN},
-    "disk_margin_at": lambda: {"plant": made.lag(), "K": GAIN, "frequency": [0.5, 1.0]},
     "dlyap": lambda: {"A": [[0.5]], "Q": ONE},
     "elementwise": lambda: dict(zip(("nominal", "perturbed"), made.four_models(), strict=False)),
     "fixed_structure": lambda: {"P": made.problem(), "structure": "static", "n_meas": 1, "n_con": 1, "starts": 1},
@@ -91,7 +87,6 @@ CALLS: dict[str, Any] = {
     "hinf": lambda: {"P": made.problem(), "n_meas": 1, "n_con": 1},
     "hinf_norm": lambda: {"model": TWO},
     "iqc_gain": lambda: {"model": made.first_order(), "nature": {"pole": rl.Varying(0.1)}, "order": 0},
-    "iqc_stability": lambda: {"model": made.first_order(), "nature": {"pole": rl.Varying(0.1)}, "order": 0},
     "kalman": lambda: {"G": made.spring().nominal, "W": np.eye(2), "V": ONE},
     "linearise": lambda: {"plant": made.motor()},
     "linf_norm": lambda: {"model": TWO},
@@ -131,8 +126,7 @@ CALLS: dict[str, Any] = {
     "reduction": lambda: {"uncertain": made.spring()},
     "response_radius": lambda: {"response": [1.0, 2.0], "coherence": [0.9, 0.9], "averages": 10},
     "robust_gain": lambda: {"uncertain": made.first_order(), "level": 4.0},
-    "robust_stability": lambda: {"uncertain": made.first_order()},
-    "robust_stability_at": lambda: {"system": made.first_order(), "frequency": [0.5, 1.0]},
+    "robust_stability": lambda: {"system": made.first_order()},
     "sample": lambda: {"uncertain": made.spring(), "n": 5},
     "sample_size": lambda: {"probability": 0.05},
     "sampled_data_norm": lambda: {"plant": made.problem(), "K": made.digital()},
@@ -166,11 +160,22 @@ CALLS: dict[str, Any] = {
         "n": 16,
         "t": [0.0, 0.5, 1.0],
     },
-    "worst_case_disk_margin": lambda: {"uncertain": made.first_order()[0, 0]},
     "worst_case_gain": lambda: {"uncertain": made.first_order()},
     "worst_case_gain_at": lambda: {"system": made.first_order(), "frequency": [0.5, 1.0]},
     "zeros": lambda: {"model": TWO},
 }
+# Kinds of systems that a question is asked of too: (function, kind) -> a call.
+KINDS: dict[tuple[str, str], Any] = {
+    ("classical_margins", "delays"): lambda: {"plant": delayed(), "K": GAIN},
+    ("disk_margin", "delays"): lambda: {"plant": 2.0 * delayed()},
+    ("disk_margin", "frequencies"): lambda: {"plant": made.lag(), "K": GAIN, "frequency": [0.5, 1.0]},
+    ("disk_margin", "uncertain"): lambda: {"plant": made.first_order()[0, 0]},
+    ("robust_stability", "delays"): lambda: {"system": delayed().feedback()},
+    ("robust_stability", "frequencies"): lambda: {"system": made.first_order(), "frequency": [0.5, 1.0]},
+    ("robust_stability", "natures"): lambda: {
+        "system": made.first_order(), "natures": {"pole": rl.Varying(0.1)}, "order": 0,
+    },
+}  # fmt: skip
 # What nothing is: no number, word, list, mapping, array or model can stand for all arguments.
 BAD: tuple[Any, ...] = (
     *(
@@ -210,30 +215,31 @@ EXTREME = (RuntimeWarning,)
 OWN = {"progress", "exact", "loop", "metric", "parts"}
 # With a number that is very small or large these take seconds and answer: (function, argument).
 LONG = {
-    *(("delay_classical_margins", "K"), ("delay_disk_margins", "K"), ("discretise_controller", "delay")),
+    *(("classical_margins", "K"), ("disk_margin", "K"), ("discretise_controller", "delay")),
     *(("sampled_robustness", "delay"), ("sampled_data_norm", "delay"), ("worst_case", "workers")),
     ("violation_probability", "workers"),
 }
 
 
 # Designs and searches of a tenth of a second and more, some fifty times each argument.
-SLOW = {"anti_windup", "fixed_structure", "iqc_stability", "worst_case_disk_margin"}
+SLOW = {"anti_windup", "fixed_structure", ("robust_stability", "natures"), ("disk_margin", "uncertain")}
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CALLS]
+    "question", [pytest.param(q, marks=pytest.mark.slow) if q in SLOW else q for q in [*CALLS, *KINDS]], ids=str
 )
-def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
+def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(question):
+    name, call = (question, CALLS[question]) if isinstance(question, str) else (question[0], KINDS[question])
     function = getattr(rl, name)
-    function(**CALLS[name]())
+    function(**call())
     refused = 0
     for argument, parameter in inspect.signature(function).parameters.items():
         if argument in OWN or (name, argument) in LONG or parameter.kind is parameter.VAR_KEYWORD:
             continue
         for value in BAD:
             try:
-                function(**CALLS[name]() | {argument: value})
+                function(**call() | {argument: value})
             except rl.RobustlabError as error:
                 refused += 1
                 assert all(ch.isprintable() or ch == "\n" for ch in str(error))
@@ -248,7 +254,7 @@ def test_every_public_function_that_takes_milliseconds_is_attacked():
     """What is left out searches for seconds, makes files, or takes anything by name."""
     apart = {
         *("data_cover", "DataCover", "discover", "dk", "discretise_controller", "reduce_controller", "tune"),
-        *("effect_gain", "sampled_robustness", "verify_delayed_loop", "robust_performance", "delay_disk_margins"),
+        *("effect_gain", "sampled_robustness", "verify_delayed_loop", "robust_performance"),
         *("load", "save", "export_controller", "plant", "trim", "FmuPlant", "PlantEquations", "effect_names"),
         *("beside", "stacked", "uncertain_from", "Signal", "Status"),
         *("RobustlabError", "InputError", "NoTrustworthyNumber"),

@@ -376,7 +376,8 @@ def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], variation: 
     between = None if variation is None else _between(omega, M, found, variation)
     k = int(np.argmin(lower))
     return MarginAt(
-        float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta, between,
+        float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta,
+        between,
     )  # fmt: skip
 
 
