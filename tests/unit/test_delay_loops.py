@@ -37,7 +37,7 @@ def test_without_delays_they_are_the_classical_ones(seed):
     P = rl.StateSpaceModel(A, rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2)))
     K = rl.StateSpaceModel([], [], [], rng.standard_normal((2, 2)))
     for at in ("input", "output"):
-        exact, found = rl.classical_margins(P, K, at=at), rl.classical_margins(P, K, at=at)
+        exact, found = rl.classical_margins(P, K, at=at), rl.classical_margins(rl.DelayedModel(P, []), K, at=at)
         for name, margin in exact.channels.items():
             other = found.channels[name]
             assert other.stable == margin.stable
@@ -112,13 +112,14 @@ def _grown(factor, size):
     return one + delta @ (one - 0.5 * delta).inverse()
 
 
-def test_one_channel_agrees_with_the_older_proof():
+def test_one_channel_agrees_with_the_proof_of_several():
     L = 2.0 * LAG @ rl.delay(0.5)
     for skew in (0.0, 1.0, -1.0):
-        old, new = rl.disk_margin(L, skew=skew), rl.disk_margin(L, skew=skew).simultaneous
-        assert old.upper == pytest.approx(new.upper, rel=1e-4)
-        assert new.lower <= old.upper
-        assert old.lower <= new.upper
+        alone = rl.disk_margin(L, skew=skew)
+        among = next(iter(rl.disk_margin(rl.beside(L, L), skew=skew).channels.values()))
+        assert alone.upper == pytest.approx(among.upper, rel=1e-4)
+        assert among.lower <= alone.upper
+        assert alone.lower <= among.upper
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -180,6 +181,6 @@ def test_what_is_refused():
     with pytest.raises(rl.NoTrustworthyNumber, match=r"gain at high frequencies|shows whether"):
         rl.classical_margins((LAG + 0.8 * np.eye(1)) @ rl.delay(1.0))
     with pytest.raises(rl.InputError, match="0 x 0"):
-        rl.disk_margin(rl.StateSpaceModel([], [], [], np.zeros((0, 0))))
+        rl.disk_margin(rl.DelayedModel(rl.StateSpaceModel([], [], [], np.zeros((0, 0))), []))
     with pytest.raises(rl.InputError, match="a square one"):
         rl.disk_margin(rl.with_delays(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [0.0]])))

@@ -99,8 +99,8 @@ def test_without_delays_it_is_the_models_own_stability():
 def test_what_is_wrong_is_said():
     with pytest.raises(InputError, match="from 1 to 16"):
         rl.robust_stability(rl.delay(1.0), order=0)
-    with pytest.raises(InputError, match="uncertain model"):
-        rl.robust_stability(rl.delay(1.0).uncertain(2))
+    with pytest.raises(InputError, match="pole: 1.0 for a model with exact delays"):
+        rl.robust_stability(rl.delay(1.0), pole=1.0)
     assert _newton(rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])), 1j) is None
 
 
@@ -158,12 +158,10 @@ def test_gains_of_several_channels_and_of_no_delay():
     assert found.lower == pytest.approx(exact, rel=1e-6)
     assert found.status is Status.CERTIFIED
     assert rl.delay_gain(LAG).upper == pytest.approx(1.0, rel=1e-3)
-    with pytest.raises(InputError, match="one channel"):
-        rl.disk_margin(late)
 
 
 def test_without_a_proof_there_is_no_margin():
-    with pytest.raises(NoTrustworthyNumber, match="proves the loop stable"):
+    with pytest.raises(NoTrustworthyNumber, match="the closed loop is unstable"):
         rl.disk_margin(3.0 * LAG @ rl.delay(1.0))
     assert rl.delay_gain((3.0 * LAG @ rl.delay(1.0)).feedback()).status is Status.INCONCLUSIVE
 

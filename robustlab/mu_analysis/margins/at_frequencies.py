@@ -125,7 +125,7 @@ class MarginAt(Tabular, StabilityMargin):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
-        return {"type": "MarginAt", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+        return {"type": "MarginAt", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
