@@ -99,7 +99,7 @@ def test_without_delays_it_is_the_models_own_stability():
 def test_what_is_wrong_is_said():
     with pytest.raises(InputError, match="from 1 to 16"):
         rl.robust_stability(rl.delay(1.0), order=0)
-    with pytest.raises(InputError, match="pole: 1.0 for a model with exact delays"):
+    with pytest.raises(InputError, match=r"pole: 1\.0 for a model with exact delays"):
         rl.robust_stability(rl.delay(1.0), pole=1.0)
     assert _newton(rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])), 1j) is None
 

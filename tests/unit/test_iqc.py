@@ -489,8 +489,8 @@ def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(od
     of the sector [-1, 1] alone, and so no start of the homotopy."""
     law = rl.Nonlinearity((-1.0, 1.0), (0.5, 1.5), odd=odd)
     assert law.sector == (0.5, 1.0)
+    model = rl.StateSpaceModel([[-1.0]], [[5.0]], [[1.0]], [[0.0]], 0, ["w"], ["z"])
     with pytest.raises(NoTrustworthyNumber, match="unstable with all blocks at their middles"):
-        model = rl.StateSpaceModel([[-1.0]], [[5.0]], [[1.0]], [[0.0]], 0, ["w"], ["z"])
         rl.robust_stability(model, natures={("z", "w"): law})
     with pytest.raises(InputError, match="meets the sector"):
         rl.Nonlinearity((0.0, 1.0), (1.0, 2.0))
