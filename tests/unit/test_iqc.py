@@ -510,6 +510,10 @@ def test_an_algebraic_loop_counts_slopes_only():
         rl.iqc_gain(direct, {("y", "u"): rl.Nonlinearity((0.0, 1.0))})
 
 
+def stability(block, natures):
+    return rl.robust_stability(random_set(1, [block]), natures=natures)
+
+
 @pytest.mark.parametrize(
     ("ask", "text"),
     [
@@ -525,9 +529,9 @@ def test_an_algebraic_loop_counts_slopes_only():
         (lambda: rl.iqc_gain(CUBE, {("y", "u"): rl.Varying()}), "a Nonlinearity"),
         (lambda: rl.iqc_gain(CUBE, {}), "no block at all"),
         (lambda: rl.iqc_gain(CUBE, {("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
-        (lambda: rl.robust_stability(random_set(1, [rl.FullBlock("f", 1, 1)]), natures={"f": rl.Varying(1.0)}), "a rate of 1"),
-        (lambda: rl.robust_stability(random_set(1, [rl.RealScalar("f")]), natures={"g": rl.Varying(1.0)}), "no such block"),
-        (lambda: rl.robust_stability(random_set(1, [rl.RealScalar("f")]), natures={"f": rl.Nonlinearity((0, 1))}), "own range"),
+        (lambda: stability(rl.FullBlock("f", 1, 1), {"f": rl.Varying(1.0)}), "a rate of 1"),
+        (lambda: stability(rl.RealScalar("f"), {"g": rl.Varying(1.0)}), "no such block"),
+        (lambda: stability(rl.RealScalar("f"), {"f": rl.Nonlinearity((0, 1))}), "own range"),
         (lambda: rl.robust_stability(_discrete(), natures={}), "a discrete model"),
     ],
 )  # fmt: skip
