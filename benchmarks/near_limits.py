@@ -99,7 +99,7 @@ def disk(seed: int) -> tuple[str, float, bool]:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if margin(middle) > 1 else (low, middle)
     K = controller(low * (1 - (1e-4, 1e-3, 1e-2, 5e-2)[seed % 4]))
-    found, seconds = timed(lambda: rl.worst_case_disk_margin(plant, K))
+    found, seconds = timed(lambda: rl.disk_margin(plant, K))
     if isinstance(found, rl.RobustlabError):
         return "refused", seconds, True
     members = [rl.disk_margin(plant.evaluate({"k": a, "c": b}), K).simultaneous.upper for a in (-1, 1) for b in (-1, 1)]
@@ -147,7 +147,7 @@ def delay(seed: int) -> tuple[str, float, bool]:
         g = low * (1 + float(rng.choice([-1, 1])) * 1e-4)
     plant = rl.StateSpaceModel(A, B, g * C, np.zeros((m, m)), inputs=[f"u{k}" for k in range(m)])
     loop = rl.with_delays(plant, inputs={f"u{k}": float(tau) for k, tau in enumerate(delays)}).feedback(np.eye(m))
-    found, seconds = timed(lambda: rl.delay_stability(loop))
+    found, seconds = timed(lambda: rl.robust_stability(loop))
     if isinstance(found, rl.RobustlabError):
         return "refused", seconds, True
     one, two = root(g), root(g, int(1.3 * order))

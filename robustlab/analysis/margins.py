@@ -51,8 +51,8 @@ def disk_margin(
     Parameters
     ----------
     plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model, an UncertainModel,
-        a DelayedModel, or UncertainFrequencyData without blocks.
+        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model, an
+        UncertainModel, a DelayedModel, or UncertainFrequencyData without blocks.
     K
         Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
     at

@@ -20,9 +20,7 @@ from robustlab.analysis.kinds import options_of
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, told_as
 from robustlab.mu_analysis.axis.margin import StabilityMargin
-from robustlab.statespace import as_model
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-from robustlab.uncertainty.lft import UncertainModel
 
 
 @told_as("robust_stability")
@@ -58,7 +56,7 @@ def robust_stability(
     Parameters
     ----------
     system
-        An UncertainModel, a model (a set of one), a DelayedModel, or UncertainFrequencyData.
+        An UncertainModel, with ``natures`` also a model, a DelayedModel, or UncertainFrequencyData.
     natures
         Name of a block -> `Varying` or `Nonlinearity`; or (output, input) -> `Nonlinearity`, which drives that input
         with a law of that output. Other blocks are what they are in the set. Empty: the same proof of constant blocks.
@@ -147,8 +145,6 @@ def robust_stability(
         return delay_stability(system, effort=effort, **chosen)
     from robustlab.mu_analysis.axis.stability import robust_stability as of_set
 
-    if not isinstance(system, UncertainModel):
-        system = UncertainModel(as_model(system, "robust_stability"), [])
     names = {name: name for name in (*own, "time_limit")}
     chosen = options_of("robust_stability", "an uncertain model over the whole axis", given, names)
     return of_set(system, seed=seed, effort=effort, **chosen)

@@ -141,7 +141,7 @@ def margins(
             result: Any = rl.classical_margins(closed.plant, k, **around)
         else:
             points = None if loop.frequency is None else frequencies("--frequency", loop.frequency)
-            options = {"frequency": points, "skew": loop.skew, "seed": seed, **vars(effort)}
+            options: dict[str, Any] = {"frequency": points, "skew": loop.skew, "seed": seed, **vars(effort)}
             result = rl.disk_margin(closed.plant, k, **around, **options)
     text = replace(result, loop=loop.said(closed.said)).report()
     result = replace(result, loop=closed.said)

@@ -41,7 +41,8 @@ def test_mu_of_data_says_where_it_holds(run):
     assert "taken for granted" in told
     found = json.loads(run("mu", "loop.h5", "--json"))
     expected = abs(1 + 3 * G) / (0.3 * abs(G))
-    assert found["lower"] == pytest.approx(expected.tolist(), rel=1e-6)
+    assert found["lower_at"] == pytest.approx(expected.tolist(), rel=1e-6)
+    assert found["lower"] == pytest.approx(expected.min(), rel=1e-6)
     gain = json.loads(run("mu", "loop.h5", "--gain", "--json"))
     assert gain["gain_upper"][0] > abs(G[0] / (1 + 3 * G[0]))
     run("mu", "loop.h5", "--figure", "margin", "--out", "margin.h5")
@@ -50,7 +51,7 @@ def test_mu_of_data_says_where_it_holds(run):
 
 def test_a_set_at_given_frequencies(run):
     found = json.loads(run("mu", "set.h5", "--frequency", "0.5,1,4", "--json"))
-    assert found["lower"] == pytest.approx((abs(1 + 3 * G) / (0.3 * abs(G))).tolist(), rel=1e-6)
+    assert found["lower_at"] == pytest.approx((abs(1 + 3 * G) / (0.3 * abs(G))).tolist(), rel=1e-6)
     assert "--certify" in run("mu", "set.h5", "--frequency", "1", "--certify", code=2)
     assert "numbers" in run("mu", "set.h5", "--frequency", "one", code=2)
 
@@ -61,7 +62,7 @@ def test_margins_of_data(run):
     rl.save("plain.h5", rl.frequency_data(3.0 * G, OMEGA))
     told = json.loads(run("model", "margins", "plain.h5", "--json"))
     S = 1 / (1 + 3 * G)
-    assert told["simultaneous"]["lower"] == pytest.approx((1 / abs(S - 0.5)).tolist(), rel=1e-6)
+    assert told["simultaneous"]["lower_at"] == pytest.approx((1 / abs(S - 0.5)).tolist(), rel=1e-6)
 
 
 def test_a_recipe_bounds_measured_data(run, tmp_path):
@@ -117,9 +118,9 @@ def test_a_measured_table_becomes_data_and_its_loop_is_bounded(run, tmp_path):
     np.testing.assert_allclose(made.M, known.M, atol=1e-14)
     rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]]))
     found = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "negative", "--json"))
-    np.testing.assert_allclose(found["lower"], abs(1 + 3 * G) / (3 * RADIUS), rtol=1e-6)
+    np.testing.assert_allclose(found["lower_at"], abs(1 + 3 * G) / (3 * RADIUS), rtol=1e-6)
     positive = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "positive", "--json"))
-    np.testing.assert_allclose(positive["lower"], abs(1 - 3 * G) / (3 * RADIUS), rtol=1e-6)
+    np.testing.assert_allclose(positive["lower_at"], abs(1 - 3 * G) / (3 * RADIUS), rtol=1e-6)
     shown = json.loads(run("model", "response", "t.h5", "--json"))
     assert shown["blocks"][0]["name"] == "measured y from u"
 

@@ -87,7 +87,7 @@ def test_verdicts_of_random_loops_are_those_of_the_argument_principle(seed):
     whole = rl.StateSpaceModel(
         a, np.hstack([b, np.ones((n, 1))]), np.vstack([c, np.ones((1, n))]), np.zeros((k + 1,) * 2)
     )
-    found = rl.delay_stability(DelayedModel(whole, tau))
+    found = rl.robust_stability(DelayedModel(whole, tau))
     # no root in the right half plane is larger than the norms
     size = np.linalg.norm(a, 2) + np.linalg.norm(b, 2) * np.linalg.norm(c, 2) + 1
     turn = size * np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 20_001))

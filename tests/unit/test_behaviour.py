@@ -140,7 +140,7 @@ def test_a_step_needs_one_input_and_an_end():
 # Kind -> questions that it refuses, and words of the way that it names.
 REFUSED = {
     "delayed": ({"poles": (), "zeros": ()}, ".pade(order)"),
-    "data": ({"poles": (), "zeros": (), "step": ()}, "rl.robust_stability_at"),
+    "data": ({"poles": (), "zeros": (), "step": ()}, "rl.robust_stability"),
     "scheduled": ({"poles": (), "zeros": (), "step": (), "__call__": (1j,), "feedback": ()}, ".at(...)"),
 }
 

@@ -153,7 +153,7 @@ def test_crossings_of_a_nonnormal_loop():
     assert [x.frequency for x in margin.gain_crossings] == [pytest.approx(41.90081, rel=1e-6)]
     assert margin.phase_margin == pytest.approx(1.279467, rel=1e-6)
     assert margin.delay_margin == pytest.approx(0.0305356, rel=1e-5)
-    exact = only(rl.delay_classical_margins(StateSpaceModel(A, b, c, [[0]])))
+    exact = only(rl.classical_margins(rl.DelayedModel(StateSpaceModel(A, b, c, [[0]]), [])))
     assert margin.phase_margin == pytest.approx(exact.phase_margin, rel=1e-9)
 
 

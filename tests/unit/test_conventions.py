@@ -163,7 +163,7 @@ def test_products_carry_what_is_taken():
     with pytest.raises(InputError, match=r"sign: -1 .* expected 1: u = K y"):
         rl.disk_margin(PLANT @ K, sign=-1)
     sets = OSCILLATORS @ rl.ncf(OSCILLATORS.nominal, 4.0).K
-    assert rl.worst_case_disk_margin(sets).loop == "u = K y, as the controller says"
+    assert rl.disk_margin(sets).loop == "u = K y, as the controller says"
 
 
 def test_digital_and_smaller_controllers_take_the_same():
@@ -179,13 +179,13 @@ NCF = rl.ncf(OSCILLATORS.nominal, 4.0)  # u = K y: with negative feedback, the d
 SIGNED = {
     "disk_margin": lambda **s: rl.disk_margin(OSCILLATORS.nominal, NCF.K, **s).simultaneous.lower,
     "classical_margins": lambda **s: rl.classical_margins(OSCILLATORS.nominal, NCF.K, **s).channels["y1"],
-    "worst_case_disk_margin": lambda **s: rl.worst_case_disk_margin(OSCILLATORS, NCF.K, **s).lower,
+    "disk_margin of a set": lambda **s: rl.disk_margin(OSCILLATORS, NCF.K, **s).lower,
     "small_gain": lambda **s: rl.small_gain(rl.unstructured(OSCILLATORS.nominal, 0.1, "additive"), NCF.K, **s).lower,
     "coprime_margin": lambda **s: rl.coprime_margin(OSCILLATORS.nominal, NCF.K, **s).lower,
-    "disk_margin_at": lambda **s: rl.disk_margin_at(OSCILLATORS.nominal, NCF.K, [0.5, 2.0], **s).simultaneous.lower,
-    "delay_disk_margins": lambda **s: rl.delay_disk_margins(
+    "disk_margin at": lambda **s: rl.disk_margin(OSCILLATORS.nominal, NCF.K, frequency=[0.5, 2.0], **s).lower,
+    "disk_margin with a delay": lambda **s: rl.disk_margin(
         OSCILLATORS.nominal @ rl.delay(0.01), NCF.K, **s).simultaneous.lower,
-    "delay_classical_margins": lambda **s: next(iter(rl.delay_classical_margins(
+    "classical_margins with a delay": lambda **s: next(iter(rl.classical_margins(
         OSCILLATORS.nominal @ rl.delay(0.01), NCF.K, **s).channels.values())),
     "loop_functions": lambda **s: rl.loop_functions(OSCILLATORS.nominal, NCF.K, **s).S.dc_gain(),
     "feedback": lambda **s: rl.robust_stability(OSCILLATORS.feedback(NCF.K, **s)).lower,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.margins.disk_margin import disk_margin, gain_and_phase
+from robustlab import disk_margin
+from robustlab.mu_analysis.margins.disk_margin import gain_and_phase
 from robustlab.result import plain
 from robustlab.statespace import append, feedback, series
 

@@ -54,12 +54,14 @@ def test_margin_and_gain_have_their_closed_forms():
     g = rl.frequency_response(LAG, OMEGA)[:, 0, 0]
     k, r = 3.0, 0.2 * abs(g)
     data = rl.frequency_data(g, OMEGA, radius=r)
-    margin = rl.robust_stability_at(data.feedback(k))
+    margin = rl.robust_stability(data.feedback(k))
     expected = abs(1 + k * g) / (k * r)
-    assert np.allclose(margin.lower, expected, rtol=1e-6)
-    assert np.allclose(margin.upper, expected, rtol=1e-6)
+    assert np.allclose(margin.lower_at, expected, rtol=1e-6)
+    assert np.allclose(margin.upper_at, expected, rtol=1e-6)
+    assert margin.lower == margin.lower_at.min()
+    assert margin.frequency == OMEGA[margin.lower_at.argmin()]
     assert margin.status is rl.Status.CERTIFIED
-    for w, delta, size in zip(range(len(OMEGA)), margin.delta, margin.upper, strict=True):
+    for w, delta, size in zip(range(len(OMEGA)), margin.delta_at, margin.upper_at, strict=True):
         d = delta["measured y1 from u1"]
         assert abs(d) == pytest.approx(size)
         assert abs(1 + k * (g[w] + r[w] * d)) < 1e-9  # the loop is singular there
@@ -79,15 +81,15 @@ def test_only_points_are_claimed_and_a_variation_closes_the_gaps():
     resonance = rl.StateSpaceModel([[0, 1], [-1, -0.02]], [[0], [1]], [[1, 0]], [[0]])
     omega = np.array([0.5, 1.5])  # the peak at 1 rad/s lies between
     set_ = rl.unstructured(resonance, 1.0, "inverse-additive")
-    found = rl.robust_stability_at(set_, omega)
+    found = rl.robust_stability(set_, frequency=omega)
     truth = rl.robust_stability(set_)
-    assert found.lower.min() > 30 * truth.upper
+    assert found.lower > 30 * truth.upper
     assert found.between is None
     assert "nothing is claimed between them" in found.summary()
     assert "taken for granted" in found.summary()
     fine = np.linspace(0.5, 1.5, 400)
     slope = abs(np.gradient(rl.frequency_response(resonance, np.linspace(0.5, 1.5, 400001))[:, 0, 0], 2.5e-6)).max()
-    between = rl.robust_stability_at(set_, fine, variation=1.01 * slope).between
+    between = rl.robust_stability(set_, frequency=fine, variation=1.01 * slope).between
     assert between.shape == (399,)
     assert 0.2 * truth.lower < between.min() <= truth.upper
     inside = 1 / abs(rl.frequency_response(resonance, 0.5 * (fine[1:] + fine[:-1]))[:, 0, 0])
@@ -100,11 +102,11 @@ def test_the_gaps_hold_with_real_blocks_too():
     dense = np.linspace(0.0, 2.0, 20001)
     M = rl.frequency_response(loop.delta_channels, dense)
     slope = np.linalg.norm(np.diff(M, axis=0), 2, axis=(1, 2)).max() / (dense[1] - dense[0])
-    found = rl.robust_stability_at(loop, omega, variation=1.02 * slope)
-    middle = rl.robust_stability_at(loop, 0.5 * (omega[1:] + omega[:-1]))
+    found = rl.robust_stability(loop, frequency=omega, variation=1.02 * slope)
+    middle = rl.robust_stability(loop, frequency=0.5 * (omega[1:] + omega[:-1]))
     assert np.isfinite(found.between).all()
     assert (found.between > 0).all()
-    assert (found.between <= middle.upper * (1 + 1e-9)).all()
+    assert (found.between <= middle.upper_at * (1 + 1e-9)).all()
 
 
 def test_the_circle_holds_the_true_response_as_often_as_it_says():
@@ -121,21 +123,22 @@ def test_the_circle_holds_the_true_response_as_often_as_it_says():
 
 def test_disk_margins_at_a_frequency():
     late = 2.0 * LAG @ rl.delay(0.5)
-    margin = rl.delay_disk_margin(late)
-    at = rl.disk_margin_at(late, frequency=[margin.gain.frequency]).simultaneous
-    assert at.lower[0] == pytest.approx(margin.upper, rel=1e-9)
+    margin = rl.disk_margin(late)
+    at = rl.disk_margin(late, frequency=[margin.gain.frequency])
+    assert at.lower == pytest.approx(margin.upper, rel=1e-9)
     A, B = -np.diag([1.0, 2.0]), np.array([[1.0, 0.3], [-0.4, 1.0]])
     plant = rl.StateSpaceModel(A, B, np.eye(2), np.zeros((2, 2)))
     K = rl.StateSpaceModel([], [], [], 3 * np.eye(2))
     for place in ("input", "output", "both"):
         axis = rl.disk_margin(plant, K, at=place)
-        points = rl.disk_margin_at(plant, 3 * np.eye(2), [axis.simultaneous.frequency, 2.0], at=place)
-        assert points.simultaneous.upper.min() == pytest.approx(axis.simultaneous.upper, rel=1e-3)
+        points = rl.disk_margin(plant, 3 * np.eye(2), frequency=[axis.frequency, 2.0], at=place)
+        assert points.upper == pytest.approx(axis.upper, rel=1e-3)
         for name, channel in points.channels.items():
-            assert (channel.lower >= axis.channels[name].lower * (1 - 1e-6)).all()
+            assert (channel.lower_at >= axis.channels[name].lower * (1 - 1e-6)).all()
     data = rl.frequency_data(plant, OMEGA)
-    same = rl.disk_margin_at(data, 3 * np.eye(2)).simultaneous
-    assert np.allclose(same.lower, rl.disk_margin_at(plant, 3 * np.eye(2), OMEGA).simultaneous.lower)
+    same = rl.disk_margin(data, 3 * np.eye(2)).simultaneous
+    at_points = rl.disk_margin(plant, 3 * np.eye(2), frequency=OMEGA).simultaneous
+    assert np.allclose(same.lower_at, at_points.lower_at)
 
 
 @pytest.mark.parametrize(
@@ -145,13 +148,14 @@ def test_disk_margins_at_a_frequency():
         (lambda: rl.frequency_data([1.0, 2.0], [1.0, 0.5]), "do not increase"),
         (lambda: rl.frequency_data(LAG, [1.0], radius=0.1), "a radius of a model"),
         (lambda: rl.frequency_data([1.0, 2.0], [0.0, 1.0], radius=-1.0), "negative"),
-        (lambda: rl.robust_stability_at(MOTORS), "frequency: none"),
-        (lambda: rl.robust_stability_at(rl.frequency_data(LAG, [1.0])), "no uncertainty"),
+        (lambda: rl.worst_case_gain_at(MOTORS), "frequency: none"),
+        (lambda: rl.robust_stability(MOTORS, frequency=[1.0], order=3), "order: 3 for a system at given frequencies"),
+        (lambda: rl.robust_stability(rl.frequency_data(LAG, [1.0])), "no uncertainty"),
         (lambda: rl.frequency_data(LAG, [1.0]) @ rl.frequency_data(LAG, [2.0]), "the same frequencies"),
-        (lambda: rl.disk_margin_at(MOTORS, frequency=[1.0]), "without blocks"),
+        (lambda: rl.disk_margin(MOTORS, frequency=[1.0]), "without blocks"),
+        (lambda: rl.h2_norm(rl.frequency_data(LAG, [1.0])), "no state-space model"),
         (lambda: response_radius([1.0], [1.2], 5), "coherence"),
         (lambda: response_radius([1.0], [0.5j], 5), "coherence"),
-        (lambda: rl.h2_norm(rl.frequency_data(LAG, [1.0])), "no state-space model"),
         (lambda: rl.frequency_data([1.0], "abc"), "omega"),
         (lambda: rl.frequency_data(["a"], [1.0]), "response"),
         (lambda: rl.frequency_data([1.0], [1.0], radius=1j), "radius"),
@@ -173,7 +177,7 @@ def test_a_measured_response_becomes_data():
     found = rl.FrequencyData(OMEGA, G, "u", ["a", "b"]).uncertain(0.1 * abs(G))
     assert (found.nominal[:, :, 0] == G).all()
     assert [b.name for b in found.blocks] == ["frequency response a from u", "frequency response b from u"]
-    assert rl.robust_stability_at(found.feedback(np.ones((1, 2)))).status is rl.Status.CERTIFIED
+    assert rl.robust_stability(found.feedback(np.ones((1, 2)))).status is rl.Status.CERTIFIED
 
 
 def test_a_file_gives_the_data_back(tmp_path):

@@ -107,7 +107,7 @@ def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
     k, c, r = 2.0, 0.3, 0.1
     spring = rl.parametric([[0, 1], ["-k", -c]], [[0], [1]], [[1, 0]], [[0]], {"k": (k, k - r, k + r)})
     radius = c * math.sqrt(k - c**2 / 4)
-    found = rl.iqc_stability(spring, {"k": rl.Varying()})
+    found = rl.robust_stability(spring, natures={"k": rl.Varying()})
     assert found.margin == pytest.approx(radius / r, rel=2e-3)
     assert found.margin <= radius / r
     assert found.status is Status.CERTIFIED
@@ -130,7 +130,7 @@ def random_set(seed, blocks, n=5, direct=0.0):
 def test_dynamic_blocks_agree_with_mu(seed):
     uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)], direct=0.1)
     mu = rl.robust_stability(uncertain)
-    found = rl.iqc_stability(uncertain, order=3)
+    found = rl.robust_stability(uncertain, natures={}, order=3)
     assert found.margin <= mu.upper * (1 + 1e-6)
     assert found.margin >= 0.97 * mu.lower
 
@@ -140,7 +140,7 @@ def test_real_blocks_agree_with_mu_and_rates_lie_between(seed):
     uncertain = random_set(seed, [rl.RealScalar("a", 2), rl.RealScalar("b")])
     mu = rl.robust_stability(uncertain)
     margins = [
-        rl.iqc_stability(uncertain, nature, order=2).margin
+        rl.robust_stability(uncertain, natures=nature, order=2).margin
         for nature in ({"a": rl.Varying(), "b": rl.Varying()}, {"a": rl.Varying(0.3)}, {})
     ]
     assert margins[-1] <= mu.upper * (1 + 1e-6)
@@ -489,8 +489,9 @@ def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(od
     of the sector [-1, 1] alone, and so no start of the homotopy."""
     law = rl.Nonlinearity((-1.0, 1.0), (0.5, 1.5), odd=odd)
     assert law.sector == (0.5, 1.0)
+    model = rl.StateSpaceModel([[-1.0]], [[5.0]], [[1.0]], [[0.0]], 0, ["w"], ["z"])
     with pytest.raises(NoTrustworthyNumber, match="unstable with all blocks at their middles"):
-        rl.iqc_stability(rl.StateSpaceModel([[-1.0]], [[5.0]], [[1.0]], [[0.0]], 0, ["w"], ["z"]), {("z", "w"): law})
+        rl.robust_stability(model, natures={("z", "w"): law})
     with pytest.raises(InputError, match="meets the sector"):
         rl.Nonlinearity((0.0, 1.0), (1.0, 2.0))
 
@@ -511,6 +512,10 @@ def test_an_algebraic_loop_counts_slopes_only():
         rl.peak_gain(direct, natures={("y", "u"): rl.Nonlinearity((0.0, 1.0))})
 
 
+def stability(block, natures):
+    return rl.robust_stability(random_set(1, [block]), natures=natures)
+
+
 @pytest.mark.parametrize(
     ("ask", "text"),
     [
@@ -529,10 +534,10 @@ def test_an_algebraic_loop_counts_slopes_only():
         (lambda: rl.peak_gain(CUBE, natures={("y", "u"): rl.Varying()}), "a Nonlinearity"),
         (lambda: rl.peak_gain(CUBE, natures={}), "no block at all"),
         (lambda: rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
-        (lambda: rl.iqc_stability(random_set(1, [rl.FullBlock("f", 1, 1)]), {"f": rl.Varying(1.0)}), "a rate of 1"),
-        (lambda: rl.iqc_stability(random_set(1, [rl.RealScalar("f")]), {"g": rl.Varying(1.0)}), "no such block"),
-        (lambda: rl.iqc_stability(random_set(1, [rl.RealScalar("f")]), {"f": rl.Nonlinearity((0, 1))}), "own range"),
-        (lambda: rl.iqc_stability(_discrete(), {}), "a discrete model"),
+        (lambda: stability(rl.FullBlock("f", 1, 1), {"f": rl.Varying(1.0)}), "a rate of 1"),
+        (lambda: stability(rl.RealScalar("f"), {"g": rl.Varying(1.0)}), "no such block"),
+        (lambda: stability(rl.RealScalar("f"), {"f": rl.Nonlinearity((0, 1))}), "own range"),
+        (lambda: rl.robust_stability(_discrete(), natures={}), "a discrete model"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_one_line(ask, text):

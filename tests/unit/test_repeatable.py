@@ -152,7 +152,7 @@ def test_a_time_limit_that_strikes_is_told():
         rl.mu(matrix, [[-1, 0]] * 8, tolerance=1e-4, time_limit=0.0),
         rl.robust_stability(uncertain, time_limit=0.0),
         rl.peak_gain(uncertain, time_limit=0.0),
-        rl.worst_case_disk_margin(uncertain, K, time_limit=0.0),
+        rl.disk_margin(uncertain, K, time_limit=0.0),
         rl.validate(names["model"], names["record"], {"y3": 0.012}, at_rest=True, time_limit=0.0),
     ):
         assert found.status is rl.Status.TIMEOUT
@@ -182,7 +182,7 @@ def test_an_effort_or_a_limit_that_is_none_is_refused(options):
         lambda: rl.peak_gain(uncertain, **options),
         lambda: rl.worst_case(uncertain, "h2", **options),
         lambda: rl.disk_margin(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), **options),
-        lambda: rl.worst_case_disk_margin(uncertain, **options),
+        lambda: rl.disk_margin(uncertain, **options),
         lambda: rl.validate(uncertain, names["record"], {"y3": 0.01}, **options),
     ):
         with pytest.raises(rl.InputError, match=next(iter(options))):

@@ -136,7 +136,7 @@ def test_disk_margins_of_a_range_that_is_wider_below():
     """The worst member, a = 0.2, lies eight times as far from the nominal one as the other end."""
     uncertain = rl.parametric([["-a"]], [[1]], [[1]], [[0]], {"a": (1.0, 0.2, 1.1)})
     integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
-    found = rl.worst_case_disk_margin(uncertain, integrator)
+    found = rl.disk_margin(uncertain, integrator)
     worst = rl.disk_margin(StateSpaceModel([[-0.2]], [[1.0]], [[1.0]], [[0.0]]), integrator).simultaneous.upper
     assert found.status == "certified"
     assert found.lower <= worst * (1 + 1e-9)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.margins.disk_margin import disk_margin
-from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
+from robustlab import disk_margin
 
 K = rl.StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]])  # 3 + 2/s
 
@@ -29,7 +28,7 @@ def test_one_loop_against_every_member_of_a_grid(skew):
     plant = oscillator()
     lag = rl.StateSpaceModel([[-4.0]], [[4.0]], [[1.0]], [[0.0]])
     k = rl.statespace.series(K, lag)
-    result = worst_case_disk_margin(plant, k, skew=skew)
+    result = disk_margin(plant, k, skew=skew)
     members = [
         disk_margin(plant.evaluate({"damping": a, "stiffness": b}), k, skew=skew).simultaneous.upper
         for a in np.linspace(-1, 1, 5)
@@ -59,7 +58,7 @@ def test_the_spinning_satellite_as_published_by_mathworks():
     p = rl.RealScalar("p", 2, rl.ParameterRange(10.0, 1.0, "rad/s"))
     plant = rl.UncertainModel(M, [p, rl.FullBlock("DEL", 2, 2)])
     gain = rl.StateSpaceModel([], [], [], [[1, -2], [0, 1]])
-    result = worst_case_disk_margin(plant, gain, channel="y1")
+    result = disk_margin(plant, gain, channel="y1")
     assert result.lower <= 0.6160
     assert result.upper >= 0.6147
     assert result.lower == pytest.approx(0.6147, rel=5e-3)
@@ -72,7 +71,7 @@ def test_the_spinning_satellite_as_published_by_mathworks():
 def test_a_set_with_an_unstable_member_has_no_margin():
     M = rl.StateSpaceModel([[-1.0]], [[-3.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     plant = rl.UncertainModel(M, [rl.RealScalar("pole")])  # 1 / (s + 1 + 3 delta), closed: s + 2 + 3 delta
-    result = worst_case_disk_margin(plant)
+    result = disk_margin(plant)
     assert result.upper == result.lower == 0.0
     assert result.member is None
     assert not plant.close(rl.StateSpaceModel([], [], [], [[-1.0]])).evaluate(result.delta).is_stable()
@@ -81,14 +80,14 @@ def test_a_set_with_an_unstable_member_has_no_margin():
 
 def test_without_uncertainty_it_is_the_disk_margin():
     L = rl.StateSpaceModel([[-1.0, 0.0], [1.0, -2.0]], [[3.0], [0.0]], [[0.0, 1.0]], [[0.0]])
-    result = worst_case_disk_margin(rl.UncertainModel(L, []))
+    result = disk_margin(rl.UncertainModel(L, []))
     nominal = disk_margin(L).simultaneous
     assert result.lower == pytest.approx(nominal.lower, rel=1e-6)
     assert result.status is rl.Status.CERTIFIED
 
 
 def test_when_time_is_up_what_is_proved_stays():
-    result = worst_case_disk_margin(oscillator(), K, time_limit=1e-3)
+    result = disk_margin(oscillator(), K, time_limit=1e-3)
     assert result.status is rl.Status.TIMEOUT
     assert result.lower == 0.0
     assert result.upper <= result.nominal.upper
@@ -97,10 +96,10 @@ def test_when_time_is_up_what_is_proved_stays():
 def test_bad_inputs_are_named():
     plant = oscillator()
     with pytest.raises(rl.InputError, match="one of"):
-        worst_case_disk_margin(plant, K, channel="y")
-    with pytest.raises(rl.InputError, match="UncertainModel"):
-        worst_case_disk_margin(plant.nominal, K)
+        disk_margin(plant, K, channel="y")
+    with pytest.raises(rl.InputError, match="channel: 'y1' for a model without uncertainty"):
+        disk_margin(plant.nominal, K, channel="y1")
     with pytest.raises(rl.InputError, match="accuracy"):
-        worst_case_disk_margin(plant, K, accuracy=0.0)
+        disk_margin(plant, K, accuracy=0.0)
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
-        worst_case_disk_margin(plant, rl.StateSpaceModel([], [], [], [[-5.0]]))
+        disk_margin(plant, rl.StateSpaceModel([], [], [], [[-5.0]]))

@@ -110,7 +110,7 @@ class RobustGain(Bracket):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes but ``proof``; arrays stay arrays."""
-        names = [name for name in self.__dataclass_fields__ if name != "proof"]
+        names = [name for name in vars(self) if name != "proof"]
         return {"type": "RobustGain", **{name: getattr(self, name) for name in names}}
 
 

@@ -126,7 +126,7 @@ class MarginAt(Tabular, StabilityMargin):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
-        return {"type": "MarginAt", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+        return {"type": "MarginAt", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +369,8 @@ def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], variation: 
     between = None if variation is None else _between(omega, M, found, variation)
     k = int(np.argmin(lower))
     return MarginAt(
-        float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta, between,
+        float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta,
+        between,
     )  # fmt: skip
 
 

@@ -8,8 +8,9 @@ and S has no pole on the axis. Frequencies are cut into intervals until each is 
 the function has no zero there, or its derivative has one sign and its ends tell. Beyond the last one L is too small to
 count. So no crossing is overlooked between points.
 
-The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`, of one channel over the largest gain. On each interval the D
-scaling of its middle bounds mu for all of it; intervals are cut where that lies above the largest value that was found.
+The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`, of one channel one over
+its largest gain. On each interval the D scaling of its middle bounds mu for all of it; intervals are cut where that
+lies above the largest value that was found.
 
 References
 ----------

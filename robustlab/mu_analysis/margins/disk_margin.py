@@ -129,7 +129,7 @@ class DiskBounds(Bracket):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; models stay models."""
-        return {"type": type(self).__name__, **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+        return {"type": type(self).__name__, **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)

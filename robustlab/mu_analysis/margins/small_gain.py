@@ -104,7 +104,7 @@ class SmallGain(Bracket):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""
-        return {"type": "SmallGain", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+        return {"type": "SmallGain", **vars(self)}
 
 
 @told_as("small_gain")

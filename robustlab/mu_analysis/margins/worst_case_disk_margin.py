@@ -139,7 +139,8 @@ class _Search:
         tuning: MuTuning = TUNING,
     ) -> None:
         closed = closed_around(uncertain, K, sign, "worst_case_disk_margin")
-        uncertain, self.said, self.at = closed.plant, closed.said, at
+        uncertain, self.said = closed.plant, closed.said
+        self.at: Place = at
         self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
         self.uncertain, self.tuning = uncertain, tuning
         loop, self.names = disk_channels(uncertain.M, closed.K, uncertain.delta_shape, at, skew, closed.sign)
