@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, Literal, overload
 
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, told_as
-
-if TYPE_CHECKING:
-    from robustlab.synthesis.hinf.delayed_design import DelayedDesign
-    from robustlab.synthesis.problem.design import HinfSynthesis
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis
+from robustlab.synthesis.hinf.delayed_design import DelayedDesign, delayed_hinf
+from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
+from robustlab.synthesis.problem.design import HinfSynthesis
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel
+from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis, scheduled_hinf
 
 
 @overload
@@ -158,7 +157,7 @@ def hinf(
     >>> scheduled.status.value, scheduled.gamma < 1.45
     ('certified', True)
     """
-    delayed, varying = isinstance(P, DelayedModel), is_lpv(P)
+    delayed, varying = isinstance(P, DelayedModel), isinstance(P, LPVModel)
     for name, given, fits, kind in (
         ("tolerance", tolerance is not None, delayed, "a DelayedModel (rl.with_delays)"),
         ("lyapunov", lyapunov is not None, varying, "an LPVModel (rl.lpv_model)"),
@@ -168,21 +167,10 @@ def hinf(
         if given and not fits:
             raise InputError(f"synth hinf: {name}", f"given with a {type(P).__name__}", f"{kind}, or none")
     if varying:
-        from robustlab.synthesis.scheduling.scheduled_synthesis import scheduled_hinf
-
         return scheduled_hinf(P, n_meas, n_con, lyapunov, effort, time_limit, progress)
-    from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
-
     options: dict[str, Any] = {"gamma_rel": gamma_rel, "bandwidth": bandwidth, "time_limit": time_limit}
     options |= {"effort": effort, "progress": progress}
     if delayed:
-        from robustlab.synthesis.hinf.delayed_design import delayed_hinf
-
         allowed = 0.01 if tolerance is None else tolerance
         return delayed_hinf(P, lambda model: rational(model, n_meas, n_con, **options), allowed)
     return rational(P, n_meas, n_con, **options)
-
-
-def is_lpv(P: Any) -> bool:
-    """Whether it is an LPVModel; that room is not loaded for it."""
-    return any(base.__name__ == "LPVModel" for base in type(P).__mro__)
