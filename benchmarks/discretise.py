@@ -18,7 +18,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.sampled.discretisation import discretise
+from robustlab.synthesis.sampled.sampled_controller import discretise
 
 RATIOS = (6, 12, 20, 30, 60)
 METHODS = ("tustin", "tustin-prewarp", "zoh", "foh", "matched", "direct")

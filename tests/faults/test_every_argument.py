@@ -233,7 +233,7 @@ def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
             continue
         for value in BAD:
             try:
-                function(**call() | {argument: value})
+                function(**CALLS[name]() | {argument: value})
             except rl.RobustlabError as error:
                 refused += 1
                 assert all(ch.isprintable() or ch == "\n" for ch in str(error))

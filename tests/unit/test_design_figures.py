@@ -113,7 +113,7 @@ def test_limits_of_a_design_are_those_of_its_plant_and_its_weight():
     """A zero at 1: S(1) = 1, so gamma is at least |W1(1)| = 0.6 / 1.0001; with the pole, nothing else in the way."""
     G = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])
     design = mixsyn(G, performance_weight(0.1), 0.1)
-    (zero,) = limits_of(design).zeros
+    (zero,) = limits_of(design.plant).zeros
     assert zero.value == pytest.approx(1.0)
-    assert "gamma >= 0.5999" in limits_in_words(design)[-1]
+    assert "gamma >= 0.5999" in limits_in_words(design.plant, design.weights)[-1]
     assert design.gamma >= 0.6 / 1.0001 * (1 - 1e-9)

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice, takewhile
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
-from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
@@ -41,11 +40,6 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-
-if TYPE_CHECKING:
-    from robustlab.synthesis.hinf.delayed_design import DelayedDesign
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,42 +195,6 @@ class Verifier:
         return Verified(candidate, named, loop, norm, hinf_voice(plant, named, loop, [norm.frequency]), self.tuning)
 
 
-@overload
-def hinf(
-    P: DelayedModel,
-    n_meas: int | None = None,
-    n_con: int | None = None,
-    *,
-    gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
-    tolerance: float | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> DelayedDesign: ...
-@overload
-def hinf(
-    P: LPVModel,
-    n_meas: int | None = None,
-    n_con: int | None = None,
-    *,
-    lyapunov: Literal["constant", "varying"] | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> LPVSynthesis: ...
-@overload
-def hinf(
-    P: Any,
-    n_meas: int | None = None,
-    n_con: int | None = None,
-    *,
-    gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> HinfSynthesis: ...
 @told_as("synth hinf")
 def hinf(
     P: Any,
@@ -245,143 +203,11 @@ def hinf(
     *,
     gamma_rel: float = 1.05,
     bandwidth: float | None = None,
-    tolerance: float | None = None,
-    lyapunov: Literal["constant", "varying"] | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
-) -> HinfSynthesis | DelayedDesign | LPVSynthesis:
-    r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
-
-    .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
-
-    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant; linear matrix
-    inequalities where they give nothing; nonsmooth descent where what was found is poor. Nothing is assumed about the
-    ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the
-    verified norm of the loop rebuilt from the returned K.
-    A discrete P is mapped by the bilinear rule and verified in discrete time.
-
-    A plant with exact delays gets designs for Padé's approximations of order 2, 4, 6, 8, until the gain that is proved
-    of the loop with its exact delays is within ``tolerance`` of the design's; the smallest proved one counts.
-
-    The controller ``u = K(rho) y`` of a scheduled plant (`LPVModel`) is scheduled by the same measured parameters and
-    needs no rates of theirs; gamma bounds the induced gain over all their trajectories, as far as a quadratic Lyapunov
-    function can tell:
-
-    .. math:: \min_{K(\cdot)} \; \sup_{\rho(\cdot)} \sup_{w \ne 0} \|z\|_2 / \|w\|_2
-
-    Parameters
-    ----------
-    P
-        Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and
-        z), `DelayedModel`, `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls
-        and ``n_meas`` measurements last. An LPV model has no direct term from u to y; where B2, C2, D12 and D21 do not
-        depend on the parameters the loop is multi-linear between the points, where they do its bend is bounded and a
-        finer grid (`LPVModel.refined`) lowers what it costs: a lag before u or behind y makes them constant.
-    n_meas, n_con
-        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
-    gamma_rel
-        How much larger than the smallest gamma found the returned controller's may be (>= 1); within it the one with
-        the slowest poles is taken. 1 asks for the smallest gamma, whose controller is often absurdly fast.
-    bandwidth
-        Where given, all controller poles must lie below it (modulus, rad/s; of a discrete controller those of its
-        bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma that obeys is taken.
-    tolerance
-        Of a plant with delays: how much larger than the gamma of the design the proved gain may be for the search to
-        end, 0.01 where left out.
-    lyapunov
-        Of an LPV model: ``"constant"``, shared R and S, for parameters of any rate; ``"varying"``, S, then R, varies
-        over the grid at the bounded rates. Where left out: constant, and varying after it where rates are bounded; the
-        better loop wins.
-    time_limit
-        Time in s, asked between trials; none where left out. A controller verified by then is returned, but another
-        run may find another one: the status is TIMEOUT, and ``reason`` says so.
-    effort
-        Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
-    progress
-        Called with one short line after every stage.
-
-    Returns
-    -------
-    HinfSynthesis, DelayedDesign or LPVSynthesis
-        Always with a stabilising, verified K: ``K``, ``gamma``, ``closed_loop``, ``status`` and ``reason`` of `Design`,
-        and what there is of the kind of plant: of delays ``design`` is that of the rational model, of an LPV model
-        ``gain`` what `lpv_gain` proved.
-
-    Raises
-    ------
-    InputError
-        Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's kind does not have.
-    NoTrustworthyNumber
-        An unstable or marginal mode that no controller can stabilise (named), no controller could be verified, or none
-        has its poles below ``bandwidth``; no design is proved to stabilise the plant with its delays; the LMIs of an
-        LPV model have no solution, or no loop of theirs could be proved.
-
-    References
-    ----------
-    Glover, Doyle 1988; Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapters 16 and 17;
-    Gahinet, Apkarian 1994. Scheduled: Apkarian, Gahinet, Becker 1995; Becker, Packard 1994; Wu, Yang, Packard, Becker
-    1996; Apkarian, Adams 1998.
-
-    Examples
-    --------
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> design = hinf(P, n_meas=1, n_con=1, gamma_rel=1.0)
-    >>> design.status.value, round(design.gamma, 3)
-    ('certified', 0.732)
-
-    With a delay of its control, and with a measured parameter:
-
-    >>> from robustlab.delays import with_delays
-    >>> late = hinf(with_delays(P, inputs={2: 0.1}), 1, 1)
-    >>> late.stability.stable, late.gamma <= 1.02 * late.design.gamma
-    (True, True)
-    >>> from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    >>> def vertex(a):
-    ...     return StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> scheduled = hinf(LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)]), 1, 1)
-    >>> scheduled.status.value, scheduled.gamma < 1.45
-    ('certified', True)
-    """
-    delayed = isinstance(P, DelayedModel)
-    varying = not delayed and _is_lpv(P)
-    for name, given, fits, kind in (
-        ("tolerance", tolerance is not None, delayed, "a DelayedModel (rl.with_delays)"),
-        ("lyapunov", lyapunov is not None, varying, "an LPVModel (rl.lpv_model)"),
-        ("gamma_rel", gamma_rel != 1.05, not varying, "a plant without measured parameters"),
-        ("bandwidth", bandwidth is not None, not varying, "a plant without measured parameters"),
-    ):
-        if given and not fits:
-            raise InputError(f"synth hinf: {name}", f"given with a {type(P).__name__}", f"{kind}, or none")
-    if varying:
-        from robustlab.synthesis.scheduling.scheduled_synthesis import scheduled_hinf
-
-        return scheduled_hinf(P, n_meas, n_con, lyapunov, effort, time_limit, progress)
-    if delayed:
-        from robustlab.synthesis.hinf.delayed_design import delayed_hinf
-
-        def rational(model: StateSpaceModel) -> HinfSynthesis:
-            return _rational(model, n_meas, n_con, gamma_rel, bandwidth, time_limit, effort, progress)
-
-        return delayed_hinf(P, rational, 0.01 if tolerance is None else tolerance)
-    return _rational(P, n_meas, n_con, gamma_rel, bandwidth, time_limit, effort, progress)
-
-
-def _is_lpv(P: Any) -> bool:
-    """Whether it is an LPVModel; that room is not loaded for it."""
-    return any(base.__name__ == "LPVModel" for base in type(P).__mro__)
-
-
-def _rational(
-    P: Any,
-    n_meas: int | None,
-    n_con: int | None,
-    gamma_rel: float,
-    bandwidth: float | None,
-    time_limit: float | None,
-    effort: float,
-    progress: Callable[[str], None] | None,
 ) -> HinfSynthesis:
+    """`robustlab.hinf` of a rational plant, which see."""
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
     budget = design_budget("synth hinf", TUNING.work, effort, time_limit)

@@ -137,7 +137,8 @@ class Synthesis(Design):
         """What limits any controller of this plant, and the floors of gamma of a mixed-sensitivity design."""
         from robustlab.synthesis.problem.performance_limits import limits_in_words
 
-        return [Part("What limits any controller of this plant", (), [(line,) for line in limits_in_words(self)])]
+        lines = limits_in_words(self.plant, getattr(self, "weights", {}))
+        return [Part("What limits any controller of this plant", (), [(line,) for line in lines])]
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""

@@ -5,6 +5,7 @@ The same in words for a finished design, whose plant is what leads from its cont
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.problem.design import Synthesis
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 # Zeros this close to the boundary, relative to themselves, and poles, relative to the largest, bind nothing; nor do
 # zeros that small beside the fastest pole which rounding moves by their own size.
@@ -464,29 +465,28 @@ def _listed(word: str, modes: tuple[Mode, ...], place: str) -> str:
     return f"{len(modes)} {word}{'s' if len(modes) > 1 else ''} {place}: {', '.join(texts)}."
 
 
-def limits_of(design: Synthesis) -> PerformanceLimits:
-    """Limits of what leads from the controls to the measurements of a design's generalised plant.
+def limits_of(plant: GeneralizedPlant) -> PerformanceLimits:
+    """Limits of what leads from the controls to the measurements of a generalised plant.
 
     Weights that this path does not touch are left out. See `robustlab.performance_limits`.
     """
-    plant = design.plant
     names = [s.name for s in plant.controls], [s.name for s in plant.measurements]
     return performance_limits(drop_unconnected(plant.model.select(*names)))
 
 
-def limits_in_words(design: Synthesis) -> list[str]:
-    """The limits in sentences, with the floors of gamma of a mixed-sensitivity design; or why there are none.
+def limits_in_words(plant: GeneralizedPlant, weights: Mapping[str, Any]) -> list[str]:
+    """The limits in sentences, with the floors of gamma of mixed-sensitivity weights; or why there are none.
 
     Examples
     --------
     >>> import robustlab as rl
     >>> G = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])  # (s - 1) / (s + 1)
-    >>> limits_in_words(rl.mixsyn(G, rl.performance_weight(0.1), 0.1))[-1][:13]
+    >>> design = rl.mixsyn(G, rl.performance_weight(0.1), 0.1)
+    >>> limits_in_words(design.plant, design.weights)[-1][:13]
     'gamma >= 0.59'
     """
     try:
-        limits = limits_of(design)
-        weights = getattr(design, "weights", {})
+        limits = limits_of(plant)
         floors = limits.gamma_bounds(weights.get("W1"), weights.get("W3"))
     except RobustlabError as error:
         return [f"not known: {error.line}"]

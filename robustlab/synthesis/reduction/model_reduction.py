@@ -34,12 +34,6 @@ from robustlab.synthesis.reduction.split_error import SplitError, merged, widene
 from robustlab.uncertainty.algebra import Reduction, reduction
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "hankel_singular_values",
-    "reduce_model",
-    "weighted_factors",
-]
-
 Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 Band = tuple[float, float]
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]

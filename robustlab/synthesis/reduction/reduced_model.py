@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -126,7 +126,7 @@ class ReducedModel(Shown):
         """All but the model as given."""
         return {
             "type": "ReducedModel",
-            **{name: getattr(self, name) for name in self.__dataclass_fields__ if name != "full"},
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "full"},
             "order": self.order,
             "full_order": self.full.n_states,
         }

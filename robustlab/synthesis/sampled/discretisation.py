@@ -16,9 +16,8 @@ Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,11 +28,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
-from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.sampled.held_delays import held_delays
-
-if TYPE_CHECKING:
-    from robustlab.synthesis.sampled.sampled_controller import SampledController
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
@@ -46,160 +41,9 @@ MATCHED = 1e-6
 LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
 
 
-@overload
-def discretise(
-    model: Synthesis,
-    dt: float,
-    method: SampledMethod | None = None,
-    *,
-    plant: Any = None,
-    prewarp: float | None = None,
-    loss: float = 0.1,
-    delay: float = 0.0,
-    antialiasing: float | None = None,
-    scalings: Any = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> SampledController: ...
-@overload
-def discretise(
-    model: Any, dt: float, method: Method | None = None, *, plant: None = None, prewarp: float | None = None
-) -> StateSpaceModel: ...
-@overload
-def discretise(
-    model: Any,
-    dt: float,
-    method: SampledMethod | None = None,
-    *,
-    plant: Any,
-    prewarp: float | None = None,
-    loss: float = 0.1,
-    delay: float = 0.0,
-    antialiasing: float | None = None,
-    scalings: Any = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> SampledController: ...
 @told_as("discretise")
-def discretise(
-    model: Any,
-    dt: float,
-    method: SampledMethod | None = None,
-    *,
-    plant: Any = None,
-    prewarp: float | None = None,
-    loss: float = 0.1,
-    delay: float = 0.0,
-    antialiasing: float | None = None,
-    scalings: Any = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> StateSpaceModel | SampledController:
-    r"""Discrete model with sample time ``dt`` of a continuous one, with the same signals.
-
-    .. math:: \dot x = A x + B u \quad\to\quad x_{k+1} = A_d x_k + B_d u_k
-
-    The states of ``zoh`` and ``impulse`` are those of the model, and so is its operating point; the other methods have
-    states of their own, and none.
-
-    A controller with its plant, a design or a controller with ``plant=``, is judged in the loop it stands in, between
-    the samples too:
-
-    .. math:: \text{loss} = \frac{\|F_l(P, H K_d S)\|}{\|F_l(P, K)\|_\infty} - 1
-
-    with sampler S and zero-order hold H; the norm is that of `sampled_data_norm`. The sampled loop's stability is that
-    of an exact discrete model of the plant. Where the formulas lose more than ``loss``, a controller is designed for
-    the sampled plant itself: H-infinity synthesis on the lifted plant.
-
-    Parameters
-    ----------
-    model
-        Continuous StateSpaceModel with n states, controller, design or python-control object; with ``"zoh"`` also a
-        DelayedModel whose delays are at its inputs and outputs, of any length: what is kept from sample to sample are
-        further states, see `robustlab.synthesis.sampled.held_delays`.
-    dt
-        Sample time in s.
-    method
-        See the table of this module, ``"tustin"`` where left out. ``"matched"`` is for one input and one output. Of a
-        controller with its plant also ``"direct"``, and ``"auto"`` where left out: the best of the formulas, and the
-        direct design where they lose more than ``loss``.
-    plant
-        Generalised plant of the controller (see `hinf`), or the design whose plant it is; that of a design where left
-        out. Of a bare plant, whose every input is a control and every output a measurement, the four-block loop is
-        judged, as by `reduce_controller`. The options below go with it.
-    prewarp
-        Frequency in rad/s at which ``"tustin-prewarp"`` is exact, below pi / dt; with a plant, the frequency of the
-        continuous loop's peak where left out.
-    loss
-        Largest loss allowed, as a share.
-    delay
-        Computational delay in s, between sample and change of the control.
-    antialiasing
-        Corner frequency in rad/s of a filter before the sampler; see `sampled_data_norm`.
-    scalings
-        Pair of stable models ``(D_z, D_w^-1)``: the norm of the scaled loop then bounds mu for the linear
-        time-invariant perturbations that commute with them, in the sampled loop as well.
-    time_limit
-        Time in s, asked between methods and kept by the direct design; none where left out. Where it ends the search
-        the status is TIMEOUT.
-    effort
-        Multiple of the usual work.
-    progress
-        Called with one line for each method.
-
-    Returns
-    -------
-    StateSpaceModel or SampledController
-        Discrete, with n states (``"matched"``: as many as there are poles), and the signals of the model. Of a
-        controller with its plant the one of smallest proved norm among those tried, with what each of them loses.
-
-    Raises
-    ------
-    InputError
-        A discrete model (its dt is named), a sample time that is not positive, an unknown method, a prewarp frequency
-        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``; a delay in
-        a loop or between dynamic parts; options of a loop without a plant.
-    NoTrustworthyNumber
-        A pole that the bilinear map sends to infinity; poles and zeros that do not give the response back; a continuous
-        loop that is not stable; no method that leaves the sampled loop stable (pathological sampling is named).
-
-    References
-    ----------
-    Franklin, Powell, Workman (1998), chapter 6; Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters
-    8, 13; Bamieh, Pearson (1992).
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> discretise(lag, 0.1, "zoh").A.round(6)
-    array([[0.904837]])
-
-    A design, judged between the samples too:
-
-    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> digital = discretise(hinf(P, 1, 1), 0.05)
-    >>> digital.status.value, digital.loss < 0.1, digital.K.dt
-    ('certified', True, 0.05)
-    """
-    found: Any = plant if plant is not None else model if isinstance(model, Synthesis) else None
-    if found is not None:
-        from robustlab.synthesis.sampled.sampled_controller import SampledLoop, sampled_controller
-
-        asked = SampledLoop(loss, delay, antialiasing, prewarp, scalings)
-        return sampled_controller(model, found, dt, method or "auto", asked, time_limit, effort, progress)
-    loop = {"loss": loss != 0.1, "delay": delay != 0, "antialiasing": antialiasing is not None}
-    loop |= {"scalings": scalings is not None, "method": method in ("auto", "direct")}
-    if given := next((name for name, is_given in loop.items() if is_given), None):
-        raise InputError(f"discretise: {given}", "no plant to judge the loop with", "plant= beside it")
-    return by_formula(model, dt, "tustin" if method is None else method, prewarp)
-
-
 def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None) -> StateSpaceModel:
-    """`discretise` without a plant; see there."""
+    """`robustlab.discretise` without a plant; see there."""
     if isinstance(model, DelayedModel):
         return _with_delays(model, dt, method)
     m = as_model(getattr(model, "K", model), "discretise")

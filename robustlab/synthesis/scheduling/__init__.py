@@ -6,6 +6,6 @@ lpv_loop             the closed loop of an LPV plant and an LPV controller, as a
 lyapunov_inequality  the dissipation inequality over whole cells: its coefficients, and their check outside a solver
 induced_gain         lpv_gain: a proved bound of the induced L2 gain
 scheduled_controller LPVController: K over the grid, and what was proved of its loop
-scheduled_synthesis  lpv_hinf: a scheduled controller, its loop verified by lpv_gain
+scheduled_synthesis  hinf of LPV models: a scheduled controller, its loop verified by lpv_gain
 tuning               numbers that choose speed and accuracy
 """
