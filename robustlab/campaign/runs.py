@@ -26,6 +26,7 @@ from robustlab.campaign.settings import (
 from robustlab.campaign.store import Store, locked, owner_text
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
+from robustlab.shown import AllFields
 from robustlab.uncertainty.lft import UncertainModel
 
 Existing = Literal["resume", "restart", "fork"]
@@ -137,7 +138,7 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(AllFields):
     """One sample computed again in this process."""
 
     status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else
@@ -159,10 +160,6 @@ class Replay:
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
     seconds: float  # time it took
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields as plain types."""
-        return vars(self).copy()
 
 
 def replay_sample(store: str | Path, index: int) -> Replay:

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.matrix_equations import MIRRORED, accepted_residual, judged_afterwards, lyapunov
-from robustlab.shown import Facts, Shown, in_words, number
+from robustlab.shown import AllFields, Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
 
 @dataclass(frozen=True, eq=False)
-class LinearSolution(Shown):
+class LinearSolution(Shown, AllFields):
     """Solution of a linear matrix equation.
 
     Attributes
@@ -35,10 +35,6 @@ class LinearSolution(Shown):
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [("X", in_words(self.X)), ("relative residual", number(self.residual, digits=2))]
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
 
 
 @told_as("lyap")

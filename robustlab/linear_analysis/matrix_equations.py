@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.magnitude import refuse_overflow
-from robustlab.shown import Facts, Shown, in_words, number
+from robustlab.shown import AllFields, Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
 # Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
@@ -40,7 +40,7 @@ MIRRORED = "no unique solution: eigenvalues mirror each other"
 
 
 @dataclass(frozen=True, eq=False)
-class RiccatiSolution(Shown):
+class RiccatiSolution(Shown, AllFields):
     """Stabilising solution of a Riccati equation.
 
     Attributes
@@ -61,10 +61,6 @@ class RiccatiSolution(Shown):
         """What a person wants to read, as (label, text)."""
         residual = number(self.residual, digits=2)
         return [("X", in_words(self.X)), ("gain", in_words(self.gain)), ("relative residual", residual)]
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
 
 
 @told_as("care")
