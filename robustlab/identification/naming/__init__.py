@@ -1,7 +1,7 @@
 """The search over sets of effects, and what is said of them.
 
 discovery              `discover`: from records to a verdict, which sets may be one, and where the search stands
-search                 sets of effects, by evidence on what is fitted and on what is held out
+set_search             sets of effects, by evidence on what is fitted and on what is held out
 first_look             which effects are worth a full fit on top of a set
 posterior              how probable each set is, and which sets make up the answer
 answer                 verdict, names, intervals, what remains, and the errors before and after

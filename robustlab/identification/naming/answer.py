@@ -49,7 +49,7 @@ from robustlab.identification.naming.discovery_parts import (
 from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
-from robustlab.identification.naming.search import Found
+from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.tuning import AS_LARGE
