@@ -166,7 +166,7 @@ def _is_hdf5(path: Path, head: bytes) -> bool:
     return False
 
 
-# --- files of other programs --------------------------------------------------------------------------------------------
+# --- files of other programs ------------------------------------------------------------------------------------------
 
 _CODE = "such files can carry code that runs when they are read"
 _PICKLES = "arrays of objects in such files are pickles, which can carry code"

@@ -71,9 +71,7 @@ def lyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSoluti
     >>> float(lyap([[-0.5]], [[2.0]]).X[0, 0])
     2.0
     """
-    X = lyapunov(A, Q, tolerance=tolerance)
-    a, q = (np.atleast_2d(np.asarray(given, dtype=float)) for given in (A, Q))
-    return LinearSolution(X, accepted_residual("lyap", (a @ X, X @ a.T, q), tolerance))
+    return _lyapunov_solution("lyap", A, Q, tolerance)
 
 
 @told_as("dlyap")
@@ -106,9 +104,16 @@ def dlyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSolut
     >>> float(dlyap([[0.5]], [[3.0]]).X[0, 0])
     4.0
     """
-    X = lyapunov(A, Q, True, tolerance=tolerance)
+    return _lyapunov_solution("dlyap", A, Q, tolerance, discrete=True)
+
+
+def _lyapunov_solution(
+    where: str, A: ArrayLike, Q: ArrayLike, tolerance: float, discrete: bool = False
+) -> LinearSolution:
+    X = lyapunov(A, Q, discrete, tolerance=tolerance)
     a, q = (np.atleast_2d(np.asarray(given, dtype=float)) for given in (A, Q))
-    return LinearSolution(X, accepted_residual("dlyap", (a @ X @ a.T, -X, q), tolerance))
+    parts = (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q)
+    return LinearSolution(X, accepted_residual(where, parts, tolerance))
 
 
 @told_as("sylvester")
