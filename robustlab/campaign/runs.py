@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.campaign.campaign_result import CampaignResult, result_of
 from robustlab.campaign.dispatch import compute_missing, evaluate_again
 from robustlab.campaign.evaluation import LOST, Evaluator, Payload, Workers, decode_delta
-from robustlab.campaign.result import CampaignResult, result_of
 from robustlab.campaign.settings import (
     CampaignSettings,
     Identity,

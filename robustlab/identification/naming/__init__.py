@@ -7,6 +7,6 @@ posterior              how probable each set is, and which sets make up the answ
 answer                 verdict, names, intervals, what remains, and the errors before and after
 residual_after_naming  the force that is left with the named effects in the model, and the lines in it
 updated_plant          the plant after naming, and `uncertain_from`: the uncertain model of what remains
-discovery_parts        what a discovery consists of
+named_effects          what a discovery consists of: named effects, their values, gaps, sets
 discovery_result       `Discovery` and its text
 """
