@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.matrix_equations import MIRRORED, accepted_residual, judged_afterwards, lyapunov
+from robustlab.arrays import AnyArray
+from robustlab.errors import told_as
+from robustlab.linear_analysis.matrix_equations import accepted_residual, check_shapes, lyapunov, unique_solution
 from robustlab.shown import AllFields, Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
@@ -150,29 +150,14 @@ def sylvester(A: ArrayLike, B: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e
     >>> float(sylvester([[1.0]], [[3.0]], [[8.0]]).X[0, 0])
     2.0
     """
-    from scipy.linalg import LinAlgError, solve_sylvester
+    from scipy.linalg import solve_sylvester
 
-    a, b, q = (_checked(name, given) for name, given in (("A", A), ("B", B), ("Q", Q)))
+    a, b, q = (real_array(name, given, 2, "sylvester") for name, given in (("A", A), ("B", B), ("Q", Q)))
     n, m = len(a), len(b)
-    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (m, m)), ("Q", q, (n, m))):
-        if matrix.shape != shape:
-            raise InputError("sylvester", f"{name} is {matrix.shape}", f"{shape}")
+    check_shapes("sylvester", A=(a, (n, n)), B=(b, (m, m)), Q=(q, (n, m)))
     if not n or not m:
         return LinearSolution(np.zeros((n, m)), 0.0)
     one, two = np.linalg.eigvals(a), np.linalg.eigvals(b)
     size = max(float(np.abs(one).max()), float(np.abs(two).max()))
-    # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
-    if np.abs(np.add.outer(one, two)).min() <= 10 * np.finfo(float).eps * size:
-        raise NoTrustworthyNumber("sylvester", MIRRORED)
-    with judged_afterwards():
-        try:
-            X = np.asarray(solve_sylvester(a, b, q))
-        except (LinAlgError, ValueError):
-            raise NoTrustworthyNumber("sylvester", MIRRORED) from None
-    if not np.isfinite(X).all():
-        raise NoTrustworthyNumber("sylvester", "the solution is not finite")
+    X = unique_solution("sylvester", np.add.outer(one, two), size, lambda: solve_sylvester(a, b, q))
     return LinearSolution(X, accepted_residual("sylvester", (a @ X, X @ b, -q), tolerance))
-
-
-def _checked(name: str, given: ArrayLike) -> Array:
-    return real_array(name, given, 2, "sylvester")
