@@ -40,6 +40,14 @@ class Part(NamedTuple):
     rows: Sequence[tuple[str, ...]]
 
 
+class AllFields:
+    """Base of what becomes JSON as all of its fields."""
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return dict(vars(self))
+
+
 class Shown:
     """Base of what shows itself; a class says what there is to say in `facts`."""
 

@@ -14,7 +14,7 @@ from robustlab.identification.hypotheses.candidates import candidates, nuisance_
 from robustlab.identification.hypotheses.effect_fit import Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.discovery import admissible
-from robustlab.identification.naming.search import Found, search_sets
+from robustlab.identification.naming.set_search import Found, search_sets
 from robustlab.identification.tuning import TUNING
 
 AXIS = rl.plant("servo-axis")

@@ -3,7 +3,7 @@
 Each sample is stored as it comes; a run that was interrupted or killed goes on where it was, to the same result.
 """
 
-from robustlab.campaign.result import CampaignResult
+from robustlab.campaign.campaign_result import CampaignResult
 from robustlab.campaign.runs import (
     Crew,
     Replay,

@@ -17,30 +17,21 @@ from typing import NamedTuple
 from robustlab.campaign.evaluation import Evaluator, Failure, Outcome, Piece, Rows, Workers
 from robustlab.campaign.store import Store
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.shown import Tuning
 
 # What is promised: so many samples may be lost, and a sample has so many workers before it is.
 MAX_LOST_SHARE = 0.01
 MAX_ATTEMPTS = 2
-
-
-@dataclass(frozen=True)
-class DispatchTuning(Tuning):
-    """How the work is cut; the samples do not depend on it."""
-
-    # s of work in a piece: long against the time to send and store it, short against what a killed run may lose.
-    piece_seconds: float = 0.7
-    # A piece grows by this factor at most, until its speed is known; a larger one risks a long first piece.
-    growth: int = 4
-    # Samples in a piece: its rows are held in memory and written in one transaction.
-    longest_piece: int = 100_000
-    # A piece may take so much longer than its samples are expected to take, beside the limit of one sample.
-    patience: float = 5.0
-    # s between looks at workers that say nothing.
-    poll_seconds: float = 1.0
-
-
-TUNING = DispatchTuning()
+# How the work is cut; the samples do not depend on it.
+# s of work in a piece: long against the time to send and store it, short against what a killed run may lose.
+PIECE_SECONDS = 0.7
+# A piece grows by this factor at most, until its speed is known; a larger one risks a long first piece.
+GROWTH = 4
+# Samples in a piece: its rows are held in memory and written in one transaction.
+LONGEST_PIECE = 100_000
+# A piece may take so much longer than its samples are expected to take, beside the limit of one sample.
+PATIENCE = 5.0
+# s between looks at workers that say nothing.
+POLL_SECONDS = 1.0
 
 
 @dataclass
@@ -48,7 +39,6 @@ class _Pace:
     """Seconds per sample as measured, and the size of the next piece in tiles."""
 
     tile: int
-    tuning: DispatchTuning
     seconds: float = 0.0
     tiles: int = 1
 
@@ -56,13 +46,13 @@ class _Pace:
         """Take a finished piece into account."""
         each = seconds / samples
         self.seconds = each if not self.seconds else 0.7 * self.seconds + 0.3 * each
-        wanted = self.tuning.piece_seconds / max(self.seconds, 1e-9) / self.tile
-        most = min(self.tuning.growth * self.tiles, self.tuning.longest_piece // self.tile)
+        wanted = PIECE_SECONDS / max(self.seconds, 1e-9) / self.tile
+        most = min(GROWTH * self.tiles, LONGEST_PIECE // self.tile)
         self.tiles = max(1, min(int(wanted), most))
 
     def limit(self, samples: int, each: float) -> float:
         """Seconds after which a piece is taken for hung."""
-        return each + self.tuning.patience * self.seconds * samples
+        return each + PATIENCE * self.seconds * samples
 
 
 class _Queue:
@@ -120,23 +110,16 @@ class _Queue:
 
 
 def compute_missing(
-    store: Store,
-    evaluator: Evaluator,
-    workers: Workers,
-    limit: float,
-    progress: Callable[[int], None],
-    *,
-    tuning: DispatchTuning = TUNING,
+    store: Store, evaluator: Evaluator, workers: Workers, limit: float, progress: Callable[[int], None]
 ) -> None:
     """Compute what the store lacks.
 
     ``limit``: seconds that one sample may take.
     ``progress``: called with the number of samples that were just stored.
-    ``tuning``: how the work is cut.
     Raises NoTrustworthyNumber: more than 1 % of the samples are lost.
     """
     n = evaluator.settings.n
-    pace = _Pace(evaluator.tile, tuning)
+    pace = _Pace(evaluator.tile)
     todo = _Queue(store.missing(n), n, pace, limit)
     lost, under_way = store.counts().lost, 0
     _stop_if_too_many(store, lost, n)
@@ -148,7 +131,7 @@ def compute_missing(
             under_way += 1
         if not under_way and not todo:
             return
-        for outcome in workers.wait(tuning.poll_seconds):
+        for outcome in workers.wait(POLL_SECONDS):
             under_way -= 1
             rows = _rows_of(outcome, todo, evaluator)
             if rows is None:
@@ -206,11 +189,11 @@ def evaluate_again(workers: Workers, numbers: tuple[float, ...], limit: float) -
     """The metric at one Delta through its second path, in a worker, which it may crash or hang."""
     for attempt in range(MAX_ATTEMPTS):
         while not workers.idle():
-            workers.wait(TUNING.poll_seconds)
+            workers.wait(POLL_SECONDS)
         workers.start(Piece(0, 1, limit, alone=True, attempts=attempt, delta=numbers))
-        outcomes = workers.wait(TUNING.poll_seconds)
+        outcomes = workers.wait(POLL_SECONDS)
         while not outcomes:
-            outcomes = workers.wait(TUNING.poll_seconds)
+            outcomes = workers.wait(POLL_SECONDS)
         answer = outcomes[0].answer
         if not isinstance(answer, Failure):
             return Again(**json.loads(answer))

@@ -31,7 +31,7 @@ from robustlab.worst_case_analysis.draws import delta_of_sample
 from robustlab.worst_case_analysis.ensemble import delta_stack
 from robustlab.worst_case_analysis.metric_contract import Evaluation
 from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
-from robustlab.worst_case_analysis.search import worst_case
+from robustlab.worst_case_analysis.worst_case_search import worst_case
 
 DONE, LOST = 0, 1
 # Samples in a tile. It decides the last digits of a value, so it is no matter of taste.

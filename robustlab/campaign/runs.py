@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.campaign.campaign_result import CampaignResult, result_of
 from robustlab.campaign.dispatch import compute_missing, evaluate_again
 from robustlab.campaign.evaluation import LOST, Evaluator, Payload, Workers, decode_delta
-from robustlab.campaign.result import CampaignResult, result_of
 from robustlab.campaign.settings import (
     CampaignSettings,
     Identity,
@@ -26,7 +26,7 @@ from robustlab.campaign.settings import (
 from robustlab.campaign.store import Store, locked, owner_text
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, member_table, number
+from robustlab.shown import AllFields, Facts, Part, Shown, member_table, number
 from robustlab.uncertainty.lft import UncertainModel
 
 Existing = Literal["resume", "restart", "fork"]
@@ -138,7 +138,7 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Replay(Shown):
+class Replay(AllFields, Shown):
     """One sample computed again in this process."""
 
     status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else
@@ -177,10 +177,6 @@ class Replay(Shown):
     def details(self) -> list[Part]:
         """The member."""
         return [member_table("member:", self.delta, self.physical)]
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields as plain types."""
-        return vars(self).copy()
 
 
 def replay_sample(store: str | Path, index: int) -> Replay:

@@ -22,7 +22,7 @@ from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, number, with_units
+from robustlab.shown import AllFields, Facts, Shown, listed, number, with_units
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -158,7 +158,7 @@ class Plant(Shown, Traced, ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Trim(Shown):
+class Trim(Shown, AllFields):
     """An operating point at which a plant stays: ``f(x, u) = 0``.
 
     Attributes
@@ -197,10 +197,6 @@ class Trim(Shown):
         """What a person wants to read, as (label, text)."""
         point = [(which, listed(number(float(v)) for v in getattr(self, which))) for which in ("x", "u", "y")]
         return [("plant", self.plant), *point, ("residual", number(self.residual))]
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True)

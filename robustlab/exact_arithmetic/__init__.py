@@ -6,8 +6,16 @@ polynomial's roots are to the last digit. Nothing here has a tolerance that a ba
 """
 
 from robustlab.exact_arithmetic.determinant import MOST_STATES, Determinant, determinant, normal_rank, wired
-from robustlab.exact_arithmetic.polynomials import added, common_factor, divided, from_the_circle, product, value
-from robustlab.exact_arithmetic.roots import Root, roots
+from robustlab.exact_arithmetic.polynomials import (
+    Root,
+    added,
+    common_factor,
+    divided,
+    from_the_circle,
+    product,
+    roots,
+    value,
+)
 
 __all__ = [
     "MOST_STATES",

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.matrix_equations import MIRRORED, accepted_residual, judged_afterwards, lyapunov
-from robustlab.shown import Facts, Shown, in_words, number
+from robustlab.arrays import AnyArray
+from robustlab.errors import told_as
+from robustlab.linear_analysis.matrix_equations import accepted_residual, check_shapes, lyapunov, unique_solution
+from robustlab.shown import AllFields, Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
 
 @dataclass(frozen=True, eq=False)
-class LinearSolution(Shown):
+class LinearSolution(Shown, AllFields):
     """Solution of a linear matrix equation.
 
     Attributes
@@ -35,10 +35,6 @@ class LinearSolution(Shown):
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [("X", in_words(self.X)), ("relative residual", number(self.residual, digits=2))]
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
 
 
 @told_as("lyap")
@@ -75,9 +71,7 @@ def lyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSoluti
     >>> float(lyap([[-0.5]], [[2.0]]).X[0, 0])
     2.0
     """
-    X = lyapunov(A, Q, tolerance=tolerance)
-    a, q = (np.atleast_2d(np.asarray(given, dtype=float)) for given in (A, Q))
-    return LinearSolution(X, accepted_residual("lyap", (a @ X, X @ a.T, q), tolerance))
+    return _lyapunov_solution("lyap", A, Q, tolerance)
 
 
 @told_as("dlyap")
@@ -110,9 +104,16 @@ def dlyap(A: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e-6) -> LinearSolut
     >>> float(dlyap([[0.5]], [[3.0]]).X[0, 0])
     4.0
     """
-    X = lyapunov(A, Q, True, tolerance=tolerance)
+    return _lyapunov_solution("dlyap", A, Q, tolerance, discrete=True)
+
+
+def _lyapunov_solution(
+    where: str, A: ArrayLike, Q: ArrayLike, tolerance: float, discrete: bool = False
+) -> LinearSolution:
+    X = lyapunov(A, Q, discrete, tolerance=tolerance)
     a, q = (np.atleast_2d(np.asarray(given, dtype=float)) for given in (A, Q))
-    return LinearSolution(X, accepted_residual("dlyap", (a @ X @ a.T, -X, q), tolerance))
+    parts = (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q)
+    return LinearSolution(X, accepted_residual(where, parts, tolerance))
 
 
 @told_as("sylvester")
@@ -149,29 +150,14 @@ def sylvester(A: ArrayLike, B: ArrayLike, Q: ArrayLike, *, tolerance: float = 1e
     >>> float(sylvester([[1.0]], [[3.0]], [[8.0]]).X[0, 0])
     2.0
     """
-    from scipy.linalg import LinAlgError, solve_sylvester
+    from scipy.linalg import solve_sylvester
 
-    a, b, q = (_checked(name, given) for name, given in (("A", A), ("B", B), ("Q", Q)))
+    a, b, q = (real_array(name, given, 2, "sylvester") for name, given in (("A", A), ("B", B), ("Q", Q)))
     n, m = len(a), len(b)
-    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (m, m)), ("Q", q, (n, m))):
-        if matrix.shape != shape:
-            raise InputError("sylvester", f"{name} is {matrix.shape}", f"{shape}")
+    check_shapes("sylvester", A=(a, (n, n)), B=(b, (m, m)), Q=(q, (n, m)))
     if not n or not m:
         return LinearSolution(np.zeros((n, m)), 0.0)
     one, two = np.linalg.eigvals(a), np.linalg.eigvals(b)
     size = max(float(np.abs(one).max()), float(np.abs(two).max()))
-    # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
-    if np.abs(np.add.outer(one, two)).min() <= 10 * np.finfo(float).eps * size:
-        raise NoTrustworthyNumber("sylvester", MIRRORED)
-    with judged_afterwards():
-        try:
-            X = np.asarray(solve_sylvester(a, b, q))
-        except (LinAlgError, ValueError):
-            raise NoTrustworthyNumber("sylvester", MIRRORED) from None
-    if not np.isfinite(X).all():
-        raise NoTrustworthyNumber("sylvester", "the solution is not finite")
+    X = unique_solution("sylvester", np.add.outer(one, two), size, lambda: solve_sylvester(a, b, q))
     return LinearSolution(X, accepted_residual("sylvester", (a @ X, X @ b, -q), tolerance))
-
-
-def _checked(name: str, given: ArrayLike) -> Array:
-    return real_array(name, given, 2, "sylvester")

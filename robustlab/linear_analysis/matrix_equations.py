@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.magnitude import refuse_overflow
-from robustlab.shown import Facts, Shown, in_words, number
+from robustlab.shown import AllFields, Facts, Shown, in_words, number
 from robustlab.statespace import real_array
 
 # Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
@@ -40,7 +40,7 @@ MIRRORED = "no unique solution: eigenvalues mirror each other"
 
 
 @dataclass(frozen=True, eq=False)
-class RiccatiSolution(Shown):
+class RiccatiSolution(Shown, AllFields):
     """Stabilising solution of a Riccati equation.
 
     Attributes
@@ -61,10 +61,6 @@ class RiccatiSolution(Shown):
         """What a person wants to read, as (label, text)."""
         residual = number(self.residual, digits=2)
         return [("X", in_words(self.X)), ("gain", in_words(self.gain)), ("relative residual", residual)]
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
 
 
 @told_as("care")
@@ -279,11 +275,12 @@ def _equation(where: str, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike
     a, b, q, r = (real_array(k, v, 2, where) for k, v in (("A", A), ("B", B), ("Q", Q), ("R", R)))
     n, m = len(a), len(r)
     s = np.zeros((n, m)) if S is None else real_array("S", S, 2, where)
-    _check_shapes(where, A=(a, (n, n)), B=(b, (n, m)), Q=(q, (n, n)), R=(r, (m, m)), S=(s, (n, m)))
+    check_shapes(where, A=(a, (n, n)), B=(b, (n, m)), Q=(q, (n, n)), R=(r, (m, m)), S=(s, (n, m)))
     return _Equation(a, b, q, r, s)
 
 
-def _check_shapes(where: str, **wanted: tuple[Array, tuple[int, int]]) -> None:
+def check_shapes(where: str, **wanted: tuple[Array, tuple[int, int]]) -> None:
+    """Raises InputError: a matrix that has not the shape beside it."""
     for name, (matrix, shape) in wanted.items():
         if matrix.shape != shape:
             raise InputError(where, f"{name} is {matrix.shape}", f"{shape}")
@@ -388,28 +385,42 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
     >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
     2.0
     """
-    from scipy.linalg import LinAlgError, solve_continuous_lyapunov, solve_discrete_lyapunov
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
     a, q = real_array("A", A, 2, "lyapunov"), real_array("Q", Q, 2, "lyapunov")
     n = a.shape[0]
-    _check_shapes("lyapunov", A=(a, (n, n)), Q=(q, (n, n)))
+    check_shapes("lyapunov", A=(a, (n, n)), Q=(q, (n, n)))
     if n == 0:
         return np.zeros((0, 0))
     poles = np.linalg.eigvals(a)
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart = np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)
+    size = float(np.abs(poles).max() if not discrete else 1.0)
+    X = unique_solution(
+        "lyapunov", apart, size, lambda: solve_discrete_lyapunov(a, q) if discrete else solve_continuous_lyapunov(a, -q)
+    )
+    accepted_residual("lyapunov", (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q), tolerance)
+    return X
+
+
+def unique_solution(where: str, apart: AnyArray, size: float, solve: Callable[[], AnyArray]) -> AnyArray:
+    """What ``solve`` gives of a linear matrix equation; ``apart`` is 0 where two eigenvalues mirror each other.
+
+    Raises NoTrustworthyNumber: two of them do, beside their ``size``; no solution, or one that is not finite.
+    """
     # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
     with np.errstate(over="ignore", invalid="ignore"):
-        gap = np.abs(np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)).min()
-    if gap <= 10 * np.finfo(float).eps * float(np.abs(poles).max() if not discrete else 1.0):
-        raise NoTrustworthyNumber("lyapunov", MIRRORED)
+        gap = np.abs(apart).min()
+    if gap <= 10 * np.finfo(float).eps * size:
+        raise NoTrustworthyNumber(where, MIRRORED)
     with judged_afterwards():
         try:
-            X = solve_discrete_lyapunov(a, q) if discrete else solve_continuous_lyapunov(a, -q)
-        except (LinAlgError, ValueError):
-            raise NoTrustworthyNumber("lyapunov", MIRRORED) from None
+            X = np.asarray(solve())
+        except (np.linalg.LinAlgError, ValueError):
+            raise NoTrustworthyNumber(where, MIRRORED) from None
     if not np.isfinite(X).all():
-        raise NoTrustworthyNumber("lyapunov", "the solution is not finite")
-    accepted_residual("lyapunov", (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q), tolerance)
-    return np.asarray(X)
+        raise NoTrustworthyNumber(where, "the solution is not finite")
+    return X
 
 
 @dataclass(frozen=True, eq=False)
@@ -473,7 +484,7 @@ def lyapunov_factors(
     where = "lyapunov_factors"
     a, b, c = (real_array(k, v, 2, where) for k, v in (("A", A), ("B", B), ("C", C)))
     n = a.shape[0]
-    _check_shapes(where, A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
+    check_shapes(where, A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
     if n == 0 or not (b.any() or c.any()):
         return np.zeros((n, n)), np.zeros((n, n))
     form = form or SchurForm.of(a, where)

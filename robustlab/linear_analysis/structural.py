@@ -26,7 +26,7 @@ from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.errors import told_as
 from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 Kind = Literal["controllability", "observability"]
@@ -41,17 +41,13 @@ SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class HiddenMode:
+class HiddenMode(AllFields):
     """A mode that no input moves (controllability), or that no output shows (observability)."""
 
     eigenvalue: complex  # in rad/s, or in the z plane for a discrete model
     stable: bool  # True where the mode decays by itself, beyond the rounding of its eigenvalue: hidden it does no harm
     states: tuple[str, ...]  # names of the states whose combination it is
     meaning: str  # the same in words
-
-    def to_json(self) -> dict[str, object]:
-        """All attributes as plain types."""
-        return vars(self).copy()
 
 
 @dataclass(frozen=True, eq=False)

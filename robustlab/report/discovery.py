@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.naming.discovery_parts import Gap, SetProbability
 from robustlab.identification.naming.discovery_result import (
     LINEAR,
     Discovery,
@@ -27,6 +26,7 @@ from robustlab.identification.naming.discovery_result import (
     overall,
     with_interval,
 )
+from robustlab.identification.naming.named_effects import Gap, SetProbability
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
 from robustlab.report.figures import (

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from robustlab.campaign.result import CampaignResult, exceedance_curve
+from robustlab.campaign.campaign_result import CampaignResult, exceedance_curve
 from robustlab.campaign.store import Store
 from robustlab.errors import InputError
 from robustlab.identification.validation import FrequencyData

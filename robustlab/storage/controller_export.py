@@ -31,7 +31,7 @@ from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
 from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
-from robustlab.storage.controller_json import controller_to_json
+from robustlab.storage.controllers import controller_to_json
 from robustlab.storage.interchange import save
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.windup.back_calculation import back_calculation

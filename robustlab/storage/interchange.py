@@ -162,7 +162,7 @@ def read(
     content = content_of(path, limits)
     if content in ("text", "parquet", "mcap"):
         if content == "text" and is_json(path):
-            from robustlab.storage.controller_json import read_controller_json
+            from robustlab.storage.controllers import read_controller_json
 
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")

@@ -19,6 +19,7 @@ from robustlab.dynamics.control.trajectory_following import SineTrajectory, Traj
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+from robustlab.shown import AllFields
 from robustlab.statespace import StateSpaceModel
 
 LOW = (0.0, 0.0, 0.1062, 0.0, 0.0, 0.0)
@@ -37,7 +38,7 @@ ALL = (*BODIES, "platform_mass", "platform_x", "platform_y", "platform_z")
 
 
 @dataclass(frozen=True, eq=False)
-class SineRun:
+class SineRun(AllFields):
     """The platform from rest at home under the holding torque plus one sine of torque on all six motors."""
 
     # amplitude, frequency: of the sine in N m and Hz
@@ -65,10 +66,6 @@ class SineRun:
         true, gap = self.nonlinear[:n], (self.linear - self.nonlinear)[:n]
         share = 100 * gap[:, [0, 6]] / np.abs(true[:, [0, 6]]).max(axis=0)
         return self.t[:n], share[:, 0], share[:, 1]
-
-    def to_json(self) -> dict[str, Any]:
-        """All arrays."""
-        return dict(vars(self))
 
 
 def sine_run(plant: StewartPlatform, amplitude: float, frequency: float, duration: float, points: int) -> SineRun:

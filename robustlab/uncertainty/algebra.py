@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from robustlab.errors import InputError, told_as
 from robustlab.operators import carried_by_rank
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
-from robustlab.signals import same_units
+from robustlab.signals import Signal, same_units
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.interconnection import Wiring
@@ -121,12 +121,8 @@ def beside(*systems: Any) -> UncertainModel:
     UnitMismatch
         Outputs that are added carry different units.
     """
-    parts = _parts("beside", systems)
+    parts = _sharing("outputs", "beside", systems)
     n_y = len(parts[0].outputs)
-    for part in parts[1:]:
-        if len(part.outputs) != n_y:
-            raise InputError("beside", f"{len(part.outputs)} outputs beside {n_y}", "equal numbers")
-        same_units("beside", zip(parts[0].outputs, part.outputs, strict=True))
     n_u = sum(len(part.inputs) for part in parts)
     wiring = Wiring(np.zeros((n_u, n_y * len(parts))), np.eye(n_u), np.hstack([np.eye(n_y)] * len(parts)))
     return interconnected(parts, wiring, [s for part in parts for s in part.inputs], parts[0].outputs, "beside")
@@ -154,21 +150,26 @@ def stacked(*systems: Any) -> UncertainModel:
     UnitMismatch
         Inputs that are one carry different units.
     """
-    parts = _parts("stacked", systems)
+    parts = _sharing("inputs", "stacked", systems)
     n_u = len(parts[0].inputs)
-    for part in parts[1:]:
-        if len(part.inputs) != n_u:
-            raise InputError("stacked", f"{len(part.inputs)} inputs below {n_u}", "equal numbers")
-        same_units("stacked", zip(parts[0].inputs, part.inputs, strict=True))
     n_y = sum(len(part.outputs) for part in parts)
     wiring = Wiring(np.zeros((n_u * len(parts), n_y)), np.vstack([np.eye(n_u)] * len(parts)), np.eye(n_y))
     return interconnected(parts, wiring, parts[0].inputs, [s for part in parts for s in part.outputs], "stacked")
 
 
-def _parts(where: str, systems: Sequence[Any]) -> list[UncertainModel]:
+def _sharing(side: Literal["inputs", "outputs"], where: str, systems: Sequence[Any]) -> list[UncertainModel]:
+    """The operands, whose signals on this side are the same."""
     if not systems:
         raise InputError(where, "no operand", "at least one")
-    return [as_uncertain(system, where) for system in systems]
+    first, *others = (as_uncertain(system, where) for system in systems)
+    shared: Sequence[Signal] = getattr(first, side)
+    for part in others:
+        own: Sequence[Signal] = getattr(part, side)
+        if len(own) != len(shared):
+            found = f"{len(own)} {side} {'beside' if side == 'outputs' else 'below'} {len(shared)}"
+            raise InputError(where, found, "equal numbers")
+        same_units(where, zip(shared, own, strict=True))
+    return [first, *others]
 
 
 def _check_inside(where: str, inner: UncertainModel, outer: UncertainModel) -> None:

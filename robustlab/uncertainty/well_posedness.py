@@ -28,7 +28,7 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, member, number
+from robustlab.shown import AllFields, Facts, Shown, member, number
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
@@ -42,7 +42,7 @@ SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class WellPosedness(Shown):
+class WellPosedness(Shown, AllFields):
     """Answer to the question of this module.
 
     Attributes
@@ -88,10 +88,6 @@ class WellPosedness(Shown):
             ("bound", number(self.bound)),
             ("said", self.label),
         ]
-
-    def to_json(self) -> dict[str, object]:
-        """All attributes as plain types."""
-        return vars(self).copy()
 
     def __str__(self) -> str:
         return self.label

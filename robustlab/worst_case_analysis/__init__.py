@@ -5,7 +5,6 @@ Whatever this room finds is attained by a Delta that it returns; none of it prov
 
 from robustlab.worst_case_analysis.metrics import METRICS, MetricBatch, MetricRequest
 from robustlab.worst_case_analysis.sampling import Responses, Samples, StreamedResponses, sample
-from robustlab.worst_case_analysis.search import WorstCase, worst_case
 from robustlab.worst_case_analysis.statistics import (
     Influence,
     Quantile,
@@ -15,6 +14,7 @@ from robustlab.worst_case_analysis.statistics import (
     sample_size,
     violation_probability,
 )
+from robustlab.worst_case_analysis.worst_case_search import WorstCase, worst_case
 
 __all__ = [
     "METRICS",

@@ -11,7 +11,7 @@ from robustlab.cli.data import app
 from robustlab.cli.ending import main_guard
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming import discovery
-from robustlab.identification.naming.discovery_parts import Rival
+from robustlab.identification.naming.named_effects import Rival
 from robustlab.identification.record_check.suitability import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test

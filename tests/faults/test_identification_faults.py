@@ -115,7 +115,7 @@ def test_not_a_model():
 
 def test_a_signal_too_small_to_be_squared_has_no_fit():
     """1e-200 is a number, its square is not: no division by it."""
-    from robustlab.identification.comparison.parts import _gap
+    from robustlab.identification.comparison.error_analysis import _gap
     from robustlab.statespace import Signal
 
     y = 1e-200 * np.sin(T)

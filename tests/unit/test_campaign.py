@@ -15,6 +15,14 @@ from scipy.stats import beta, binom
 import robustlab as rl
 from robustlab.campaign import CampaignSettings, read_campaign, replay_sample, runs
 from robustlab.campaign import workers as cluster_workers
+from robustlab.campaign.campaign_result import (
+    SHARES,
+    _upper_rank,
+    exceedance_curve,
+    probability_bounds,
+    quantiles,
+    share_beyond,
+)
 from robustlab.campaign.dispatch import compute_missing
 from robustlab.campaign.evaluation import (
     TILE,
@@ -28,14 +36,6 @@ from robustlab.campaign.evaluation import (
     delta_width,
     encode_delta,
     perform,
-)
-from robustlab.campaign.result import (
-    SHARES,
-    _upper_rank,
-    exceedance_curve,
-    probability_bounds,
-    quantiles,
-    share_beyond,
 )
 from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
 from robustlab.campaign.store import Store

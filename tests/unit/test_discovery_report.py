@@ -12,7 +12,15 @@ import pytest
 import robustlab as rl
 from robustlab.cli.data import DiscoveryFiles
 from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
-from robustlab.identification.naming.discovery_parts import (
+from robustlab.identification.naming.discovery_result import (
+    Discovery,
+    chance,
+    compared,
+    headline,
+    overall,
+    with_interval,
+)
+from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
     InputClock,
@@ -22,14 +30,6 @@ from robustlab.identification.naming.discovery_parts import (
     SearchEntry,
     SetProbability,
     wave_amplitude,
-)
-from robustlab.identification.naming.discovery_result import (
-    Discovery,
-    chance,
-    compared,
-    headline,
-    overall,
-    with_interval,
 )
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce

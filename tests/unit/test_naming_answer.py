@@ -15,7 +15,7 @@ from robustlab.identification.hypotheses.unnamed_force import fitted_windows
 from robustlab.identification.naming import answer as module
 from robustlab.identification.naming.answer import Gaps
 from robustlab.identification.naming.discovery import Progress, _spread
-from robustlab.identification.naming.discovery_parts import Gap
+from robustlab.identification.naming.named_effects import Gap
 from robustlab.result import Status
 
 FEW = tuple(set(catalogue()) - {"coulomb-friction", "constant-load", "sensor-delay", "input-delay"})

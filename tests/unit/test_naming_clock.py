@@ -13,7 +13,7 @@ from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.search import clock_nuisances, held_inputs, short_steps, step_error
+from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps, step_error
 from robustlab.identification.tuning import TUNING
 
 MASS, DAMPING, SPRING = 1.0, 0.4, 400.0  # 20 rad/s, lightly damped

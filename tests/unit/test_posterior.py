@@ -14,7 +14,7 @@ from robustlab.identification.hypotheses.noise import held_out_fit
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.posterior import Posterior, weigh
-from robustlab.identification.naming.search import Key, search_sets
+from robustlab.identification.naming.set_search import Key, search_sets
 from robustlab.identification.tuning import TUNING
 
 

@@ -28,8 +28,8 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import noise_ratio
 from robustlab.identification.naming import first_look
-from robustlab.identification.naming import search as module
-from robustlab.identification.naming.search import Key, log_prior, search_sets
+from robustlab.identification.naming import set_search as module
+from robustlab.identification.naming.set_search import Key, log_prior, search_sets
 from robustlab.identification.tuning import TUNING
 
 # --- what is found ---------------------------------------------------------------------------------------------------

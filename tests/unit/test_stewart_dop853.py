@@ -9,10 +9,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scipy.integrate._ivp import dop853_coefficients
-from scipy.integrate._ivp.dop853_coefficients import C
 
 from robustlab.dynamics.integrator import steps as dop853
-from robustlab.dynamics.integrator.steps import E3, E5, A, B, D
+from robustlab.dynamics.integrator.steps import E3, E5, A, B, C, D
 from robustlab.errors import EnvironmentFault
 
 # Hairer, Norsett, Wanner 1993, section II.10: nodes and weights with a closed form.

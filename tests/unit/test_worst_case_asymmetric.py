@@ -19,7 +19,7 @@ from robustlab.worst_case_analysis import MetricBatch, MetricRequest, sample, vi
 from robustlab.worst_case_analysis.draws import RealSet, delta_of_sample
 from robustlab.worst_case_analysis.ensemble import delta_stack, members
 from robustlab.worst_case_analysis.metrics import make_metric
-from robustlab.worst_case_analysis.search import _Climb, _Search
+from robustlab.worst_case_analysis.worst_case_search import _Climb, _Search
 
 POLE = RealScalar("pole", parameter=ParameterRange.between(0.25, 1.5, 1.0, "1/s"))
 T = np.linspace(0.0, 12.0, 601)

@@ -16,7 +16,7 @@ from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import METRICS, MetricBatch, MetricRequest, worst_case
 from robustlab.worst_case_analysis.metrics import make_metric
-from robustlab.worst_case_analysis.search import _Climb, _Search
+from robustlab.worst_case_analysis.worst_case_search import _Climb, _Search
 
 T = np.linspace(0.0, 12.0, 601)
 

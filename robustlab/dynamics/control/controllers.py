@@ -31,7 +31,6 @@ Březina 2010, eqs 9.1-9.4. Eqs 9.2 and 9.4 lack one derivative; the gains are r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -40,6 +39,7 @@ from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError
+from robustlab.shown import AllFields
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
@@ -58,7 +58,7 @@ class TorqueGains:
 
 
 @dataclass(frozen=True, eq=False)
-class TwoLayerController:
+class TwoLayerController(AllFields):
     """The controller in deviations from the trim at which it was designed."""
 
     # p_up, p_low: triple poles of the layers in 1/s
@@ -87,10 +87,6 @@ class TwoLayerController:
         States: integrals of the angles' errors and of the torques' errors, and sigma.
         """
         return _above_torque_loops(self.upper_layer(), self.lower)
-
-    def to_json(self) -> dict[str, Any]:
-        """All gains and poles."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)

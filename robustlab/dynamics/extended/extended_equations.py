@@ -50,12 +50,12 @@ from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
-from robustlab.shown import listed
+from robustlab.shown import AllFields, listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
 
 @dataclass(frozen=True)
-class Holding:
+class Holding(AllFields):
     """A force that keeps a joint at rest: any value from ``lower`` to ``upper`` would be given, ``force`` is needed."""
 
     effect: str
@@ -64,10 +64,6 @@ class Holding:
     lower: float
     upper: float
     unit: str
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)

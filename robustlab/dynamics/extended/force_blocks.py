@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
+from robustlab.shown import AllFields
 
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
@@ -85,7 +86,7 @@ class ForceSector:
 
 
 @dataclass(frozen=True)
-class NoiseInput:
+class NoiseInput(AllFields):
     """An input of the set that stands for a bounded error: its signal is at most one."""
 
     name: str  # of the input
@@ -93,10 +94,6 @@ class NoiseInput:
     bound: float
     unit: str
     origin: str  # where it comes from
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)

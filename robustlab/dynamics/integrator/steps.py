@@ -38,7 +38,7 @@ def entry(*signatures):
 
 try:
     from scipy.integrate._ivp import dop853_coefficients as table
-    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, D
+    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D  # noqa: F401 - C is for the kernels
 except ImportError as error:
     raise EnvironmentFault(
         "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
@@ -166,3 +166,36 @@ def error_of(h, stages, scale):
     if e5 == 0.0 and e3 == 0.0:
         return 0.0
     return h * e5 / np.sqrt(e5 + 0.01 * e3)
+
+
+@leaf
+def piece_end(piece, last, broken):
+    """Sample up to which the inputs of ``piece`` are smooth."""
+    end = piece + 1
+    while end < last and not broken[end]:
+        end += 1
+    return end
+
+
+@leaf
+def first_step(z, rates, scale):
+    """Length of the first step (s), from the size of the states beside that of their rates."""
+    h = 0.01 * norm(z, scale) / max(norm(rates, scale), 1e-12)
+    return min(max(h, 1e-6), 1e-2)
+
+
+@leaf
+def shorter(step, error):
+    """Length after a step that was refused."""
+    if not np.isfinite(error):
+        error = 1e12
+    return step * max(SMALLEST, SAFETY * error**EXPONENT)
+
+
+@leaf
+def next_step(h, step, error, ends):
+    """Length after a step that was taken; one that was cut to end with its piece says nothing where it would shrink."""
+    growth = LARGEST
+    if error > 0.0:
+        growth = min(LARGEST, SAFETY * error**EXPONENT)
+    return step * max(growth, SMALLEST) if not ends or growth * step < h else h

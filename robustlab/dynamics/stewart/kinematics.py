@@ -49,6 +49,7 @@ from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
+from robustlab.shown import AllFields
 from robustlab.statespace import real_array
 
 HERE = Path(__file__).parent
@@ -317,7 +318,7 @@ def workspace_grid(geometry: Geometry, points: int = 5, reach: ArrayLike = REACH
 
 
 @dataclass(frozen=True, eq=False)
-class ConditionMap:
+class ConditionMap(AllFields):
     """Condition of the Jacobian over two coordinates of the pose; NaN out of the workspace."""
 
     names: tuple[str, str]  # the two coordinates, of tx ty tz ax ay az
@@ -327,10 +328,6 @@ class ConditionMap:
     # condition, smallest: condition number and smallest singular value, (n1, n2)
     condition: Array
     smallest: Array
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return dict(vars(self))
 
 
 def condition_map(

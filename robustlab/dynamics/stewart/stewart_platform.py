@@ -45,6 +45,7 @@ from robustlab.dynamics.stewart.kinematics import (
 )
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
+from robustlab.shown import AllFields
 from robustlab.statespace import Signal, real_array
 
 NAME = "stewart-platform"
@@ -447,17 +448,13 @@ def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: b
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModels:
+class LinearModels(AllFields):
     """Linear models at n trimmed poses of n machines: A (n, n_x, n_x), B (n, n_x, 6), trims x (n, n_x), u (n, 6)."""
 
     A: Array
     B: Array
     x: Array
     u: Array
-
-    def to_json(self) -> dict[str, Any]:
-        """All arrays."""
-        return dict(vars(self))
 
 
 def linear_models(

@@ -15,21 +15,20 @@ import numpy as np
 from numba import types
 
 from robustlab.dynamics.integrator.steps import (
-    EXPONENT,
-    LARGEST,
     MAX_STEPS,
-    SAFETY,
-    SMALLEST,
     C,
     Inputs,
     dense,
     entry,
     error_of,
+    first_step,
     input_between,
     input_within,
     leaf,
-    norm,
+    next_step,
+    piece_end,
     polynomial,
+    shorter,
     stage_point,
     step_end,
 )
@@ -250,9 +249,7 @@ def integrate(code, start, values, inputs, rtol, x_at):
     x_at[0] = z
     piece = 0
     while piece < last:
-        following = piece + 1
-        while following < last and not broken[following]:
-            following += 1
+        following = piece_end(piece, last, broken)
         stop = clock[following]
         span = (piece, following)
         input_within(t, piece, inputs, u)
@@ -261,8 +258,7 @@ def integrate(code, start, values, inputs, rtol, x_at):
         if h == 0.0:
             for i in range(n):
                 scale[i] = rtol * max(LEAST_SCALE, abs(z[i]))
-            h = 0.01 * norm(z, scale) / max(norm(stages[0], scale), 1e-12)
-            h = min(max(h, 1e-6), 1e-2)
+            h = first_step(z, stages[0], scale)
         while t < stop:
             if evaluations > 12 * MAX_STEPS:
                 return TOO_MANY_STEPS, t, evaluations, culprit
@@ -283,8 +279,8 @@ def integrate(code, start, values, inputs, rtol, x_at):
             error = error_of(step, stages, scale)
             if not error < 1.0:
                 if not np.isfinite(error):
-                    error, culprit = 1e12, _culprit(stages, culprit)
-                h = step * max(SMALLEST, SAFETY * error**EXPONENT)
+                    culprit = _culprit(stages, culprit)
+                h = shorter(step, error)
                 if h < 1e-14 * max(1.0, abs(t)):
                     return NOT_FINITE, t, evaluations, culprit
                 continue
@@ -306,10 +302,6 @@ def integrate(code, start, values, inputs, rtol, x_at):
             for i in range(n):
                 z[i], stages[0, i] = end[i], stages[12, i]
             t = t_end
-            growth = LARGEST
-            if error > 0.0:
-                growth = min(LARGEST, SAFETY * error**EXPONENT)
-            if not ends or growth * step < h:
-                h = step * max(growth, SMALLEST)
+            h = next_step(h, step, error, ends)
         piece = following
     return DONE, t, evaluations, culprit

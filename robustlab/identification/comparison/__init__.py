@@ -2,7 +2,7 @@
 
 comparison                  `compare`
 along_motion                the same for a nonlinear plant, about the recorded motion, joint by joint
-parts                       what linear and nonlinear plants share
+error_analysis              what linear and nonlinear plants share
 comparison_result           `Comparison`, its parts and its text
 localisation                over time, speed, position, amplitude, direction and frequency; as an addition to the input
 residual_tests              is the residual white, is it independent of the input; even and odd nonlinearity

@@ -19,13 +19,20 @@ from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.additions import Addition, sorted_addition
 from robustlab.identification.comparison.comparison_result import Comparison, FreeRun, Linearisation
+from robustlab.identification.comparison.error_analysis import (
+    even_odd_test,
+    kept,
+    localised,
+    noise_of,
+    samples_of,
+    title,
+)
 from robustlab.identification.comparison.localisation import (
     Motion,
     motion_of,
     noise_gaps,
     repeated,
 )
-from robustlab.identification.comparison.parts import even_odd_test, kept, localised, noise_of, samples_of, title
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.prepared_record import window_length
 from robustlab.identification.record_check.resampling import clock_step, uniform

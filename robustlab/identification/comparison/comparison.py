@@ -26,15 +26,7 @@ from robustlab.identification.comparison.best_linear_approximation import (
     periodic_bla,
 )
 from robustlab.identification.comparison.comparison_result import Comparison, FreeRun
-from robustlab.identification.comparison.localisation import (
-    Motion,
-    motion_of,
-    noise_gaps,
-    repeated,
-    windowed_error,
-)
-from robustlab.identification.comparison.noise_floor import NoiseFloor
-from robustlab.identification.comparison.parts import (
+from robustlab.identification.comparison.error_analysis import (
     even_odd_test,
     excitation,
     kept,
@@ -43,6 +35,14 @@ from robustlab.identification.comparison.parts import (
     samples_of,
     title,
 )
+from robustlab.identification.comparison.localisation import (
+    Motion,
+    motion_of,
+    noise_gaps,
+    repeated,
+    windowed_error,
+)
+from robustlab.identification.comparison.noise_floor import NoiseFloor
 from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.record_check.suitability import channel_warnings
 from robustlab.identification.response.response import Response, Stretch, response_of

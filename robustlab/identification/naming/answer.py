@@ -36,7 +36,8 @@ from robustlab.identification.hypotheses.noise import (
     window_errors,
 )
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, start_std
-from robustlab.identification.naming.discovery_parts import (
+from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
+from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
     InputClock,
@@ -46,10 +47,9 @@ from robustlab.identification.naming.discovery_parts import (
     SearchEntry,
     SetProbability,
 )
-from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
-from robustlab.identification.naming.search import Found
+from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.tuning import AS_LARGE

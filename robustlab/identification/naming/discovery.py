@@ -43,7 +43,7 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord, 
 from robustlab.identification.naming.answer import Case, answer
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.search import clock_nuisances, search_sets
+from robustlab.identification.naming.set_search import clock_nuisances, search_sets
 from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
 from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.tuning import TUNING, NamingTuning

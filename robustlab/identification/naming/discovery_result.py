@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.identification.naming.discovery_parts import (
+from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
     InputClock,

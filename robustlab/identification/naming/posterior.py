@@ -47,7 +47,7 @@ from robustlab.identification.hypotheses.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
-from robustlab.identification.naming.search import Found, Key, Visited
+from robustlab.identification.naming.set_search import Found, Key, Visited
 from robustlab.identification.tuning import NamingTuning
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none

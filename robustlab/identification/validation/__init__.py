@@ -9,14 +9,14 @@ time_domain            sample by sample: constants, systems, both
   constant_parameters  constants: descent, branch and bound
 frequency_domain       line by line: cone programmes from above, multipliers from below
   spectral_problem     model and data at the lines, `FrequencyData`
-cone_programme         the door to the solver
-result                 `Validation`, and what both domains end with
+cone_programme         rows, the cones they lie in, and the answer within a budget
+validation_result      `Validation`, and what both domains end with
 data_cover             the unmodelled dynamics that a plant's records need
 tuning                 what a search is given
 """
 
 from robustlab.identification.validation.model_validation import validate
-from robustlab.identification.validation.result import BlockSize, Validation
 from robustlab.identification.validation.spectral_problem import FrequencyData
+from robustlab.identification.validation.validation_result import BlockSize, Validation
 
 __all__ = ["BlockSize", "FrequencyData", "Validation", "validate"]

@@ -23,9 +23,9 @@ from robustlab.dynamics.extended.effect_blocks import NoiseInput
 from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
 from robustlab.errors import InputError, told_as
 from robustlab.identification.validation.model_validation import validate
-from robustlab.identification.validation.result import Validation
 from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.identification.validation.tuning import TUNING, ValidationTuning
+from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number

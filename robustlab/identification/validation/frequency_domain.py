@@ -33,14 +33,6 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
-from robustlab.identification.validation.result import (
-    BlockSize,
-    Validation,
-    concluded,
-    each_alone,
-    in_own_units,
-    require_replay,
-)
 from robustlab.identification.validation.spectral_problem import (
     FrequencyData,
     SpectralProblem,
@@ -49,6 +41,14 @@ from robustlab.identification.validation.spectral_problem import (
     spectrum_of_response,
 )
 from robustlab.identification.validation.tuning import Search
+from robustlab.identification.validation.validation_result import (
+    BlockSize,
+    Validation,
+    concluded,
+    each_alone,
+    in_own_units,
+    require_replay,
+)
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 

@@ -20,7 +20,11 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.constant_parameters import WindowFit, smallest_parameters
-from robustlab.identification.validation.result import (
+from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, sampled, with_delta_of
+from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
+from robustlab.identification.validation.time_varying import Contractions, largest_disproved, smallest_contractions
+from robustlab.identification.validation.tuning import Search
+from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
     concluded,
@@ -28,10 +32,6 @@ from robustlab.identification.validation.result import (
     in_own_units,
     require_replay,
 )
-from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, sampled, with_delta_of
-from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
-from robustlab.identification.validation.time_varying import Contractions, largest_disproved, smallest_contractions
-from robustlab.identification.validation.tuning import Search
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block

@@ -349,7 +349,7 @@ class DiscoverStep(Step):
         from robustlab.dynamics.effects.catalogue import catalogue, effect
         from robustlab.dynamics.effects.contract import Scales
         from robustlab.dynamics.effects.parameter_effects import GroundedEffect
-        from robustlab.identification.naming.discovery_parts import Gap, wave_amplitude
+        from robustlab.identification.naming.named_effects import Gap, wave_amplitude
 
         left_out = {effect(name).id for name in self.exclude}
         compared = [_compared(ahead, self.of, name)[1] for name in (*self.records, *self.held_out, *self.repeats)]
@@ -453,8 +453,8 @@ def numbers(d: Discovery) -> dict[str, Any]:
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
     is not met, while a misspelt one is refused; of what is periodic its amplitude is 0.
     """
-    from robustlab.identification.naming.discovery_parts import wave_amplitude
     from robustlab.identification.naming.discovery_result import overall
+    from robustlab.identification.naming.named_effects import wave_amplitude
 
     effects, lower, upper, confidence = (_absent(d) for _ in range(4))
     confidence = dict.fromkeys(confidence, 0.0)
@@ -512,7 +512,7 @@ def _absent(d: Discovery) -> dict[str, dict[str, float]]:
     """Every effect that was tried, with parameters that are no number."""
     from robustlab.dynamics.effects.catalogue import catalogue
     from robustlab.dynamics.effects.contract import Scales
-    from robustlab.identification.naming.discovery_parts import wave_amplitude
+    from robustlab.identification.naming.named_effects import wave_amplitude
 
     known = catalogue()
     tried = [known[name] for name in d.candidates if name in known]

@@ -182,7 +182,7 @@ class ValidateStep(Step):
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        from robustlab.identification.validation.result import BlockSize, Validation
+        from robustlab.identification.validation.validation_result import BlockSize, Validation
 
         more = {"gamma": "1", "lower": "1", "upper": "1", "verdict": str, "invalidated": bool, "outputs": [[str]]}
         return Foretold(leaves=leaves_of(Validation, "recheck", blocks={"*": leaves_of(BlockSize)}, **more))

@@ -500,7 +500,7 @@ def _notes(result: Any) -> tuple[str, ...]:
 
 
 def _draw(store: Path, step: CampaignStep, work: Workspace, result: Any) -> None:
-    from robustlab.campaign.result import exceedance_curve
+    from robustlab.campaign.campaign_result import exceedance_curve
     from robustlab.campaign.store import Store
     from robustlab.report.robustness_figures import exceedance_figure
 

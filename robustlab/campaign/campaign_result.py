@@ -162,7 +162,7 @@ class CampaignResult(Tabular, Shown):
     nominal
         The metric at Delta = 0.
     quantiles
-        See `robustlab.campaign.result.quantiles`; for samples only, and only where all of them are there.
+        See `robustlab.campaign.campaign_result.quantiles`; for samples only, and only where all of them are there.
     unseen
         Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
     violation

@@ -20,7 +20,7 @@ from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, member, number
+from robustlab.shown import AllFields, Facts, Shown, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -37,7 +37,7 @@ UNBOUNDED = "attained: this member has no bounded value"
 
 
 @dataclass(frozen=True)
-class WorstCase(Shown):
+class WorstCase(Shown, AllFields):
     """The worst member that a search found.
 
     Attributes
@@ -107,10 +107,6 @@ class WorstCase(Shown):
             ("evaluated", f"{self.evaluations} members, seed {self.seed}"),
             ("input, output", ", ".join(name for name in (self.input, self.output) if name)),
         ]
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
 
 
 @told_as("worst_case")
