@@ -52,7 +52,7 @@ MATLAB = {
     'rl.peak_gain(G, norm="linf")': "getPeakGain",
     "rl.passivity": "isPassive getPassiveIndex",
     "rl.loop_functions": "loopsens",
-    "rl.robust_stability(G, natures=...), rl.peak_gain(G, natures=...)": "popov quadstab pdlstab quadperf",
+    "rl.robust_stability(set, natures=...), rl.peak_gain(G, natures=...)": "popov quadstab pdlstab quadperf",
     "not there; branch and bound handles purely real problems": "complexify",
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn",
