@@ -48,7 +48,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "Overbound": {"weight": "set_figures.overbound_figure"},
     # members
     "Responses": {"step": "result_figures.band_figure"},
-    "WorstCase": {"delta": "result_figures.delta_figure"},
+    "WorstCase": {"delta": "result_figures.delta_figure", "response": "robustness_figures.worst_case_figure"},
     "ViolationProbability": {
         "distribution": "robustness_figures.distribution_figure",
         "influence": "robustness_figures.violation_influence",
@@ -84,6 +84,11 @@ CAPTIONS: Mapping[str, str] = {
     "shaded level.",
     "robustness_figures.margin_shares": "What each block weighs in the margin: the one on top is to be tightened "
     "first.",
+    "result_figures.delta_figure": "The worst member found: where each parameter lies in its range.",
+    "robustness_figures.worst_case_figure": "The output that is judged: nominal, and of the worst member found.",
+    "robustness_figures.distribution_figure": "The metric of the random members, and the limit.",
+    "robustness_figures.violation_influence": "Which parameters matter: share of the spread, and the worst sample with "
+    "one of them nominal.",
     "design_figures.loop_picture": "The loop that the design closes.",
     "design_figures.functions_picture": "S, K S, T and S G of the loop.",
     "design_figures.history_picture": "The search: what each iterate proves of μ, and its order.",

@@ -10,6 +10,7 @@ from robustlab.mu_analysis import Margin
 from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
 from robustlab.report.figures import axis_label, house_style, logarithmic, new_figure, save_figure
 from robustlab.report.robustness_figures import mu_figure, response_figure, shares_figure, worst_case_figure
+from robustlab.worst_case_analysis.search import WorstCase, WorstResponse
 
 T = np.linspace(0.0, 1.0, 101)
 
@@ -66,7 +67,10 @@ def test_the_envelope_is_drawn_as_given():
 
 def test_the_worst_case_marks_the_largest_deviation():
     deviation = np.sin(3 * T)
-    _, below = worst_case_figure(T, rise(1.0), rise(1.0) + deviation, ("y", ""), "worst").axes
+    response = WorstResponse(T, rise(1.0), rise(1.0) + deviation, "y", "")
+    where = (1, {}, 0.0, "", 1.0, "", None, "y", -1.0, 0, 0, response)
+    found = WorstCase(1.0, {}, "peak", 0.0, rl.Status.CONVERGED, "", *where)
+    _, below = worst_case_figure(found).axes
     (marker,) = [line for line in below.lines if line.get_marker() == "o"]
     assert marker.get_xdata()[0] == pytest.approx(T[np.argmax(np.abs(deviation))])
 
