@@ -169,7 +169,7 @@ def answer(words: str, chosen: Door, given: dict[str, Any], shared: Mapping[str,
         }  # fmt: skip
         found = {part: chosen(**case) for part, case in cases.items()}
         results = {part: answered.result for part, answered in found.items()}
-        said = _note(chosen, given, shared)
+        said = _note(chosen, given, shared, files)
         rows = [_keep(words, chosen, result, shared["out"], files, given, said) for result in results.values()]
         if shared.get("figure") is not None:
             report("figures")
@@ -214,14 +214,15 @@ def _without(given: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {key: value for key, value in given.items() if key != name}
 
 
-def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any]) -> str:
-    """What was asked for beside the files: the options that are not as by default, as they were typed."""
+def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: Mapping[str, str]) -> str:
+    """What was asked for beside the files: names of plants, and the options that are not as by default, as typed."""
     words = []
     for p in chosen.parameters:
         value = given.get(p.name)
-        if value not in (None, _as_text(p), []) and not (isinstance(p.kind, Thing) and not p.called.option):
+        if value not in (None, _as_text(p), []):
+            word = "" if isinstance(p.kind, Thing) and not p.called.option else p.options[-1].lstrip("-")
             texts = value if isinstance(value, list) else [value]
-            words += [f"{p.options[-1].lstrip('-')} {text}" for text in texts]
+            words += [f"{word} {text}".strip() for text in texts if word or text not in files]
     return ", ".join([*words, *(f"set {text}" for text in shared.get("settings") or ())])
 
 

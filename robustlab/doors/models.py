@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -86,7 +87,7 @@ def linearise(
     if pose is not None and at:
         raise UsageError("model build", "--pose and --at", "one of them")
     if at and not isinstance(plant, NonlinearPlant):
-        raise UsageError("at", f"{plant.name} is linear", "no rest: its model is the same everywhere")
+        raise UsageError("at", f"a rest of {plant.name}, which is linear", "none: the model is the same everywhere")
     point = rl.trim(plant, **at) if isinstance(at, dict) else list(pose) if pose is not None else at
     model = rl.linearise(plant, at=point, amplitude=amplitude or {}, pade=pade)
     if outputs is not None:
@@ -209,17 +210,17 @@ def connect(
     inputs: Annotated[list[str], Names(), "Signals from outside, in this order."],
     outputs: Annotated[list[str], Names(), "Signals to show, in this order."],
     sums: Annotated[
-        list[str] | None,
+        Sequence[str],
         Texts(),
         'Summing junction: "e = r - y" makes the signal e; repeatable.',
         Named(option="--sum"),
-    ] = None,
+    ] = (),
 ) -> Any:
     """Models wired by the names of their signals: an output feeds every input of the same name.
 
     Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --inputs r --outputs omega --out loop.h5
     """
-    return rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums or ())
+    return rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums)
 
 
 @door("model delay", "with-delays", result="delays.model.DelayedModel", gives="any", foretell="of")

@@ -10,6 +10,7 @@ import numpy as np
 
 from robustlab.errors import InputError, unknown_name
 from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import as_model
 
@@ -24,11 +25,14 @@ class SteadyState(Shown):
         Name -> value.
     units
         Name -> unit, of both.
+    status
+        CONVERGED: the model is stable.
     """
 
     inputs: Mapping[str, float]
     outputs: Mapping[str, float]
     units: Mapping[str, str]
+    status: Status = Status.CONVERGED
 
     quantities: ClassVar[Mapping[str, Any]] = {"outputs": {"*": float}}
 

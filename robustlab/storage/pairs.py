@@ -10,6 +10,7 @@ import numpy as np
 
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.files.tree import Tree
+from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, find_children, sample_time
@@ -119,10 +120,13 @@ class Difference(Shown):
         One for each entry that differs.
     entries
         Number of entries of A, B, C and D.
+    status
+        CONVERGED: all entries were compared.
     """
 
     changes: tuple[Change, ...]
     entries: int
+    status: Status = Status.CONVERGED
 
     quantities: ClassVar[Mapping[str, Any]] = {"count": "1", "entries": "1", "largest": "1"}
 
@@ -155,7 +159,7 @@ class Difference(Shown):
 
     def to_json(self) -> dict[str, object]:
         """All fields."""
-        return {"changes": self.changes, "entries": self.entries}
+        return {"changes": self.changes, "entries": self.entries, "status": self.status}
 
 
 def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:

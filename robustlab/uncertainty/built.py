@@ -54,7 +54,7 @@ class BuiltModel(Shown):
     def headline(self) -> str:
         """What is uncertain."""
         names = ", ".join(b.name for b in self.model.blocks) or "nothing"
-        return f"uncertain model, {self.structure}; uncertain: {names}"
+        return f"{'sampled' if self.model.sampled else 'exact'} uncertain model ({self.structure}); uncertain: {names}"
 
     def facts(self) -> Facts:
         """How it was made, and the model."""

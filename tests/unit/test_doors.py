@@ -58,7 +58,7 @@ def test_names_defaults_and_help_are_those_of_the_declaration(declared: Door) ->
 @pytest.mark.parametrize("declared", DOORS, ids=NAMES)
 def test_defaults_are_those_of_the_public_function(declared: Door) -> None:
     function = getattr(rl, declared.function.__name__.rstrip("_"), None)
-    if function is None:
+    if not callable(function):
         pytest.skip("a door of more than one public function")
     known = inspect.signature(function).parameters
     for p in declared.parameters:
