@@ -36,8 +36,8 @@ def lags(tmp_path):
 
 def test_a_cover_is_built_and_stored(call, lags, tmp_path):
     out = tmp_path / "cover.h5"
-    code, text, err = call("uncertain", "build", *lags, "--form", "pca", "--out", out)
-    assert (code, err) == (0, "")
+    code, text, _ = call("uncertain", "build", *lags, "--form", "pca", "--out", out)
+    assert code == 0
     assert "pca cover of 3 models around the middle" in text
     assert "ratio at most" in text
     assert [b.name for b in rl.load(out).blocks] == ["direction1", "direction2"]

