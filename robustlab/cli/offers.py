@@ -26,10 +26,6 @@ PLANTS = {  # with a line on each
 NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 REDUCTIONS = ("truncation", "residualisation", "hankel", "stochastic", "coprime")
-COVERS = (
-    "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
-    "inverse-input-multiplicative", "inverse-output-multiplicative", "coprime",
-)  # fmt: skip
 _PLANT_FILES = (".h5", ".mat", ".json", ".py", ".fmu")
 
 
