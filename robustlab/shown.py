@@ -28,8 +28,8 @@ Facts = list[tuple[str, str]]  # label, text
 
 LINES = 6  # of a repr, the heading included
 WIDTH = 95  # characters of one of its lines
+SHOWN_BLOCKS = 40  # rows of the table of a set or of a member
 SHOWN = 6  # names or values that a text lists
-BLOCKS = 40  # of a member that its table lists
 
 
 class Part(NamedTuple):
@@ -76,8 +76,9 @@ class Shown:
         return []
 
     def numbers(self) -> dict[str, Any]:
-        """What requirements refer to: the attributes named in ``quantities``."""
-        return {name: getattr(self, name) for name in self.quantities}
+        """What requirements refer to: the attributes named in ``quantities``, but those that are None."""
+        found = {name: getattr(self, name) for name in self.quantities}
+        return {name: value for name, value in found.items() if value is not None}
 
     def report(self) -> str:
         """All that a person may want to read, as plain text: the `summary`, then the tables of `details`."""
@@ -252,27 +253,22 @@ def member(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]] |
     return listed(said)
 
 
-def member_table(title: str, delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> Part:
-    """A member of a set block by block: its normalised value, and the parameter that it stands for.
+def member_rows(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> Part:
+    """The table of a member: each block's value, and the parameter that it stands for; the first `SHOWN_BLOCKS`.
 
     Examples
     --------
-    >>> member_table("worst member:", {"k": -1.0}, {"k": (1.4, "N/m")}).rows
+    >>> member_rows({"k": -1.0}, {"k": (1.4, "N/m")}).rows
     [('k', '-1', '1.4 N/m')]
     """
-    rows = [
-        (name, _block_value(value), "{:.6g} {}".format(*physical[name]).rstrip() if name in physical else "-")
-        for name, value in list(delta.items())[:BLOCKS]
-    ]
-    hidden = len(delta) - len(rows)
-    return Part(
-        title, ("block", "delta", "stands for"), [*rows, *([(f"... and {hidden} more", "", "")] if hidden else [])]
-    )
-
-
-def _block_value(value: Any) -> str:
-    shape = getattr(value, "shape", ())
-    return f"{' x '.join(map(str, shape))} matrix" if len(shape) else f"{value:.6g}"
+    rows = []
+    for name in list(delta)[:SHOWN_BLOCKS]:
+        value, known = delta[name], physical.get(name)
+        shape = getattr(value, "shape", ())
+        size = f"{shape[0]} x {shape[1]} matrix" if shape else f"{value:.6g}"
+        rows.append((name, size, number(*known, 6) if known else "-"))
+    hidden = f"{len(delta) - len(rows)} more blocks, all with --json" if len(delta) > len(rows) else ""
+    return Part(hidden and f"the first {len(rows)} blocks; {hidden}", ("block", "delta", "stands for"), rows)
 
 
 def in_words(value: Any) -> str:

@@ -5,11 +5,11 @@ r"""Linear time-invariant models in state space, with named signals and units, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,7 @@ from robustlab.arrays import AnyArray, Array, is_rank_deficient
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, named_arguments
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, matrix_lines, number, short, with_units
+from robustlab.shown import SHOWN_BLOCKS, Facts, Part, Shown, matrix_lines, number, short, with_units
 from robustlab.signals import (
     COMPLEX,
     Signal,
@@ -89,6 +89,11 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     outputs: tuple[Signal, ...]
     states: tuple[Signal, ...]
     operating_point: OperatingPoint | None
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float,
+        "poles": [{"re": float, "im": float}],
+    }  # fmt: skip
 
     @named_arguments
     def __init__(
@@ -320,6 +325,18 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         """Matrices and signals as plain types."""
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
         return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "dt": self.dt, **sides}
+
+    def numbers(self) -> dict[str, Any]:
+        """Sizes, names and poles."""
+        return {
+            "states": self.n_states, "inputs": list(self.input_names), "outputs": list(self.output_names),
+            "spectral_abscissa": self.spectral_abscissa(), "poles": self.poles(),
+        }  # fmt: skip
+
+    def details(self) -> list[Part]:
+        """The poles, the rightmost first."""
+        poles = sorted(self.poles(), key=lambda p: (-p.real, p.imag))[:SHOWN_BLOCKS]
+        return [Part("", (f"pole{'' if self.is_discrete else ' [1/s]'}",), [(number(p, "", 6),) for p in poles])]
 
     def facts(self) -> Facts:
         """Size, signals with units, poles."""

@@ -20,7 +20,7 @@ from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, member, member_table, number
+from robustlab.shown import Facts, Part, Shown, member, member_rows, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
@@ -247,7 +247,7 @@ class CampaignResult(Tabular, Shown):
         lost = [(str(sample.index), sample.reason) for sample in self.lost_samples[:LISTED_LOST]]
         return [
             Part("", ("share", "not worse than", "with 95 % confidence"), rows),
-            member_table("worst member:", self.delta, self.physical),
+            member_rows(self.delta, self.physical)._replace(title="worst member:"),
             Part("", ("lost", "reason"), lost),
         ]
 

@@ -26,7 +26,7 @@ from robustlab.campaign.settings import (
 from robustlab.campaign.store import Store, locked, owner_text
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Part, Shown, member_table, number
+from robustlab.shown import AllFields, Facts, Part, Shown, member_rows, number
 from robustlab.uncertainty.lft import UncertainModel
 
 Existing = Literal["resume", "restart", "fork"]
@@ -176,7 +176,7 @@ class Replay(AllFields, Shown):
 
     def details(self) -> list[Part]:
         """The member."""
-        return [member_table("member:", self.delta, self.physical)]
+        return [member_rows(self.delta, self.physical)]
 
 
 def replay_sample(store: str | Path, index: int) -> Replay:

@@ -13,9 +13,10 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit, note, require_trust
 from robustlab.cli.members import MetricOptions, UncertainArgument, load_uncertain
-from robustlab.cli.offers import METRICS, one_of
+from robustlab.cli.offers import one_of
 from robustlab.cli.options import JsonOption, SeedOption, grouped
 from robustlab.cli.progress import ProgressOptions
+from robustlab.doors.members import METRICS
 from robustlab.errors import EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:

@@ -13,25 +13,20 @@ from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.generated import add_commands
 from robustlab.cli.margins import margins
 from robustlab.cli.members import named
-from robustlab.cli.offers import NORMS, REDUCTIONS, one_of, plant_or_file
+from robustlab.cli.offers import NORMS, REDUCTIONS, one_of
 from robustlab.cli.options import (
     BandOption,
     JsonOption,
     OutputOptions,
-    assignments,
     band_of,
     ends,
     grouped,
     load_model,
-    names,
-    plant_settings,
-    six_numbers,
 )
-from robustlab.cli.plant import made_of, read_plant
 from robustlab.cli.plots import frequency_response, plot_model
 from robustlab.cli.progress import ProgressOptions
-from robustlab.cli.timing import d2c, d2d, delay_model, discretise, stability_lines
-from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
+from robustlab.cli.timing import d2c, d2d, discretise
+from robustlab.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded
@@ -68,60 +63,6 @@ class ReadOptions:
 
 
 @app.command()
-def build(
-    plant: Annotated[
-        str,
-        typer.Argument(
-            help="Name of the plant (dc-motor), file.py:name, or an HDF5 file with one.",
-            metavar="PLANT",
-            autocompletion=plant_or_file,
-        ),
-    ],
-    out: Annotated[str, typer.Option("--out", "-o", help="HDF5 or MATLAB file to write.")],
-    settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.")] = None,
-    pose: Annotated[
-        str | None, typer.Option(help="Pose of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out.")
-    ] = None,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(help="Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable."),
-    ] = None,
-    amplitude: Annotated[
-        list[str] | None, typer.Option(help="Amplitude of the speed or signal at an effect's place, NAME=VALUE.")
-    ] = None,
-    pade: Annotated[int, typer.Option(help="Order of the Pade approximation of delays; 0: left out.")] = 0,
-    as_json: JsonOption = False,
-) -> None:
-    """Linearise a plant from physics and write its state-space model.
-
-    Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
-    """
-    from robustlab import dynamics
-    from robustlab.dynamics.plant_contract import SteppedPlant
-    from robustlab.provenance import Provenance
-
-    parameters = plant_settings(settings)
-    made = read_plant(plant, parameters)
-    if pose is not None and at:
-        raise UsageError("model build", "--pose and --at", "one of them")
-    if at and not isinstance(made, dynamics.NonlinearPlant):
-        raise UsageError("--at", f"{made.name} is linear", "no --at: its model is the same everywhere")
-    point: Any = dynamics.trim(made, **assignments("--at", at)) if at else None if pose is None else six_numbers(pose)
-    sectors = assignments("--amplitude", amplitude)
-    model = dynamics.linearise(made, at=point, amplitude=sectors, pade=pade)
-    given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
-    where = f" at {pose}" if pose else f" at {', '.join(at)}" if at else ""
-    rl.save(out, model, Provenance.now("model build", made_of(plant, made), note=f"{plant} {given}".strip() + where))
-    missing = made.left_out(point, sectors, pade) if isinstance(made, SteppedPlant) else ()
-    lines = [
-        f"{out}: {model!r}",
-        *(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing),
-    ]
-    result = {"plant": plant, "parameters": parameters, "file": out, "model": model, "left_out": missing}
-    emit("model build", result, "\n".join(lines), as_json)
-
-
-@app.command()
 @grouped
 def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
     """Print what a file holds.
@@ -144,80 +85,6 @@ def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fals
         "provenance": origin,
     }
     emit("model show", {**result, "content": content}, "\n".join([f"{file}: {_kind_line(loaded)}", *parts]), as_json)
-
-
-@app.command()
-@grouped
-def check(*, file: FileArgument, options: ReadOptions, progress: ProgressOptions, as_json: JsonOption = False) -> None:
-    """Check a file and the model in it: poles, stability, controllability, observability.
-
-    Of a model with exact delays: whether it is stable, proved for all frequencies, or refuted by a root.
-    Exit code 4: neither could be shown.
-
-    Example: robustlab model check motor.h5
-    """
-    loaded = options.read(file)
-    if isinstance(loaded.object, rl.DelayedModel):
-        with progress.shown("model check"):
-            told, found = stability_lines(loaded.object)
-        head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
-        text = "\n".join([f"{file}: {_kind_line(loaded)}", *told])
-        emit("model check", {**head, "stability": found}, text, as_json)
-        require_trust(found.status)
-        return
-    lines, result, doubtful = [f"{file}: {_kind_line(loaded)}"], {}, False
-    with progress.shown("model check"):
-        tested = [
-            (name, model, [rl.controllability(model), rl.observability(model)]) for name, model in _models(loaded)
-        ]
-    for name, model, tests in tested:
-        doubtful = doubtful or not all(test.status.trustworthy for test in tests)
-        lines += [f"{name}{model!r}", f"  {_stability(model)}"]
-        lines += [f"  pole {_complex(pole)}" for pole in sorted(model.poles(), key=lambda p: (-p.real, p.imag))]
-        lines += [f"  {line}" for test in tests for line in str(test).splitlines()]
-        result[name.rstrip(": ") or "model"] = {
-            "poles": model.poles(),
-            "spectral_abscissa": model.spectral_abscissa(),
-            "stable": model.is_stable(),
-            "controllability": tests[0],
-            "observability": tests[1],
-        }
-    head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
-    emit("model check", {**head, **result}, "\n".join(lines), as_json)
-    if doubtful:
-        raise typer.Exit(NoTrustworthyNumber.exit_code)
-
-
-@app.command()
-def diff(
-    first: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="A")],
-    second: Annotated[
-        str | None,
-        typer.Argument(help="The other file; left out where A holds a nominal and a perturbed model.", metavar="[B]"),
-    ] = None,
-    rtol: Annotated[float, typer.Option(help="Relative changes up to this are not shown.")] = 0.0,
-    transpose: TransposeOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Print the entries in which two models differ.
-
-    Example: robustlab model diff nominal.h5 perturbed.h5
-    """
-    from robustlab.storage import load_pair
-    from robustlab.storage.pairs import difference
-
-    if second is None:
-        a, b = load_pair(first, transpose=transpose)
-    else:
-        a, b = (load_model(path, transpose) for path in (first, second))
-    changes = difference(a, b, rtol)
-    rows = [
-        (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
-        for c in changes
-    ]
-    total = a.A.size + a.B.size + a.C.size + a.D.size
-    text = table(rows, ("entry", "first", "second", "change")) + "\n" if rows else ""
-    emit("model diff", {"changes": changes, "entries": total}, f"{text}{len(rows)} of {total} entries differ", as_json)
 
 
 @app.command()
@@ -298,31 +165,8 @@ def norm(
         require_trust(value.status)
 
 
-@app.command()
-@grouped
-def connect(
-    *,
-    files: Annotated[list[str], typer.Argument(help="HDF5 or MATLAB files, nominal or uncertain.", metavar="FILE...")],
-    inputs: Annotated[str | None, typer.Option(help="Signals from outside.")] = None,
-    outputs: Annotated[str | None, typer.Option(help="Signals to show.")] = None,
-    sums: Annotated[list[str] | None, typer.Option("--sum", help='Summing junction: "e = r - y"; repeatable.')] = None,
-    output: OutputOptions,
-) -> None:
-    """Wire models by the names of their signals: an output feeds every input of the same name.
-
-    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --inputs r --outputs omega --out loop.h5
-    """
-    from robustlab.uncertainty.named_wiring import connected
-
-    outside, seen = names(inputs or ""), names(outputs or "")
-    found = connected([rl.load(file) for file in files], files, outside, seen, sums or [])
-    rows = [*found.facts(), *output.keep_made("model connect", found, files)]
-    emit("model connect", {"model": found}, table(rows), output.as_json)
-
-
 app.command()(margins)
-add_commands(app, "model", "analysis")
-app.command("delay")(delay_model)
+add_commands(app, "model", "analysis", "models")
 app.command("plot")(plot_model)
 app.command("response")(frequency_response)
 
@@ -402,19 +246,6 @@ def _models(loaded: Loaded) -> list[tuple[str, rl.StateSpaceModel]]:
 
 def _kind_line(loaded: Loaded) -> str:
     return f"{loaded.kind}, " + ("content hash verified" if loaded.verified else "not verified by a content hash")
-
-
-def _stability(model: rl.StateSpaceModel) -> str:
-    if not model.n_states:
-        return "static gain: no poles"
-    value = model.spectral_abscissa()
-    if model.is_discrete:
-        return f"{'stable' if value < 0 else 'NOT stable'}: largest pole modulus {1 + value:.6g}"
-    return f"{'stable' if value < 0 else 'NOT stable'}: spectral abscissa {value:.6g} 1/s"
-
-
-def _complex(pole: complex) -> str:
-    return f"{pole.real:.6g}" + (f"{pole.imag:+.6g}j" if pole.imag else "")
 
 
 def _describe(name: str, thing: Any) -> list[str]:

@@ -23,17 +23,9 @@ PLANTS = {  # with a line on each
     "linear-actuator": "DC motor with a belt that drives a cart, linear",
     "stewart-platform": "platform on six legs, nonlinear; presets thesis and physical, with motors or without",
 }
-METRICS = (
-    "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
-    "controllability", "hankel",
-)  # fmt: skip
 NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 REDUCTIONS = ("truncation", "residualisation", "hankel", "stochastic", "coprime")
-COVERS = (
-    "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
-    "inverse-input-multiplicative", "inverse-output-multiplicative", "coprime",
-)  # fmt: skip
 _PLANT_FILES = (".h5", ".mat", ".json", ".py", ".fmu")
 
 

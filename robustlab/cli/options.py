@@ -252,21 +252,6 @@ def rows_of_blocks(text: str) -> list[list[int]]:
     return rows
 
 
-def plant_settings(texts: list[str] | None) -> dict[str, Any]:
-    """``["R=2.1", "preset=physical", "motors=true"]`` as the keyword arguments of a plant."""
-    values: dict[str, Any] = {}
-    for text in texts or []:
-        name, equals, value = text.partition("=")
-        if not (name and equals and value):
-            raise UsageError(f"--set {text}", "no parameter and value", "NAME=VALUE")
-        words: dict[str, Any] = {"true": True, "false": False}
-        try:
-            values[name] = words[value] if value in words else float(value)
-        except ValueError:
-            values[name] = value  # a choice, such as a preset; the plant knows which there are
-    return values
-
-
 @dataclass(frozen=True)
 class TableOptions:
     """How a text file is to be read, and in which units its numbers are."""

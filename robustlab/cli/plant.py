@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -12,8 +11,10 @@ import robustlab as rl
 from robustlab.cli.console import emit, note, result_alone, table
 from robustlab.cli.members import named
 from robustlab.cli.offers import PLANTS, plant_or_file
-from robustlab.cli.options import JsonOption, assignments, plant_settings
-from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
+from robustlab.cli.options import JsonOption, assignments
+from robustlab.doors import reading
+from robustlab.doors.reading import made_of, plant_settings
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 
 app = typer.Typer(
     help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False
@@ -24,49 +25,18 @@ app = typer.Typer(
 
 
 def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
-    """The plant of that name, in that file of Python (``file.py:name``: it is run), or in that HDF5 file."""
-    from robustlab.dynamics.plant_file import plant_reference, unit_reference
-    from robustlab.storage.interchange import is_plant_file, load_plant
-
-    if plant_reference(name) or unit_reference(name):
+    """The same as `robustlab.doors.reading.read_plant`; what a user's code prints goes to stderr."""
+    if reading.runs_code(name):
         result_alone()
-        return rl.plant(name, **parameters)
-    if not is_plant_file(name):
-        _require_known(name)
-        return rl.plant(name, **parameters)
-    made = load_plant(name)
-    return made.with_parameters(**parameters) if parameters else made
+    return reading.read_plant(name, parameters)
 
 
 def plant_or_model(name: str, settings: list[str]) -> Any:
     """The same, or the model in a file."""
-    from robustlab.dynamics import plant_names
-    from robustlab.dynamics.plant_file import plant_reference, unit_reference
-
-    if name in plant_names() or plant_reference(name) or unit_reference(name):
-        return read_plant(name, plant_settings(settings))
-    if settings:
-        known = f"one of {', '.join(plant_names())}, or path/to/file.py:name"
-        raise UsageError(f"--set {settings[0]}", f"{name} is no plant", known, did_you_mean(name, plant_names()))
-    if not Path(name).suffix:
-        _require_known(name)
-    return rl.load(name)
-
-
-def _require_known(name: str) -> None:
-    """Refuse a name of neither a plant nor a file, with the nearest one of all plants and of the files beside it."""
-    from robustlab.dynamics import plant_names
-
-    path = Path(name)
-    try:
-        if name in plant_names() or path.exists():
-            return
-        files = [str(file) for file in path.parent.iterdir()] if path.parent.is_dir() else []
-    except (OSError, ValueError):  # a name too long, a NUL in it, a folder that may not be read
-        files = []
-    known = f"one of {', '.join(plant_names())}, a file, path/to/file.py:name or path/to/machine.fmu"
-    hint = did_you_mean(name, [*plant_names(), *files]) or "robustlab plant list"
-    raise InputError(name, "no such plant, and no such file", known, hint)
+    if reading.runs_code(name):
+        result_alone()
+    found = reading.named_plant(name, settings)
+    return rl.load(name) if found is None else found
 
 
 def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
@@ -85,13 +55,6 @@ def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
     if not isinstance(model, rl.UncertainModel):
         raise InputError(name, f"a {type(model).__name__}", "an uncertain model", "robustlab uncertain build")
     return model, {}
-
-
-def made_of(name: str, thing: Any) -> dict[str, str]:
-    """File -> SHA-256 of what was read for a plant or model; empty for a plant that comes with robustlab."""
-    from robustlab.provenance import code_of, file_sha256
-
-    return code_of(thing) or ({name: file_sha256(name)} if Path(name).is_file() else {})
 
 
 # --- commands --------------------------------------------------------------------------------------------------------

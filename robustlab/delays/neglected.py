@@ -19,14 +19,18 @@ Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cache
 from itertools import pairwise
 from math import factorial
+from typing import Any, ClassVar
 
 from robustlab.delays.pade import SHORTEST
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown
 from robustlab.statespace import StateSpaceModel, series
 
 Polynomial = Sequence[Fraction]  # constant first
@@ -59,6 +63,64 @@ _FORMS: dict[int, tuple[list[Fraction], list[Fraction]]] = {
         ],
     ),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class NeglectedWeight(Shown):
+    """The weight of the relative error of a model that leaves something out.
+
+    Attributes
+    ----------
+    weight
+        A stable model W with ``|error| <= |W|`` at all frequencies.
+    neglected
+        What is left out, with its length.
+    proof
+        Why it covers.
+    status
+        CERTIFIED.
+    """
+
+    weight: StateSpaceModel
+    neglected: str
+    proof: str
+    status: Status = Status.CERTIFIED
+
+    quantities: ClassVar[Mapping[str, Any]] = StateSpaceModel.quantities
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of the weight."""
+        return self.weight.numbers()
+
+    def headline(self) -> str:
+        """What it covers."""
+        return f"weight of the relative error of a model that leaves out {self.neglected}"
+
+    def facts(self) -> Facts:
+        """What it covers, and why."""
+        return [("leaves out", self.neglected), ("weight", repr(self.weight)), ("proof", self.proof)]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def neglected_weight(delay: float | None = None, lag: float | None = None, order: int = 1) -> NeglectedWeight:
+    """The weight for a delay or a lag up to a length in s; see `neglected_dynamics`.
+
+    Raises InputError: not just one of both.
+
+    Examples
+    --------
+    >>> neglected_weight(delay=0.02).neglected
+    'a delay of up to 0.02 s'
+    """
+    if delay is not None and lag is None:
+        weight = neglected_dynamics(delay=delay, order=order)
+        return NeglectedWeight(weight, f"a delay of up to {delay:g} s", PROOFS["delay"])
+    if lag is not None and delay is None:
+        return NeglectedWeight(neglected_dynamics(lag=lag), f"a lag of up to {lag:g} s", PROOFS["lag"])
+    raise InputError("neglected_weight", "delay and lag" if lag is not None else "neither", "one of them")
 
 
 @told_as("neglected_dynamics")

@@ -34,13 +34,16 @@ class Named:
     key: str = ""
     # The one door that has the parameter, where the other needs none.
     only: str = ""
+    # Default of a recipe's key, where that is another than the command's.
+    in_step: Any = None
 
 
 class InLoop(NamedTuple):
-    """What a door's function may return in the place of a result: the result, and the loop that it is of, in words."""
+    """What a door's function may return in the place of a result: this, the loop that it is of in words, and notes."""
 
     result: Any
-    loop: str
+    loop: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,9 @@ class Door:
     title: str  # first paragraph of the docstring
     more: str  # the rest of it
     example: str
+    # What is known before a recipe runs: a key whose signals the result keeps (those of ``outputs`` where that is a key
+    # too), or a function of the step and of what its predecessors foretell; None: nothing.
+    foretell: str | Callable[[Any, Any], Any] | None = None
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -109,17 +115,27 @@ class Door:
         return found if isinstance(found, InLoop) else InLoop(found, "")
 
 
-def door(command: str = "", step: str = "", *, result: str, gives: str = "nothing", made: str = "") -> Callable[[F], F]:
+def door(
+    command: str = "",
+    step: str = "",
+    *,
+    result: str,
+    gives: str = "nothing",
+    made: str = "",
+    foretell: str | Callable[[Any, Any], Any] | None = None,
+) -> Callable[[F], F]:
     """Decorator: the function is what a command and a step of recipes do.
 
+    ``command``: its words; an option behind them, ``worst-case --limit``, makes it the function of that option.
     ``result``: ``module.Class`` of what it returns; ``gives``: what later steps get, ``made`` the attribute that it is.
+    ``foretell``: see `Door`.
     """
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
-        found = Door(function, command, step, gives, made, result, paragraphs[0], rest, example)
+        found = Door(function, command, step, gives, made, result, paragraphs[0], rest, example, foretell)
         if command:
             COMMANDS[command] = found
         if step:
@@ -189,4 +205,4 @@ def every_door() -> list[Door]:
 
 
 # The modules of doors.
-ALL = ("analysis",)
+ALL = ("analysis", "members", "models", "sets")

@@ -6,13 +6,16 @@ heavy is imported here: ``--help`` and TAB must not wait for numerical libraries
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from robustlab.errors import InputError, UsageError, did_you_mean
-from robustlab.units import amount
+from robustlab.units import amount, share
+
+UPDATED_PLANT = "updated-plant.h5"  # in the folder of ``data discover --out``
 
 Given = list[str] | None  # of an option that may be repeated
 
@@ -73,6 +76,78 @@ class Number(Kind):
         from pydantic import Field
 
         return Annotated[float, Field(gt=self.above, ge=self.least, lt=self.below, le=self.most)]
+
+
+@dataclass(frozen=True)
+class Quantity(Kind):
+    """A number; a command takes its unit with it, as a text that the function reads (`in_units`).
+
+    ``ends``: ``LOW:HIGH``, two numbers, must or may stand in its place.
+    """
+
+    ends: Literal["", "may", "must"] = ""
+    least: float | None = None
+
+    def of_text(self, where: str, text: str) -> Any:
+        """The text, or the texts of both ends."""
+        parts = text.split(":") if self.ends else [text]
+        if len(parts) > 2 or (self.ends == "must" and len(parts) == 1):
+            raise UsageError(where, "no name and two numbers", "NAME=LOW:HIGH")
+        return text if len(parts) == 1 else tuple(parts)
+
+    def field(self) -> Any:
+        """A number, or two."""
+        from pydantic import Field
+
+        number = Annotated[float, Field(ge=self.least)]
+        two = Annotated[list[number], Field(min_length=2, max_length=2)]  # pyright: ignore[reportInvalidTypeForm]
+        return {"": number, "may": number | two, "must": two}[self.ends]
+
+    def of_field(self, given: Any) -> Any:
+        """A tuple of two."""
+        return tuple(given) if isinstance(given, list) else given
+
+
+def in_units(where: str, given: Mapping[str, Any] | None, units: Mapping[str, str]) -> dict[str, Any]:
+    """Values by name, texts among them read as numbers in the unit of their name.
+
+    Examples
+    --------
+    >>> in_units("input", {"u": "2 mV", "w": ("1", "2"), "v": 3.0}, {"u": "V"})
+    {'u': 0.002, 'w': (1.0, 2.0), 'v': 3.0}
+    """
+
+    def read(name: str, value: Any) -> Any:
+        unit = units.get(name, "")
+        if isinstance(value, tuple):
+            return tuple(amount(f"{where} {name}", one, unit) for one in value)
+        return amount(f"{where} {name}", value, unit)
+
+    try:
+        return {name: read(name, value) for name, value in (given or {}).items()}
+    except InputError as error:
+        raise UsageError(error.where, error.found, error.expected) from None
+
+
+@dataclass(frozen=True)
+class Share(Kind):
+    """A share between 0 and 1, or in per cent: ``5%``."""
+
+    def field(self) -> Any:
+        """The same."""
+        from robustlab.recipe.steps.vocabulary import RelativeTolerance
+
+        return RelativeTolerance
+
+
+@dataclass(frozen=True)
+class TextFile(Kind):
+    """A file that the function reads."""
+
+    @property
+    def metavar(self) -> str | None:
+        """A file."""
+        return "FILE"
 
 
 @dataclass(frozen=True)
@@ -176,6 +251,21 @@ class Names(Kind):
 
 
 @dataclass(frozen=True)
+class Texts(Kind):
+    """Texts: an option that may be repeated, a list in a recipe."""
+
+    def annotation(self) -> Any:
+        """A repeatable option."""
+        return list[str]
+
+    def field(self) -> Any:
+        """A list of texts."""
+        from robustlab.recipe.steps.vocabulary import Text
+
+        return list[Text]
+
+
+@dataclass(frozen=True)
 class Numbers(Kind):
     """Numbers with commas between them; each may carry another unit."""
 
@@ -259,6 +349,10 @@ class Table(Kind):
     def _value(self, where: str, text: str) -> Any:
         if type(self.value) is Kind:
             return text
+        if isinstance(self.value, Quantity):
+            return self.value.of_text(where, text)
+        if isinstance(self.value, Share):
+            return _as_usage(share, where, text)
         if isinstance(self.value, Numbers):
             parts = text.split(":")
             if len(parts) != 2:
@@ -283,6 +377,13 @@ class Table(Kind):
         return {name: self.value.of_field(value) for name, value in given.items()} if given else None
 
 
+def _as_usage(read: Callable[[str, str], Any], where: str, text: str) -> Any:
+    try:
+        return read(where, text)
+    except InputError as error:
+        raise UsageError(error.where, error.found, error.expected) from None
+
+
 class Pair(NamedTuple):
     """The two models of one file."""
 
@@ -298,12 +399,20 @@ class Thing(Kind):
     ``model``: a plain model is wanted, that of a controller or a linear plant as well.
     ``many``: several of them.
     ``number``: a number may stand in its place.
+    ``settings``: a plant's values may be set, ``--set NAME=VALUE``.
+    ``positional``: a command takes it without an option, though it need not be given.
+    ``pair``: the function takes both models of a file that holds two.
+    ``discovery``: a discovery, too: that of a step, or the plant in the folder of ``data discover --out``.
     """
 
     gives: tuple[str, ...] = ("any",)
     model: bool = False
     many: bool = False
     number: bool = False
+    settings: bool = False
+    positional: bool = False
+    pair: bool = False
+    discovery: bool = False
 
     def annotation(self) -> Any:
         """The name of a file."""
@@ -312,7 +421,7 @@ class Thing(Kind):
     @property
     def metavar(self) -> str | None:
         """A file."""
-        return "FILE"
+        return "PLANT" if self.gives == ("plant",) else "FILE"
 
     def field(self) -> Any:
         """The name of an earlier step."""
@@ -322,13 +431,24 @@ class Thing(Kind):
         taken: Any = list[name] if self.many else name  # pyright: ignore[reportInvalidTypeForm]
         return float | taken if self.number else taken
 
-    def load(self, file: str, remark: Callable[[str], None], **reading: Any) -> Any:
-        """What stands in a file; ``remark`` hears what is odd about it. Of a file with two models a `Pair`."""
+    def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:
+        """What stands in a file; ``remark`` hears what is odd about it. Of a file with two models a `Pair`.
+
+        Where a plant is taken, its name will do, too.
+        """
         from robustlab.storage import read
 
         if self.number:
             with suppress(ValueError):
                 return float(file)
+        if self.discovery and Path(file).is_dir():
+            file = str(Path(file) / UPDATED_PLANT)
+        if "plant" in self.gives:
+            from robustlab.doors.reading import named_plant
+
+            plant = named_plant(file, settings)
+            if plant is not None:
+                return self.as_wanted(plant, file)
         loaded = read(file, **reading)
         for text in loaded.warnings:
             remark(f"warning: {file}: {text}")
@@ -347,6 +467,8 @@ class Thing(Kind):
 
         if self.model:
             return rl.linearise(found) if isinstance(found, Plant) else as_model(found, where)
+        if self.gives[0] == "plant" and set(self.gives) <= {"plant", "any"} and not isinstance(found, Plant):
+            raise InputError(where, f"holds a {type(found).__name__}", "a plant", "robustlab plant list")
         wanted = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
         if wanted and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
             held = f"holds a {type(found).__name__}"

@@ -16,8 +16,9 @@ Březina 2010, eqs 4.2, 4.3. Paige, "Properties of numerical algorithms related 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.errors import told_as
 from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Shown, number
+from robustlab.shown import AllFields, Facts, Part, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 Kind = Literal["controllability", "observability"]
@@ -119,6 +120,90 @@ class StructuralTest(Shown):
             f"{word if self.complete else 'not ' + word}: rank {self.rank} of {self.n_states}, margin {self.margin:.3g}"
         )
         return "\n".join([f"{head} ({self.status})", *(f"  {mode.meaning}" for mode in self.modes)])
+
+
+@dataclass(frozen=True, eq=False)
+class Structure(Shown):
+    """Poles of a model, whether it is stable, and which of its modes are hidden.
+
+    Attributes
+    ----------
+    poles
+        In rad/s, or in the z plane for a discrete model, the rightmost first.
+    stable
+        Whether all decay.
+    spectral_abscissa
+        Largest real part, in 1/s; of a discrete model the largest modulus less one.
+    discrete
+        Whether time is.
+    controllability, observability
+        The tests of both.
+    """
+
+    poles: ComplexArray
+    stable: bool
+    spectral_abscissa: float
+    discrete: bool
+    controllability: StructuralTest
+    observability: StructuralTest
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "stable": bool, "spectral_abscissa": float,
+        **{kind: {"rank": "1", "states": "1", "full": bool} for kind in get_args(Kind)},
+    }  # fmt: skip
+
+    @property
+    def status(self) -> Status:
+        """The less trusted of both tests."""
+        return max((self.controllability.status, self.observability.status), key=list(Status).index)
+
+    def numbers(self) -> dict[str, Any]:
+        """The ranks, and whether they are full."""
+        tests = {test.kind: test for test in (self.controllability, self.observability)}
+        ranks = {k: {"rank": t.rank, "states": t.n_states, "full": t.complete} for k, t in tests.items()}
+        return {**super().numbers(), **ranks}
+
+    def headline(self) -> str:
+        """Stability and both ranks."""
+        ranks = [f"rank of {t.kind} {t.rank} of {t.n_states}" for t in (self.controllability, self.observability)]
+        return f"{'stable' if self.stable else 'NOT stable'}, {', '.join(ranks)}"
+
+    def facts(self) -> Facts:
+        """Stability, and what either test found."""
+        what = ("largest pole modulus", 1 + self.spectral_abscissa, "") if self.discrete else (
+            "spectral abscissa", self.spectral_abscissa, "1/s"
+        )  # fmt: skip
+        stable = f"{'stable' if self.stable else 'NOT stable'}: {what[0]} {number(what[1], what[2], 6)}"
+        return [
+            ("poles", stable if len(self.poles) else "static gain: no poles"),
+            *self.controllability.facts(),
+            *self.observability.facts(),
+        ]
+
+    def details(self) -> list[Part]:
+        """The poles."""
+        return [Part("", ("pole" if self.discrete else "pole [1/s]",), [(number(p, "", 6),) for p in self.poles])]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return {**{f.name: getattr(self, f.name) for f in fields(self)}, "status": self.status}
+
+
+def structure(model: Any) -> Structure:
+    """Poles, stability, controllability and observability of a model at once.
+
+    Examples
+    --------
+    >>> found = structure(StateSpaceModel([[1.0, 0.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]]))
+    >>> found.stable, found.controllability.rank, found.observability.rank
+    (False, 1, 2)
+    """
+    given = as_model(model, "structure")
+    poles = np.array(sorted(given.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
+    return Structure(
+        poles, given.is_stable(), given.spectral_abscissa(), given.is_discrete, controllability(given),
+        observability(given),
+    )  # fmt: skip
 
 
 @told_as("controllability")

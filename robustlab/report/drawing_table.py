@@ -47,7 +47,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "Overbound": {"weight": "set_figures.overbound_figure"},
     # members
     "Responses": {"step": "result_figures.band_figure"},
-    "WorstCase": {"delta": "result_figures.delta_figure"},
+    "WorstCase": {"delta": "result_figures.delta_figure", "response": "robustness_figures.worst_case_figure"},
     "ViolationProbability": {
         "distribution": "robustness_figures.distribution_figure",
         "influence": "robustness_figures.violation_influence",
@@ -87,5 +87,10 @@ CAPTIONS: Mapping[str, str] = {
     "design_figures.loop_picture": "The weighted closed loop with its peak, and the controller.",
     "design_figures.functions_picture": "S, K S, T and S G of the loop, below γ / |W| where there is a weight.",
     "design_figures.tracking_picture": "The nominal loop against its weights.",
+    "result_figures.delta_figure": "The worst member found: where each parameter lies in its range.",
+    "robustness_figures.worst_case_figure": "The output that is judged: nominal, and of the worst member found.",
+    "robustness_figures.distribution_figure": "The metric of the random members, and the limit.",
+    "robustness_figures.violation_influence": "Which parameters matter: share of the spread, and the worst sample with "
+    "one of them nominal.",
     "design_figures.history_picture": "The search: what each iterate proves of μ, and its order.",
 }

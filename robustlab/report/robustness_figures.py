@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.axis.critical_delta import Replay
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
     from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
+    from robustlab.worst_case_analysis.search import WorstCase
 
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
@@ -231,12 +232,19 @@ def response_figure(
     return figure
 
 
-def worst_case_figure(t: Array, nominal: Array, worst: Array, output: tuple[str, str], label: str) -> Figure:
-    """Nominal and worst response of one output, and their difference below."""
+def worst_case_figure(found: WorstCase) -> Figure:
+    """Nominal and worst response of the output that is judged, and their difference below.
+
+    Raises InputError: a metric that is not that of a response.
+    """
+    if found.response is None:
+        raise InputError("plot('response')", f"no response: {found.metric}", "a metric of a response")
+    t, nominal, worst = found.response.t, found.response.nominal, found.response.worst
+    output = (found.response.output, found.response.unit)
     figure, (above, below) = new_figure(2, 1, width=7.6, height=2.2, sharex=True)
     with house_style():
         above.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
-        above.plot(t, worst, color=COLOURS["worst"], ls=(0, (6, 2)), label=plain_label(label))
+        above.plot(t, worst, color=COLOURS["worst"], ls=(0, (6, 2)), label="worst member found")
         above.set_ylabel(axis_label(*output))
         above.legend(loc="best")
         below.plot(t, worst - nominal, color=COLOURS["worst"])

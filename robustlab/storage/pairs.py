@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.files.tree import Tree
+from robustlab.result import Status
+from robustlab.shown import Facts, Part, Shown
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, find_children, sample_time
 
@@ -106,7 +110,59 @@ class Change:
         return {**vars(self), "relative": self.relative}
 
 
-def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> tuple[Change, ...]:
+@dataclass(frozen=True)
+class Difference(Shown):
+    """The entries in which two models differ.
+
+    Attributes
+    ----------
+    changes
+        One for each entry that differs.
+    entries
+        Number of entries of A, B, C and D.
+    status
+        CONVERGED: all entries were compared.
+    """
+
+    changes: tuple[Change, ...]
+    entries: int
+    status: Status = Status.CONVERGED
+
+    quantities: ClassVar[Mapping[str, Any]] = {"count": "1", "entries": "1", "largest": "1"}
+
+    @property
+    def count(self) -> int:
+        """How many entries differ."""
+        return len(self.changes)
+
+    @property
+    def largest(self) -> float:
+        """Largest relative change."""
+        return max((abs(c.relative) for c in self.changes), default=0.0)
+
+    def headline(self) -> str:
+        """How many differ."""
+        return f"{self.count} of {self.entries} entries differ"
+
+    def facts(self) -> Facts:
+        """How many differ, and by how much at most."""
+        change = f"{100 * self.largest:.4g} %" if self.changes else ""
+        return [("differ", f"{self.count} of {self.entries} entries"), ("largest change", change)]
+
+    def details(self) -> list[Part]:
+        """Every entry that differs."""
+        rows = [
+            (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
+            for c in self.changes
+        ]
+        return [Part("", ("entry", "first", "second", "change"), rows)]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return {"changes": self.changes, "entries": self.entries, "status": self.status}
+
+
+def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:
     """Entries with ``|second - first| > rtol * max(|first|, |second|)``.
 
     Raises InputError: the models have other sizes, signals, units or sample times; see `check_pair`.
@@ -119,4 +175,4 @@ def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.
         a, b = getattr(first, name), getattr(second, name)
         for i, j in np.argwhere(np.abs(b - a) > rtol * np.maximum(np.abs(a), np.abs(b))):
             changes.append(Change(name, rows[name][i], columns[name][j], float(a[i, j]), float(b[i, j])))
-    return tuple(changes)
+    return Difference(tuple(changes), first.A.size + first.B.size + first.C.size + first.D.size)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, listed, number, with_units
+from robustlab.shown import SHOWN_BLOCKS, Facts, Shown, listed, number, with_units
+from robustlab.shown import Part as TablePart
 from robustlab.signals import (
     Signal,
     indices,
@@ -75,6 +76,10 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     M: StateSpaceModel
     blocks: tuple[Block, ...]
     operating_point: OperatingPoint | None
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **StateSpaceModel.quantities, "blocks": [str], "channels": "1", "sampled": [str],
+    }  # fmt: skip
 
     @named_arguments
     def __init__(self, M: StateSpaceModel, blocks: Any, operating_point: OperatingPoint | None = None) -> None:
@@ -414,7 +419,28 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def to_json(self) -> dict[str, object]:
         """M and blocks as plain types."""
         data: dict[str, object] = {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
+        data["delta_shape"] = list(self.delta_shape)
         return {**data, "sampled": list(self.sampled)} if self.sampled else data
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of the nominal model, and the size of Delta; which blocks are held by samples, if any."""
+        size = {"blocks": [b.name for b in self.blocks], "channels": self.delta_shape[0]}
+        return {**self.nominal.numbers(), **size} | ({"sampled": list(self.sampled)} if self.sampled else {})
+
+    def details(self) -> list[TablePart]:
+        """The blocks with what they stand for, and where they come from."""
+        shown = self.blocks[:SHOWN_BLOCKS]
+        rows = [
+            (b.name, type(b).__name__, f"{b.rows} x {b.cols}", b.parameter.words if b.parameter else "-") for b in shown
+        ]
+        same: dict[str, list[str]] = {}
+        for b in shown:
+            if b.origin:
+                same.setdefault(b.origin, []).append(b.name)
+        more = len(self.blocks) - len(shown)
+        origins = [(f"{', '.join(names)}: {origin}",) for origin, names in same.items()]
+        title = f"the first {len(shown)} blocks; {more} more" if more else ""
+        return [TablePart(title, ("block", "kind", "size", "stands for"), rows), TablePart("", (), origins)]
 
     def facts(self) -> Facts:
         """Signals with units, states, and what is uncertain."""

@@ -30,7 +30,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,7 +39,7 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, UnitMismatch, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, member, number
+from robustlab.shown import Facts, Part, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
@@ -121,6 +121,20 @@ class Influence(Tabular, Shown):
         """1 where the metric grows with a parameter, -1 where it falls, 0 where neither can be told from chance."""
         clear = np.abs(self.rank_coefficients) > 3.0 / np.sqrt(self.n)
         return np.where(clear, np.sign(self.rank_coefficients), 0).astype(int)
+
+    def rows(self, most: int = 12) -> list[tuple[str, ...]]:
+        """The parameters that matter: name, share of the spread, direction, the worst sample with it nominal."""
+        ways = {1: "grows with it", -1: "falls with it", 0: "-"}
+        return [
+            (
+                self.names[k],
+                f"{100 * self.first_order[k]:.1f} %" if self.first_order[k] > self.noise else "-",
+                ways[int(self.directions[k])],
+                f"{self.restored[k]:.6g}",
+            )
+            for k in self.order[:most]
+            if self.matters[k]
+        ]
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
@@ -393,16 +407,52 @@ class ViolationProbability(Tabular, Shown):
     notes: tuple[str, ...] = ()
     label: str = LABEL
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("n", "violations", "unbounded", "probability", "lower", "upper", "at_most"), "1"),
+        "worst_value": float, "worst_delta": {"*": ...}, "shown": bool, "samples_needed": "1",
+        "quantiles": {"*": {"*": float}}, "influence": {"*": "1"},
+    }  # fmt: skip
+
+    def numbers(self) -> dict[str, Any]:
+        """The quantiles by their share in percent, the influences by the parameters' names."""
+        found = super().numbers() | {"quantiles": {f"{100 * q.share:g}": q._asdict() for q in self.quantiles}}
+        known = self.influence
+        if known is not None:
+            found["influence"] = dict(zip(known.names, known.first_order.tolist(), strict=True))
+        return found
+
+    def headline(self) -> str:
+        """What violates the limit how often."""
+        beyond = "above" if self.sense > 0 else "below"
+        limit = number(self.limit, self.unit)
+        return f"{self.metric} {beyond} {limit} in {self.violations} of {self.n} random members"
+
+    def details(self) -> list[Part]:
+        """Quantiles with their bounds, and the parameters that matter."""
+        value = f"value [{self.unit}]" if self.unit else "value"
+        header = ("quantile", value, f"bounds at {100 * self.confidence:g} %")
+        rows = [(f"{100 * q.share:g} %", f"{q.value:.6g}", f"{q.lower:.6g} .. {q.upper:.6g}") for q in self.quantiles]
+        matter = [] if self.influence is None else self.influence.rows()
+        header_of_rows = ("what matters", "of the spread", "metric", "worst sample with it nominal")
+        return [Part("", header, rows), Part("", header_of_rows, matter)]
+
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         beyond = "above" if self.sense > 0 else "below"
-        span = f"{number(self.lower)} .. {number(self.upper)} at {100 * self.confidence:g} % confidence"
-        wanted = "" if self.wanted is None else f"at most {self.wanted:g}: {'shown' if self.shown else 'not shown'}"
+        sure = f"{100 * self.confidence:g} %"
+        span = f"{number(self.lower)} .. {number(self.upper)} at {sure} confidence (Clopper-Pearson)"
+        word = "shown" if self.shown else "not shown"
+        need = f"({self.samples_needed} samples without a violation would do)"
         return [
             ("probability", f"{span}; {self.violations} of {self.n} samples"),
+            ("one-sided", f"at most {number(self.at_most)} at {sure} confidence"),
             ("of", f"{self.metric} {beyond} {number(self.limit, self.unit)}"),
-            ("wanted", wanted),
-            ("worst sample", f"{number(self.worst_value, self.unit)}: {member(self.worst_delta)}"),
+            ("wanted", "" if self.wanted is None else f"at most {self.wanted:g}: {word} at {sure} {need}"),
+            ("without a bounded value", f"{self.unbounded} (unstable, or not settled)" if self.unbounded else ""),
+            (
+                "worst sample",
+                f"number {self.worst_index}: {number(self.worst_value, self.unit)}: {member(self.worst_delta)}",
+            ),
             ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
             *(("note", note) for note in self.notes),
             ("said", self.label),

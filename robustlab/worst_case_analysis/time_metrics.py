@@ -5,6 +5,7 @@ The control effort of a closed loop is the peak or the RMS of its control signal
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,18 @@ class TimeMetric(Metric):
         self._hold: Hold = hold
         self._centre = members(self.uncertain, np.zeros((1, *self.uncertain.delta_shape)))
         self._nominal = self._responses(self._centre)[0]
+
+    @property
+    def clock(self) -> Array:
+        """Times in s, (n_t,)."""
+        return self._drive.t
+
+    def response(self, delta: Mapping[str, Any]) -> Array:
+        """The output of a member, (n_t,), by the second way.
+
+        Raises NoTrustworthyNumber: it outgrows double precision.
+        """
+        return self._simulated(self.uncertain.evaluate(delta))
 
     def _responses(self, ensemble: Ensemble) -> Array:
         start = np.zeros(ensemble.A.shape[1])

@@ -11,16 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, one_thread, search_budget
-from robustlab.errors import InputError, told_as
-from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Shown, member, number
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.result import Evidence, Status
+from robustlab.shown import AllFields, Facts, Part, Shown, member, member_rows, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -29,11 +29,39 @@ from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.metric_contract import Metric
 from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.sensitivity import delta_slope
+from robustlab.worst_case_analysis.time_metrics import TimeMetric
 from robustlab.worst_case_analysis.tuning import TUNING, WorstCaseTuning
 
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
+
+
+@dataclass(frozen=True)
+class WorstResponse(Evidence):
+    """The response of one output, nominal and of the worst member.
+
+    Attributes
+    ----------
+    t
+        Times in s, shape (n_t,).
+    nominal, worst
+        The output, (n_t,).
+    output, unit
+        Its name and unit.
+    """
+
+    t: Array
+    nominal: Array
+    worst: Array
+    output: str
+    unit: str
+
+    @property
+    def percent(self) -> float | None:
+        """Largest change of the response in percent of the largest nominal value; None where that is zero."""
+        size = float(np.abs(self.nominal).max())
+        return 100 * float(np.abs(self.worst - self.nominal).max() / size) if size > 0 else None
 
 
 @dataclass(frozen=True)
@@ -75,7 +103,14 @@ class WorstCase(Shown, AllFields):
         Seed of the search.
     gradients
         How many exact gradients it used.
+    response
+        Of the output that is judged, nominal and at ``delta``; None for metrics that are not those of a response, and
+        where it outgrows every number.
     """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "value": float, "nominal_value": float, "evaluations": "1", "delta": {"*": ...}, "percent": "%",
+    }  # fmt: skip
 
     value: float
     delta: Mapping[str, Any]
@@ -94,13 +129,28 @@ class WorstCase(Shown, AllFields):
     spectral_abscissa: float
     seed: int
     gradients: int = 0
+    response: WorstResponse | None = None
+
+    @property
+    def percent(self) -> float | None:
+        """Largest change of the response in percent of the largest nominal value; None where there is no response."""
+        return None if self.response is None else self.response.percent
+
+    def headline(self) -> str:
+        """What is worst, and by how much."""
+        return f"worst {self.metric} found: {number(self.value, self.unit)}"
+
+    def details(self) -> list[Part]:
+        """The worst member."""
+        return [member_rows(self.delta, self.physical)]
 
     def facts(self) -> Facts:
         """The worst value with its unit, the member that has it, and what the value is."""
         name, _, unit = self.location.partition(" [")
         return [
-            (self.metric, number(self.value, self.unit)),
-            ("nominal", number(self.nominal_value, self.unit)),
+            (self.metric, number(self.value, self.unit, 6)),
+            ("nominal", number(self.nominal_value, self.unit, 6)),
+            ("largest change of the response", number(self.percent, "%")),
             ("worst member", member(self.delta, self.physical)),
             ("at", f"{name} = {number(self.at, unit.rstrip(']'))}" if name and number(self.at) else ""),
             ("said", self.label),
@@ -236,7 +286,18 @@ def _searched(
         float(members(uncertain, stack).spectral_abscissa()[0]),
         seed,
         search.gradients,
+        _response(judge, delta),
     )
+
+
+def _response(judge: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
+    if not isinstance(judge, TimeMetric):
+        return None
+    try:
+        nominal, worst = (judge.response(values) for values in ({}, delta))
+    except NoTrustworthyNumber:
+        return None
+    return WorstResponse(judge.clock, nominal, worst, *judge.uncertain.outputs[0])
 
 
 # --- the search ------------------------------------------------------------------------------------------------------

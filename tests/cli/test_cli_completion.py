@@ -12,7 +12,9 @@ from typing import get_args, get_type_hints
 import pytest
 
 from robustlab.cli.groups import GROUPS, parser
-from robustlab.cli.offers import COVERS, FORMULAS, METRICS, PLANTS
+from robustlab.cli.offers import FORMULAS, PLANTS
+from robustlab.doors.members import METRICS
+from robustlab.doors.sets import COVERS
 
 HEAVY = {"numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "jinja2"}  # typer itself takes pydantic
 SCRIPTS = Path(sys.executable).parent

@@ -36,8 +36,8 @@ def lags(tmp_path):
 
 def test_a_cover_is_built_and_stored(call, lags, tmp_path):
     out = tmp_path / "cover.h5"
-    code, text, err = call("uncertain", "build", *lags, "--form", "pca", "--out", out)
-    assert (code, err) == (0, "")
+    code, text, _ = call("uncertain", "build", *lags, "--form", "pca", "--out", out)
+    assert code == 0
     assert "pca cover of 3 models around the middle" in text
     assert "ratio at most" in text
     assert [b.name for b in rl.load(out).blocks] == ["direction1", "direction2"]
@@ -63,22 +63,22 @@ def test_a_controller_that_does_not_say_its_sign_is_asked_about_and_can_be_told(
     words = ("uncertain", "build", *lags, "--form", "additive", "--controller", k)
     code, _, err = call(*words)
     assert (code, "both signs leave the loop stable" in err) == (3, True)
-    code, _, err = call(*words, "--feedback", "negative")
-    assert (code, err) == (0, "loop: u = -K y, as asked\n")
+    code, text, _ = call(*words, "--feedback", "negative")
+    assert (code, text.splitlines()[0]) == (0, "loop  u = -K y, as asked")
     assert call("uncertain", "build", *lags, "--feedback", "negative")[0] == 2
 
 
 def test_bad_covers(call, lags):
     assert call("uncertain", "build", *lags[:2])[0] == 3
     code, _, err = call("uncertain", "build", *lags, "--form", "pcb")
-    assert code == 3
+    assert code == 2
     assert "did you mean pca" in err
     code, _, err = call("uncertain", "build", *lags, "--form", "inverse-additive")
     assert code == 4
     assert "still grows" in err
     code, _, err = call("uncertain", "build", *lags, "--plant", "dc-motor")
     assert code == 2
-    assert "another source" in err
+    assert "one of them" in err
 
 
 def test_an_updated_plant_becomes_blocks(call, tmp_path):
@@ -93,7 +93,7 @@ def test_an_updated_plant_becomes_blocks(call, tmp_path):
     code, text, _ = call("uncertain", "build", "--discovery", folder, "--amplitude", "v=0.05", "--out", out)
     assert code == 0
     assert "coulomb-friction@v: Coulomb (dry) friction at v as a sector" in text
-    assert "input noise q: quantisation: at most 5e-05 m" in text
+    assert "at most 5e-05 m" in next(line for line in text.splitlines() if "input noise q: quantisation" in line)
     assert "coulomb-friction@v: Coulomb" in call("uncertain", "show", out)[1]
     code, _, err = call("uncertain", "build", "--discovery", folder, "--dry", "gain")
     assert code == 2

@@ -31,7 +31,7 @@ def run(capfd, monkeypatch, tmp_path):
 
 def test_a_delayed_model_goes_into_a_file_and_comes_back(run):
     said = run("model", "delay", "lag.h5", "--input", "u=0.01", "--output", "y=0.02s", "--out", "late.h5")
-    assert "DelayedModel(1 state, delays of 0.01, 0.02 s, [u] -> [y])" in said
+    assert "0.01 s, 0.02 s" in said
     late = rl.load(run.folder / "late.h5")
     assert isinstance(late, rl.DelayedModel)
     assert late.delays.tolist() == [0.01, 0.02]
@@ -46,11 +46,11 @@ def test_a_delayed_model_goes_into_a_file_and_comes_back(run):
 
 
 def test_check_proves_or_refutes(run):
-    for gain, word in ((1.5, "stable: yes: proved on the whole axis"), (3.0, "stable: no")):
+    for gain, word in ((1.5, "yes: proved on the whole axis"), (3.0, "no: proved by a root")):
         loop = (gain * LAG @ rl.delay(1.0)).feedback()  # the limit is 2.26
         rl.save(run.folder / "loop.h5", loop)
         assert word in run("model", "check", "loop.h5")
-    found = json.loads(run("model", "check", "loop.h5", "--json"))["stability"]
+    found = json.loads(run("model", "check", "loop.h5", "--json"))
     assert found["stable"] is False
     assert found["root"]["re"] > 0
     through = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])).feedback(

@@ -27,16 +27,16 @@ def test_build_show_check_diff_convert(run):
     run("build", "dc-motor", "--out", "m.h5")
     run("build", "dc-motor", "--set", "R=4.14", "--out", "n.h5")
     assert "inputs: u [V]" in run("show", "m.h5")
+    assert "content hash verified" in run("show", "m.h5")
     text = run("check", "m.h5")
-    assert "content hash verified" in text
     assert "controllable: rank 3 of 3" in text
     lines = run("diff", "m.h5", "n.h5").splitlines()
-    assert [line.split("  ")[0] for line in lines[2:-1]] == ["A[i, i]"]
-    assert lines[-1] == "1 of 24 entries differ"
-    assert run("diff", "m.h5", "m.h5") == "0 of 24 entries differ\n"
+    assert [line.split("  ")[0] for line in lines if "[" in line] == ["A[i, i]"]
+    assert "1 of 24 entries" in lines[1]
+    assert "0 of 24 entries" in run("diff", "m.h5", "m.h5")
     run("convert", "m.h5", "m.mat")
     run("convert", "m.mat", "back.h5")
-    assert run("diff", "m.h5", "back.h5", "--rtol", "0") == "0 of 24 entries differ\n"
+    assert "0 of 24 entries" in run("diff", "m.h5", "back.h5", "--rtol", "0")
 
 
 def test_doubled_resistance_doubles_its_entry(run):
@@ -52,9 +52,9 @@ def test_doubled_resistance_doubles_its_entry(run):
 def test_check_tells_unstable_and_hidden_modes(run):
     rl.save("p.h5", rl.StateSpaceModel(np.diag([1.0, -2.0]), [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]]))
     found = json.loads(run("check", "p.h5", "--json"))
-    assert not found["model"]["stable"]
-    assert found["model"]["spectral_abscissa"] == 1.0
-    assert found["model"]["controllability"]["rank"] == 1
+    assert not found["stable"]
+    assert found["spectral_abscissa"] == 1.0
+    assert found["controllability"]["rank"] == 1
     assert "NOT stable" in run("check", "p.h5")
 
 
@@ -64,7 +64,7 @@ def test_pair_files(run):
             for name, value in zip("ABCD", (pole, 1.0, 1.0, 0.0), strict=True):
                 file[f"{group}/{name}"] = [[value]]
     assert "perturbed: StateSpaceModel" in run("show", "p.h5")
-    assert run("diff", "p.h5").splitlines()[-1] == "1 of 4 entries differ"
+    assert "1 of 4 entries" in run("diff", "p.h5")
     assert "--group nominal" in run("convert", "p.h5", "q.h5", code=2)
     run("convert", "p.h5", "q.h5", "--group", "perturbed")
     assert rl.load("q.h5").A[0, 0] == -2.0
@@ -93,7 +93,7 @@ def test_build_a_platform_at_a_pose(run):
     home, low = rl.load("home.h5"), rl.load("low.h5")
     assert low.spectral_abscissa() > home.spectral_abscissa() > 0
     assert home.n_states == 12
-    assert "six numbers" in run("build", "stewart-platform", "--pose", "0,0,0.1", "--out", "x.h5", code=2)
+    assert "6 numbers" in run("build", "stewart-platform", "--pose", "0,0,0.1", "--out", "x.h5", code=2)
     run("build", "stewart-platform", "--pose", "0,0,9,0,0,0", "--out", "x.h5", code=3)
     run("build", "stewart-platform", "--set", "preset=nosuch", "--out", "x.h5", code=3)
 

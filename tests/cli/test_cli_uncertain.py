@@ -46,8 +46,8 @@ def motor(tmp_path, capsys):
 
 def test_build_from_two_files(files, capsys):
     first, second, out = files
-    code, text, err = call(capsys, "build", first, second, "--structure", "elements", "--out", out)
-    assert (code, err) == (0, "")
+    code, text, _ = call(capsys, "build", first, second, "--structure", "elements", "--out", out)
+    assert code == 0
     assert "A[a,a]" in text
     made = load(out)
     assert made.evaluate({"A[a,a]": 1.0}).A[0, 0] == pytest.approx(-1.4, rel=1e-15)
@@ -64,7 +64,8 @@ def test_build_says_json(files, capsys):
 
 def test_equal_models_are_noted(files, capsys):
     code, text, err = call(capsys, "build", files[0], files[0], "--out", files[2])
-    assert (code, err) == (0, "no uncertainty: mu = 0\n")
+    assert code == 0
+    assert err.endswith("no uncertainty: mu = 0\n")
     assert "no uncertainty" in text
     assert call(capsys, "show", files[2])[0] == 0
     assert call(capsys, "sample", files[2], "-n", "2")[0] == 0
@@ -73,8 +74,8 @@ def test_equal_models_are_noted(files, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [
-        ((), 2, "no models"),
-        (("a.h5", "--plant", "dc-motor"), 2, "both files and a plant"),
+        ((), 2, "no NOMINAL"),
+        (("a.h5", "--plant", "dc-motor"), 2, "NOMINAL with --plant"),
         (("--plant", "dc-motor", "--tolerance", "Kg=0.1"), 2, "no such parameter of dc-motor"),
         (("--plant", "dc-motor", "--tolerance", "Kf"), 2, "NAME=VALUE"),
         (("missing.h5", "gone.h5"), 3, "no such file"),
@@ -94,7 +95,7 @@ def test_models_that_do_not_fit(files, tmp_path, capsys):
     assert (code, out) == (3, "")
     assert "deg" in err
     code, _, err = call(capsys, "build", *files[:2], "--structure", "columms")
-    assert code == 3
+    assert code == 2
     assert "did you mean columns?" in err
 
 
@@ -275,9 +276,9 @@ def test_a_platform_at_a_pose_says_what_is_exact_and_what_is_covered(tmp_path, c
     assert "without effect on the linear model: L_max" in err
     model = load(out)
     assert model.M.n_states == 18
-    assert model.provenance.note.startswith(
-        "stewart-platform motors=true, pose 0,0,0.13,0.02,0,0, platform_mass +-10 %"
-    )
+    note = model.provenance.note
+    assert note.startswith("plant stewart-platform, tolerance platform_mass=0.1, tolerance platform_x=0.1")
+    assert note.endswith("pose 0,0,0.13,0.02,0,0, set motors=true")
     code, text, _ = call(capsys, "show", out, "--json")
     assert json.loads(text)["blocks"][0]["origin"].startswith("sampled: ")
 
@@ -295,7 +296,7 @@ def test_json_of_a_build_names_the_sampled_blocks(capsys):
     ("args", "code", "words"),
     [
         (("--plant", "dc-motor", "--pose", "0,0,0,0,0,0"), 2, "it for a nonlinear plant only"),
-        (("--plant", "stewart-platform", "--pose", "0,0"), 2, "not six numbers"),
+        (("--plant", "stewart-platform", "--pose", "0,0"), 2, "6 numbers"),
         (("--plant", "stewart-platform", "--pose", "0,0,0.13,0,0,0", "--at", "phi=0"), 2, "one of them"),
         (("--plant", "stewart-platform", "--hold", "phi_1", "--tolerance", "platform_mass=0.1"), 3, "the pose is held"),
         (("--plant", "stewart-platform", "--at", "z=1", "--tolerance", "platform_mass=0.1"), 3, "pose or phi"),

@@ -57,19 +57,19 @@ def test_an_uncertain_platform_says_what_is_sampled(tmp_path, monkeypatch, capsy
     (tmp_path / "r.toml").write_text(SETS)
     assert run(["run", "r.toml", "--out", "o"]) == 0
     steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
-    assert steps["exact"]["summary"] == "Exact uncertain model of platform; uncertain: platform_mass, R."
+    assert steps["exact"]["summary"] == "platform: exact uncertain model (parameters); uncertain: platform_mass, R."
     assert "sampled" not in steps["exact"]["numbers"]
-    assert steps["covered"]["summary"].startswith("Sampled uncertain model of platform")
+    assert steps["covered"]["summary"].startswith("platform: sampled uncertain model")
     assert steps["covered"]["numbers"]["sampled"] == ["r_b", "remainder"]
     assert "for samples only (blocks r_b, remainder)" in steps["covered"]["notes"][0]
-    assert any(fact["source"].startswith("sampled: proved on the hull of") for fact in steps["covered"]["facts"])
+    assert "remainder: sampled: proved on the hull of" in steps["covered"]["text"]
 
 
 def test_a_linear_plant_has_no_pose(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "r.toml").write_text(SETS.replace('of = "platform"\ntolerances', 'of = "chain"\ntolerances', 1).replace(
         'platform_mass = 0.1, R = "5%"', "m1 = 0.1"))  # fmt: skip
-    with pytest.raises(InputError, match="exact: at: chain is linear"):
+    with pytest.raises(InputError, match="exact: at: mass-spring-damper has one linear model"):
         run(["run", "r.toml", "--out", "o"])
 
 

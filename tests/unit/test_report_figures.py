@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from robustlab.worst_case_analysis.search import WorstCase, WorstResponse
 
 import robustlab as rl
 from robustlab.mu_analysis import Margin
@@ -66,7 +67,10 @@ def test_the_envelope_is_drawn_as_given():
 
 def test_the_worst_case_marks_the_largest_deviation():
     deviation = np.sin(3 * T)
-    _, below = worst_case_figure(T, rise(1.0), rise(1.0) + deviation, ("y", ""), "worst").axes
+    response = WorstResponse(T, rise(1.0), rise(1.0) + deviation, "y", "")
+    where = (1, {}, 0.0, "", 1.0, "", None, "y", -1.0, 0, 0, response)
+    found = WorstCase(1.0, {}, "peak", 0.0, rl.Status.CONVERGED, "", *where)
+    _, below = worst_case_figure(found).axes
     (marker,) = [line for line in below.lines if line.get_marker() == "o"]
     assert marker.get_xdata()[0] == pytest.approx(T[np.argmax(np.abs(deviation))])
 

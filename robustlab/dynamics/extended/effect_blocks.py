@@ -28,8 +28,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, cast, get_args
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, cast, get_args
 
 import numpy as np
 
@@ -53,7 +53,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, number
+from robustlab.shown import Facts, Part, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
@@ -88,30 +88,54 @@ class EffectBlocks(Shown):
         """Block name -> where it comes from."""
         return {b.name: b.origin for b in self.model.blocks}
 
-    def rest(self) -> list[str]:
-        """One line for each noise input and each effect that is left out."""
-        return [
-            *(f"input {n.name}: at most {n.bound:.4g} {n.unit}, {n.origin}" for n in self.noise),
-            *(f"not in it: {name}: {reason}" for name, reason in self.left_out.items()),
-        ]
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader must know."""
+        names = ", ".join(self.approximate)
+        harmonic = f"{names}: holds by harmonic balance, for oscillations that its line names, not for every motion."
+        told = {
+            harmonic: self.approximate,
+            "Inputs for bounded errors come first; one stands for the bound that their line names.": self.noise,
+            "What is proved for this set says nothing about the effects that are not in it.": self.left_out,
+        }
+        return tuple(text for text, there in told.items() if there)
 
-    def summary(self) -> str:
-        """One line for each block, input and effect that is left out."""
-        return "\n".join([*(f"{name}: {origin}" for name, origin in self.origins.items()), *self.rest()])
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **UncertainModel.quantities, "count": "1", "inputs": "1", "left_out": "1", "bound": {"*": float},
+        "range": {"*": {"low": float, "high": float}},
+    }  # fmt: skip
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of the model, how many blocks, inputs and effects left out, the ranges and the bounds."""
+        ranges = {b.name: {"low": b.parameter.low, "high": b.parameter.high} for b in self.model.blocks if b.parameter}
+        counts = {"count": len(self.model.blocks), "inputs": len(self.noise), "left_out": len(self.left_out)}
+        return {**self.model.numbers(), **counts, "range": ranges, "bound": {n.name: n.bound for n in self.noise}}
+
+    def headline(self) -> str:
+        """How much is in it."""
+        return (
+            f"uncertain model: blocks {len(self.model.blocks)}, inputs for bounded errors {len(self.noise)},"
+            f" effects left out {len(self.left_out)}"
+        )
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
+        """The set, its inputs for errors, and each effect that is left out."""
         return [
             ("set", repr(self.model)),
             ("blocks", listed(self.origins)),
-            ("inputs for errors", listed(f"{n.name} {number(n.bound, n.unit)}" for n in self.noise)),
-            ("not in it", listed(self.left_out)),
+            *((f"input {n.name}", f"at most {number(n.bound, n.unit)}, {n.origin}") for n in self.noise),
+            *((f"not in it: {name}", reason) for name, reason in self.left_out.items()),
             ("harmonic balance only", listed(self.approximate)),
         ]
 
+    def details(self) -> list[Part]:
+        """The blocks and where they come from."""
+        return self.model.details()
+
     def to_json(self) -> dict[str, Any]:
-        """All attributes and the origins."""
-        return {"type": "EffectBlocks", **vars(self), "origins": self.origins}
+        """All attributes, the model's and the origins."""
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {"type": "EffectBlocks", **self.model.to_json(), **own, "origins": self.origins}
 
 
 def effect_blocks(

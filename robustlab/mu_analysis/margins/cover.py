@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any, cast, get_args
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, cast, get_args
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.shown import Facts, Part, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covering.coprime_cover import NAME as COPRIME
 from robustlab.uncertainty.covering.coprime_cover import coprime_cover
@@ -136,48 +136,80 @@ class Cover(Shown):
     conservatism: Conservatism | None
     reason: str = ""
 
-    def summary(self) -> str:
-        """A few lines of text."""
-        start = {0: "the middle of the models", None: "the model that was given"}.get(
-            self.nominal, f"model {self.nominal}"
-        )
-        lines = [f"{self.form} cover of {len(self.sizes)} models around {start}: {self.model!r} ({self.status})"]
-        if self.fit is None:
-            lines.append(f"each model inside: largest delta {max(self.sizes):.6g}, missed by {max(self.misses):.2g}")
-        else:
-            lines.append(
-                f"weight of order {self.fit.order}, {100 * self.fit.excess:.3g} % above the bound at most;"
-                f" largest delta {max(self.sizes):.6g}"
-            )
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **UncertainModel.quantities, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"),
+        **dict.fromkeys(("order", "excess", "least_excess", "conservatism", "conservatism_at_least"), "1"),
+        "set_gain": float,
+    }  # fmt: skip
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """Its own, and that of the proof of the worst gain where there is one."""
         c = self.conservatism
-        if c is not None:
-            lines.append(
-                f"conservatism: none, {c.reason}"
-                if c.status is Status.FAILED
-                else f"worst gain {c.cover_lower:.6g} .. {c.cover_upper:.6g}, of the set {c.set_gain:.6g}"
-                f" (model {c.set_model}): ratio at most {c.ratio:.4g} ({c.status})"
-                + (f"; {c.reason}" if c.reason else "")
-            )
-        return "\n".join([*lines, *([self.reason] if self.reason else [])])
+        return (self.status, *([c.status] if c is not None and c.status is not Status.FAILED else []))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Why the status, or the conservatism, is no better."""
+        c = self.conservatism
+        what = "" if c is None else "No conservatism" if math.isnan(c.ratio) else "Conservatism"
+        reason = f"{what}: {c.reason}." if c is not None and c.reason else ""
+        return tuple(text for text in (self.reason, reason) if text)
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of the model, the size of its largest delta, its weight, and its conservatism."""
+        c = self.conservatism
+        found = {
+            **self.model.numbers(), "count": len(self.model.blocks), "members": len(self.sizes),
+            "size": max(self.sizes), "missed": max(self.misses), "radius": self.radius,
+        }  # fmt: skip
+        if self.fit is not None:
+            found |= {"order": self.fit.order, "excess": self.fit.excess, "least_excess": self.fit.least}
+        if c is not None and not c.reason:
+            found |= {"conservatism": c.ratio, "conservatism_at_least": c.least, "set_gain": c.set_gain}
+        return found
+
+    def headline(self) -> str:
+        """The form, and how many models and blocks."""
+        start = {0: "the middle", None: "the model that was given"}.get(self.nominal, f"model {self.nominal}")
+        models = f"{self.form} cover of {len(self.sizes)} models around {start}"
+        return f"{models}: {len(self.model.blocks)} blocks"
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        fit = (
-            "" if self.fit is None else f"order {self.fit.order}, {100 * self.fit.excess:.3g} % above the bound at most"
+        c, fit = self.conservatism, self.fit
+        start = {0: "the middle of the models", None: "the model that was given"}.get(
+            self.nominal, f"model {self.nominal}"
         )
+        gain = "" if c is None else f"none, {c.reason}" if c.status is Status.FAILED else (
+            f"{number(c.cover_lower, '', 6)} .. {number(c.cover_upper, '', 6)}, of the set {number(c.set_gain, '', 6)}"
+            f" (model {c.set_model}): ratio at most {number(c.ratio)} ({c.status}), attained {number(c.least)}"
+        )  # fmt: skip
         return [
-            ("form", f"{self.form}, {len(self.sizes)} models"),
+            ("form", f"{self.form} cover of {len(self.sizes)} models around {start}"),
             ("set", repr(self.model)),
-            ("weight", fit),
-            ("largest delta", number(max(self.sizes, default=math.nan))),
-            ("largest miss", number(max(self.misses, default=math.nan)) if self.fit is None else ""),
-            ("conservatism", "" if self.conservatism is None else f"at most {number(self.conservatism.ratio)}"),
-            ("reason", self.reason),
+            (
+                "weight",
+                ""
+                if fit is None
+                else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound;"
+                f" no weight of this order comes nearer than {100 * fit.least:.3g} %",
+            ),
+            ("largest error, of the models' size", "" if fit is None else f"{100 * self.radius:.3g} %"),
+            ("largest delta that a model needs", number(max(self.sizes, default=math.nan), "", 6)),
+            ("largest miss", number(max(self.misses, default=math.nan), "", 2) if fit is None else ""),
+            ("worst gain", gain),
+            *(("reason", text) for text in self.notes),
         ]
 
+    def details(self) -> list[Part]:
+        """The blocks."""
+        return self.model.details()
+
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return {"type": "Cover", **vars(self)}
+        """All attributes, and the model's."""
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {"type": "Cover", **self.model.to_json(), **own}
 
 
 @told_as("cover")

@@ -11,7 +11,7 @@ from pathlib import Path
 # The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
 # named here come last.
 ORDER = (
-    "models", "delays", "covers", "worst_case", "robustness", "design", "state_designs", "scheduling", "digital",
+    "models", "covers", "worst_case", "robustness", "design", "state_designs", "scheduling", "digital",
     "control", "records", "validation",
 )  # fmt: skip
 

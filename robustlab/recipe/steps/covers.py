@@ -12,9 +12,8 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
 from robustlab.recipe.steps.leaves import leaves_of
-from robustlab.recipe.steps.models import UNCERTAIN, uncertain_numbers
 from robustlab.recipe.steps.vocabulary import (
     GUARD,
     Effort,
@@ -33,8 +32,7 @@ from robustlab.recipe.steps.vocabulary import (
 )
 
 if TYPE_CHECKING:
-    from robustlab.dynamics.extended.effect_blocks import EffectBlocks, NoiseInput
-    from robustlab.mu_analysis.margins.cover import Cover
+    from robustlab.dynamics.extended.effect_blocks import NoiseInput
 
 ToPerformance = Annotated[str, RefersTo(("performance",))]
 
@@ -267,11 +265,6 @@ class CoverModelsStep(Step):
     """
 
     gives: ClassVar[str] = "uncertain"
-    leaves: ClassVar[Any] = {
-        **UNCERTAIN, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"), "loads": {"*": float},
-        **dict.fromkeys(("order", "excess", "least_excess", "conservatism", "conservatism_at_least"), "1"),
-        "set_gain": float,
-    }  # fmt: skip
     do: Literal["cover-models"]
     models: Annotated[list[ToOneModel], Field(max_length=100)] = Field([])
     of: ToPlantOrFile | None = Field(None, description="A mechanism, linearised at each of `poses`.")
@@ -315,8 +308,11 @@ class CoverModelsStep(Step):
         return self
 
     def foretell(self, ahead: Ahead) -> Foretold:
+        from robustlab.mu_analysis.margins.cover import Cover
+
         source = ahead[self.of if self.of is not None else self.models[0]]
-        return replace(source.select(self.outputs), inputs=None)
+        leaves = {**Cover.quantities, "loads": {"*": float}}
+        return replace(source.select(self.outputs), inputs=None, leaves=leaves)
 
     def run(self, work: Workspace) -> Outcome:
         """The smallest uncertain model of a form around a set of models, with its conservatism.
@@ -342,88 +338,11 @@ class CoverModelsStep(Step):
         work.keep(found)
         for name, (figure, caption) in cover_figures(found, models).items():
             work.draw(figure, name, caption)
-        numbers, facts = _cover_numbers(found)
-        facts += (Fact("Loop", said),) if said else ()
+        numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", said)] if said else []))
         loads = () if self.of is None else _at_pose(work.values[self.of], self.poses[0])[1]
         numbers["loads"] = {load.name: load.bound for load in loads}
         facts += tuple(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in loads)
-        notes = [found.reason] if found.reason else []
-        if found.conservatism is not None and found.conservatism.reason:
-            missing = math.isnan(found.conservatism.ratio)
-            notes.append(f"{'No conservatism' if missing else 'Conservatism'}: {found.conservatism.reason}.")
-        summary = f"{self.form} cover of {len(models)} models: {len(found.model.blocks)} blocks."
-        return Outcome(found.model, summary, numbers, facts, found.status, tuple(notes), found.summary())
-
-
-@step
-class UncertainFromStep(Step):
-    """An uncertain model of what a `discover` step found and left unexplained; each block says where it comes from."""
-
-    gives: ClassVar[str] = "uncertain"
-    leaves: ClassVar[Any] = {
-        **UNCERTAIN, "count": "1", "inputs": "1", "left_out": "1", "range": {"*": {"low": float, "high": float}},
-        "bound": {"*": float},
-    }  # fmt: skip
-    do: Literal["uncertain-from"]
-    of: ToPlantOrFile = Field(description="A discover step, a plant, or the file of an updated plant.")
-    outputs: Annotated[list[str], Names("outputs")] | None = None
-    amplitude: dict[str, Positive | AmplitudePair] = Field(
-        {}, description="Of the signal of a joint, position, input or output: at which the effects are described there."
-    )
-    dry: Literal["gain", "load", "both"] | None = Field(
-        None,
-        description="Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the "
-        "describing function; where left out, a gain where an amplitude is given, else a load.",
-    )
-    sigmas: Annotated[float, Field(ge=0, le=10)] = Field(
-        2.0, description="Half width of the range of a fitted value in its standard deviations."
-    )
-    pade: Annotated[int, Field(ge=1, le=8)] = Field(2, description="Order of the Padé approximation of delays.")
-
-    def foretell(self, ahead: Ahead) -> Foretold:
-        return replace(ahead[self.of].select(self.outputs), inputs=None)  # bounded errors come before its inputs
-
-    def run(self, work: Workspace) -> Outcome:
-        """What was named and what remains as blocks, each with its origin.
-
-        Numbers: ``blocks``, ``count``, ``channels``, ``inputs`` (for bounded errors), ``left_out`` (how many),
-        ``range.BLOCK.low`` and ``.high``, ``bound.INPUT``.
-        """
-        from robustlab.dynamics import Plant
-        from robustlab.report.set_figures import blocks_figure
-
-        given = work.discoveries.get(self.of, work.values[self.of])
-        if self.of not in work.discoveries and not isinstance(given, Plant):
-            raise InputError(f"of = {self.of!r}", f"a {type(given).__name__}", "a discover step, or a plant")
-        amplitude = {n: (a[0], a[1]) if isinstance(a, list) else a for n, a in self.amplitude.items()}
-        made = rl.uncertain_from(
-            given, self.outputs, sigmas=self.sigmas, amplitude=amplitude or None, dry=self.dry, pade=self.pade
-        )
-        work.keep(made)
-        figure = blocks_figure(made)
-        if figure is not None:
-            work.draw(
-                figure, "blocks", "How much each block alone changes the response of the nominal model, of its size."
-            )
-        ranges = {b.name: b.parameter for b in made.model.blocks if b.parameter}
-        numbers = {
-            **uncertain_numbers(made.model),
-            "count": len(made.model.blocks),
-            "inputs": len(made.noise),
-            "left_out": len(made.left_out),
-            "range": {name: {"low": p.low, "high": p.high} for name, p in ranges.items()},
-            "bound": {n.name: n.bound for n in made.noise},
-        }
-        facts = [
-            *_block_facts(made.model),
-            *(Fact(f"input {n.name}", f"at most {quantity(n.bound, n.unit)}", n.origin) for n in made.noise),
-            *(Fact(f"not in it: {name}", reason) for name, reason in made.left_out.items()),
-        ]
-        summary = (
-            f"Uncertain model of {self.of}: blocks {len(made.model.blocks)}, "
-            f"inputs for bounded errors {len(made.noise)}, effects left out {len(made.left_out)}."
-        )
-        return Outcome(made.model, summary, numbers, tuple(facts), made.status, _notes(made))
+        return Outcome(found.model, f"{found.headline()}.", numbers, facts, found.status, found.notes, found.tables())
 
 
 @step
@@ -492,58 +411,3 @@ def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.State
 
     model = linearise(given) if isinstance(given, Plant) else as_model(given)
     return model if outputs is None else drop_unconnected(model.select(outputs=outputs))
-
-
-def _cover_numbers(found: Cover) -> tuple[dict[str, Any], tuple[Fact, ...]]:
-    c = found.conservatism
-    numbers = {
-        **uncertain_numbers(found.model),
-        "count": len(found.model.blocks),
-        "members": len(found.sizes),
-        "size": max(found.sizes),
-        "missed": max(found.misses),
-        "radius": found.radius,
-    }
-    facts = [Fact("Largest delta that a model needs", quantity(max(found.sizes)))]
-    if found.fit is not None:
-        least = f"no weight of this order comes nearer than {100 * found.fit.least:.3g} %"
-        numbers |= {"order": found.fit.order, "excess": found.fit.excess, "least_excess": found.fit.least}
-        facts += [
-            Fact("Weight", f"order {found.fit.order}, at most {100 * found.fit.excess:.3g} % above the bound", least),
-            Fact("Largest error, of the models' size", f"{100 * found.radius:.3g} %"),
-        ]
-    else:
-        facts.append(Fact("Largest miss of a model's entry, of its matrix' largest", f"{max(found.misses):.2g}"))
-    if c is not None and not c.reason:
-        numbers |= {"conservatism": c.ratio, "conservatism_at_least": c.least, "set_gain": c.set_gain}
-        text = f"at most {c.ratio:.4g}, attained {c.least:.4g}"
-        facts.append(Fact("Worst gain of the cover over that of the set", text, f"largest in model {c.set_model}"))
-    return numbers, (*facts, *_block_facts(found.model))
-
-
-def _notes(made: EffectBlocks) -> tuple[str, ...]:
-    notes = []
-    if made.approximate:
-        names = ", ".join(made.approximate)
-        notes.append(
-            f"{names}: holds by harmonic balance, for the oscillations that its line names, not for every motion."
-        )
-    if made.noise:
-        notes.append("Inputs for bounded errors come first; one stands for the bound that their line names.")
-    if made.left_out:
-        notes.append("What is proved for this set says nothing about the effects that are not in it.")
-    return tuple(notes)
-
-
-def _block_facts(model: Any) -> list[Fact]:
-    """One line a block: what it ranges over, and where it comes from."""
-    facts = []
-    for b in model.blocks[:MOST_FACTS]:
-        p = b.parameter
-        size = (
-            f"{b.rows} x {b.cols}, gain at most 1" if p is None else f"{quantity(p.low)} … {quantity(p.high, p.unit)}"
-        )
-        facts.append(Fact(b.name, size, b.origin))
-    if len(model.blocks) > MOST_FACTS:
-        facts.append(Fact(f"and {len(model.blocks) - MOST_FACTS} more blocks", ""))
-    return facts

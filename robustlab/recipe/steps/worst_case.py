@@ -11,17 +11,14 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import NoTrustworthyNumber, UnitMismatch, unknown_name
+from robustlab.errors import NoTrustworthyNumber, unknown_name
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, picked, quantity, step
 from robustlab.recipe.steps.vocabulary import (
-    GUARD,
     Count,
-    Effort,
     Names,
     Points,
     Positive,
     ReferenceLine,
-    TimeLimit,
     Tolerance,
     ToUncertain,
 )
@@ -181,119 +178,6 @@ class MetricStep(DrivenStep):
         return options
 
 
-@step
-class WorstCaseStep(MetricStep):
-    """Search over Delta for the worst value of a metric."""
-
-    do: Literal["worst-case"]
-    n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Points that the search starts from.")
-    effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
-    time_limit: TimeLimit | None = Field(None, description=GUARD)
-
-    def foretell(self, ahead: Ahead) -> Foretold:
-        unit = self.unit_of_metric(ahead)
-        return Foretold(
-            leaves={"value": unit, "nominal_value": unit, "evaluations": "1", "delta": {"*": ...}, "percent": "%"}
-        )
-
-    def run(self, work: Workspace) -> Outcome:
-        import numpy as np
-
-        from robustlab.report.robustness_figures import worst_case_figure
-
-        model = work.uncertain(self.of)
-        options = self.options(work)
-        if self.n is not None:
-            options["n"] = self.n
-        found = rl.worst_case(model, self.metric, effort=self.effort, time_limit=self.time_limit, **options)
-        work.keep(found)
-        numbers = picked(found, "value", "nominal_value", "evaluations", "delta")
-        where = f" at {found.location} = {quantity(found.at)}" if math.isfinite(found.at) else ""
-        facts = [
-            Fact(f"Worst {self.metric} found", f"{quantity(found.value, found.unit)}{where}"),
-            Fact("The same at Δ = 0", quantity(found.nominal_value, found.unit)),
-            Fact("How it was found", f"{found.evaluations} evaluations, seed {found.seed}"),
-            *(Fact(f"Its {name}", quantity(value, unit)) for name, (value, unit) in found.physical.items()),
-        ]
-        if self.of_a_response:
-            index = [s.name for s in model.outputs].index(self.output) if self.output else 0
-            name, unit = model.outputs[index]
-            t, u = options["t"], options["u"]
-            both = (model.nominal, model.evaluate(found.delta))
-            nominal, worst = (_respond(m, t, u, options["hold"])[:, index] for m in both)
-            if np.abs(nominal).max() > 0:
-                numbers["percent"] = 100 * float(np.abs(worst - nominal).max() / np.abs(nominal).max())
-                facts.append(Fact("Largest change of the response", quantity(numbers["percent"], "%", 4)))
-            figure = worst_case_figure(t, nominal, worst, (name, unit), "worst member found")
-            work.draw(figure, name, f"{name}: nominal and worst member found.")
-        summary = f"Worst {self.metric} over Δ of {self.of}; {found.label}."
-        return Outcome(None, summary, numbers, tuple(facts), found.status)
-
-
-@step
-class ViolationStep(MetricStep):
-    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds; what matters for it."""
-
-    do: Literal["violation-probability"]
-    limit: float = Field(description="Values beyond it violate; in `unit`.")
-    unit: str | None = Field(None, description="Unit of the limit: that of the metric, else the step is refused.")
-    probability: Tolerance | None = Field(None, description="What is to be shown: P(violation) at most so large.")
-    confidence: Tolerance = 0.95
-    n: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
-        None, description="Samples; as many as show `probability` without a violation, or 1000, where left out."
-    )
-
-    def foretell(self, ahead: Ahead) -> Foretold:
-        unit = self.unit_of_metric(ahead)
-        if self.unit is not None and unit is not float and self.unit != unit:
-            raise UnitMismatch("unit", self.unit, f"{unit or 'none'}: that of the metric")
-        pure = ("n", "violations", "unbounded", "probability", "lower", "upper", "at_most", "samples_needed")
-        return Foretold(
-            leaves={
-                **dict.fromkeys(pure, "1"), "worst_value": unit, "worst_delta": {"*": ...}, "shown": bool,
-                "quantiles": {"*": {"*": float}}, "influence": {"*": "1"},
-            }
-        )  # fmt: skip
-
-    def run(self, work: Workspace) -> Outcome:
-        from robustlab.report.robustness_figures import distribution_figure, influence_figure
-
-        limit = self.limit if self.unit is None else f"{self.limit!r} {self.unit}"
-        options = self.options(work)
-        options |= {"confidence": self.confidence, "probability": self.probability}
-        found = rl.violation_probability(work.uncertain(self.of), self.metric, limit, n=self.n, **options)
-        work.keep(found)
-        numbers = picked(found, "n", "violations", "unbounded", "probability", "lower", "upper", "at_most")
-        numbers |= picked(found, "worst_value", "worst_delta")
-        for key in ("shown", "samples_needed"):
-            if getattr(found, key) is not None:
-                numbers[key] = getattr(found, key)
-        numbers["quantiles"] = {f"{100 * q.share:g}": q._asdict() for q in found.quantiles}
-        sure = f"{100 * self.confidence:g} %"
-        facts = [
-            Fact("Violations", f"{found.violations} of {found.n} samples (seed {found.seed})"),
-            Fact(
-                "P(violation)",
-                f"between {found.lower:.4g} and {found.upper:.4g} at {sure} confidence (Clopper-Pearson)",
-            ),
-            Fact("Worst sample", f"number {found.worst_index}: {quantity(found.worst_value, found.unit)}"),
-        ]
-        if self.probability is not None:
-            word = "shown" if found.shown else "not shown"
-            facts.append(
-                Fact(f"P(violation) at most {self.probability:g}", f"{word}: at most {found.at_most:.4g}, {sure}")
-            )
-        work.draw(
-            distribution_figure(found), "distribution", f"{self.metric} of {found.n} random members of {self.of}."
-        )
-        if found.influence is not None and found.influence.names:
-            numbers["influence"] = dict(zip(found.influence.names, found.influence.first_order.tolist(), strict=True))
-            caption = "Which parameters matter: share of the spread, and the worst sample with one of them nominal."
-            work.draw(influence_figure(found.influence, self.metric), "influence", caption)
-        summary = f"{self.metric} of {found.n} members of {self.of} against {quantity(found.limit, found.unit)}."
-        return Outcome(None, summary, numbers, tuple(facts), found.status, (*found.notes, found.label))
-
-
 def _sampled_output(step: SampleStep, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
     """Numbers, facts and figure of the k-th output."""
     from robustlab.report.robustness_figures import response_figure
@@ -359,14 +243,6 @@ def _hold(step: DrivenStep) -> Any:
 def _known(name: str, known: list[str], where: str) -> None:
     if name not in known:
         raise unknown_name(f"{where} {name!r}", "no such signal", name, known)
-
-
-def _respond(model: Any, t: Any, u: Any, hold: Any) -> Any:
-    """Outputs (n_t, n_y) of a linear model."""
-    import numpy as np
-
-    record = rl.simulate(model, t, u, hold=hold)
-    return np.column_stack([record.outputs[name] for name in model.output_names])
 
 
 def _amplitudes(step: DrivenStep, inputs: Any) -> str:

@@ -77,6 +77,12 @@ class ParameterRange:
         if self.below == self.radius:
             object.__setattr__(self, "below", None)
 
+    @property
+    def words(self) -> str:
+        """Its ends with their unit; the nominal value too, where it is not the middle."""
+        around = "" if self.below is None else f" around {self.nominal:.6g}"
+        return f"{self.low:.6g} .. {self.high:.6g} {self.unit}{around}".rstrip()
+
     @classmethod
     def between(cls, low: float, high: float, nominal: float | None = None, unit: str = "") -> ParameterRange:
         """The range from ``low`` to ``high`` around ``nominal``, which is the middle where left out.

@@ -1,0 +1,262 @@
+"""Doors of what makes, checks and joins models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import robustlab as rl
+from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.kinds import Names, Number, Numbers, Quantity, Table, Texts, Thing, Whole, in_units
+from robustlab.doors.words import Model, Outputs
+from robustlab.errors import UsageError
+
+PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
+Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
+Part = Annotated[
+    list[Any], Thing(("plant", "model", "uncertain", "controller", "any"), many=True), "Files, nominal or uncertain."
+]
+PlantOrModel = Annotated[
+    Any,
+    Thing(("plant", "model", "uncertain", "any"), settings=True),
+    "Model file, name of a plant, or file.py:name.",
+    Named(key="of"),
+]
+
+
+class Rest(Table):
+    """Where a nonlinear plant rests: values by name; in a recipe six numbers of a pose, too."""
+
+    def field(self) -> Any:
+        """A pose, or a table."""
+        from pydantic import Field
+
+        return Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float]
+
+    def of_field(self, given: Any) -> Any:
+        """As it is."""
+        return given
+
+
+At = Annotated[
+    Any,
+    Rest(),
+    "Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable. In a recipe a pose, too: tx, ty, tz"
+    " in m, ax, ay, az in rad.",
+]
+Pose = Annotated[
+    tuple[float, ...] | None,
+    Numbers("", 6, "TX,TY,TZ,AX,AY,AZ"),
+    "Pose of a platform in m and rad; home if left out.",
+    Named(only="command"),
+]
+
+
+def at_rest(plant: Any, at: Any, pose: Any) -> Any:
+    """The pose, or the values at rest; None where the plant is looked at where it rests by itself.
+
+    Raises UsageError: both, or a plant that has one linear model.
+    """
+    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+
+    if pose is not None and at:
+        raise UsageError("pose", "--pose and --at", "one of them")
+    if (at or pose) and (not isinstance(plant, NonlinearPlant) or isinstance(plant, SteppedPlant)):
+        raise UsageError("at", f"{plant.name} has one linear model", "it for a nonlinear plant only")
+    return list(pose) if pose is not None else at
+
+
+@door("model build", "linearise", result="statespace.StateSpaceModel", gives="model", foretell="of")
+def linearise(
+    plant: Annotated[Plant, Named(key="of")],
+    at: At = None,
+    pose: Pose = None,
+    outputs: Outputs = None,
+    amplitude: Annotated[
+        dict[str, float] | None, Table(Number()), "Amplitude of the speed or signal at an effect's place, NAME=VALUE."
+    ] = None,
+    pade: Annotated[int, Whole(0, 40), "Order of the Pade approximation of delays; 0: left out."] = 0,
+) -> Any:
+    """The linear state-space model of a plant; states that the kept outputs do not show are left out.
+
+    Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
+    """
+    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+    from robustlab.linear_analysis.structural import drop_unconnected
+
+    if pose is not None and at:
+        raise UsageError("model build", "--pose and --at", "one of them")
+    if at and not isinstance(plant, NonlinearPlant):
+        raise UsageError("at", f"a rest of {plant.name}, which is linear", "none: the model is the same everywhere")
+    point = rl.trim(plant, **at) if isinstance(at, dict) else list(pose) if pose is not None else at
+    model = rl.linearise(plant, at=point, amplitude=amplitude or {}, pade=pade)
+    if outputs is not None:
+        model = drop_unconnected(model.select(outputs=outputs))
+    missing = plant.left_out(point, amplitude or {}, pade) if isinstance(plant, SteppedPlant) else ()
+    return InLoop(model, notes=left_out(missing))
+
+
+def left_out(missing: Any) -> tuple[str, ...]:
+    """A line for each effect that is not in a model."""
+    return tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
+
+
+@door("model check", "structural", result="linear_analysis.structural.Structure")
+def check(
+    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
+) -> Any:
+    """Poles, stability, controllability and observability of a model.
+
+    Of a model with exact delays: whether it is stable, proved for all frequencies, or refuted by a root.
+    Exit code 4: neither could be shown.
+
+    Example: robustlab model check motor.h5
+    """
+    if isinstance(system, rl.DelayedModel):
+        from robustlab.mu_analysis.margins.delay_stability import delay_stability
+
+        return delay_stability(system)
+    from robustlab.dynamics.plant_contract import Plant as AnyPlant
+    from robustlab.linear_analysis.structural import structure
+
+    return structure(rl.linearise(system) if isinstance(system, AnyPlant) else system)
+
+
+def _foretold_steady_state(step: Any, ahead: Any) -> Any:
+    from robustlab.recipe.steps.contract import Foretold
+
+    kept = ahead[step.of].select(step.outputs).outputs
+    return Foretold(leaves={"outputs": {"*": float} if kept is None else dict(kept)})
+
+
+@door(
+    "model steady-state",
+    "steady-state",
+    result="linear_analysis.steady_state.SteadyState",
+    foretell=_foretold_steady_state,
+)
+def steady_state(
+    model: Annotated[Model, Named(key="of")],
+    inputs: Annotated[
+        dict[str, Any],
+        Table(Quantity(), "inputs"),
+        "Constant input, u=42 or u=42V; repeatable.",
+        Named(option="--input-value"),
+    ],
+    outputs: Outputs = None,
+) -> Any:
+    """Outputs in steady state under constant inputs; inputs left out are zero.
+
+    Example: robustlab model steady-state speed.h5 --input-value u=42
+    """
+    from robustlab.linear_analysis.steady_state import steady_state as computed
+
+    return computed(model, in_units("input", inputs, {s.name: s.unit for s in model.inputs}), outputs)
+
+
+@door("model diff", "difference", result="storage.pairs.Difference")
+def diff(
+    first: Annotated[
+        Any,
+        Thing(("plant", "model", "uncertain", "any"), model=True, pair=True),
+        "HDF5 or MATLAB file.",
+        Named(key="of"),
+    ],
+    second: Annotated[
+        Any,
+        Thing(("plant", "model", "uncertain", "any"), model=True, positional=True),
+        "The other file; left out where the first one holds a nominal and a perturbed model.",
+        Named(key="beside"),
+    ] = None,
+    rtol: Annotated[float, Number(least=0), "Relative changes up to this are not shown."] = 0.0,
+) -> Any:
+    """The entries in which two models differ.
+
+    Example: robustlab model diff nominal.h5 perturbed.h5
+    """
+    from robustlab.storage.pairs import difference
+
+    return difference(*two_models(first, second), rtol)
+
+
+def two_models(first: Any, second: Any) -> tuple[Any, Any]:
+    """Both models: of two files, or of one that holds two.
+
+    Raises UsageError: only one model.
+    """
+    from robustlab.doors.kinds import Pair
+
+    if isinstance(first, Pair):
+        if second is not None:
+            raise UsageError("two models", "a file of two and another one", "one of them")
+        return first
+    if second is None:
+        raise UsageError("two models", "one model", "another file, or one that holds /nominal and /perturbed")
+    return first, second
+
+
+def _foretold_connection(step: Any, ahead: Any) -> Any:
+    from robustlab.recipe.steps.contract import Foretold
+
+    units: dict[str, str] = {}
+    for part in step.parts:
+        units |= {**(ahead[part].inputs or {}), **(ahead[part].outputs or {})}
+    return Foretold(None, *({name: units.get(name, "") for name in side} for side in (step.inputs, step.outputs)))
+
+
+@door("model connect", "connect", result="uncertainty.lft.UncertainModel", gives="any", foretell=_foretold_connection)
+def connect(
+    parts: Part,
+    inputs: Annotated[list[str], Names(), "Signals from outside, in this order."],
+    outputs: Annotated[list[str], Names(), "Signals to show, in this order."],
+    sums: Annotated[
+        Sequence[str],
+        Texts(),
+        'Summing junction: "e = r - y" makes the signal e; repeatable.',
+        Named(option="--sum"),
+    ] = (),
+) -> Any:
+    """Models wired by the names of their signals: an output feeds every input of the same name.
+
+    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --inputs r --outputs omega --out loop.h5
+    """
+    return rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums)
+
+
+@door("model delay", "with-delays", result="delays.model.DelayedModel", gives="any", foretell="of")
+def delay(
+    system: PlantOrModel,
+    inputs: Annotated[
+        dict[str, Any] | None,
+        Table(Quantity(least=0), "inputs"),
+        "Delay of an input in s, u=0.01; repeatable.",
+        Named(option="--input-delay"),
+    ] = None,
+    outputs: Annotated[
+        dict[str, Any] | None,
+        Table(Quantity(least=0), "outputs"),
+        "Delay of an output in s; repeatable.",
+        Named(option="--output-delay"),
+    ] = None,
+    pade: Annotated[int | None, Whole(0, 40), "A rational model of this order in the place of exact delays."] = None,
+) -> Any:
+    """Exact delays at the inputs and outputs of a model; of a discrete one as states.
+
+    Example: robustlab model delay motor.h5 --input-delay u=0.01 --out late.h5
+    """
+    model, sides = with_lengths(system, inputs, outputs)
+    found: Any = rl.with_delays(model, *sides)
+    if pade is None:
+        return found
+    if not isinstance(found, rl.DelayedModel):
+        raise UsageError("pade", "the model is discrete: its delays are states", "none")
+    return found.pade(pade)
+
+
+def with_lengths(system: Any, *sides: Any) -> tuple[Any, list[dict[str, Any]]]:
+    """The model, and lengths of time by the names of its signals as numbers in s."""
+    from robustlab.dynamics.plant_contract import Plant as AnyPlant
+
+    model = rl.linearise(system) if isinstance(system, AnyPlant) else system
+    units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
+    return model, [in_units("delay", side, units) for side in sides]

@@ -1,0 +1,325 @@
+"""Doors of what makes uncertain models: from two models, a plant's ranges, expressions, models, data, delays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any
+
+import robustlab as rl
+from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.kinds import Choice, Flag, Names, Number, Quantity, Share, Table, TextFile, Thing, Whole, in_units
+from robustlab.doors.models import At, Plant, PlantOrModel, Pose, at_rest, left_out, two_models, with_lengths
+from robustlab.doors.words import Controller, Effort, Outputs, Sign, TimeLimit
+from robustlab.errors import InputError, UsageError
+
+STRUCTURES = ("elements", "columns", "rows", "matrices", "single", "cover")
+COVERS = (
+    "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
+    "inverse-input-multiplicative", "inverse-output-multiplicative", "coprime",
+)  # fmt: skip
+EXACT = 1e-12  # share of the largest entry that the ends of an element-wise set may miss
+ANY = ("plant", "model", "uncertain", "any")
+NOTHING = "no uncertainty: mu = 0"
+
+
+@door(
+    "uncertain build",
+    "elementwise",
+    result="uncertainty.built.BuiltModel",
+    gives="uncertain",
+    made="model",
+    foretell="nominal",
+)
+def elementwise(
+    nominal: Annotated[
+        Any, Thing(ANY, pair=True), "Nominal model; or one file with groups nominal and perturbed, or with a plant."
+    ],
+    perturbed: Annotated[
+        Any, Thing(ANY, model=True, positional=True), "Maximally perturbed model of the same signals."
+    ] = None,
+    structure: Annotated[
+        str,
+        Choice(STRUCTURES),
+        "What moves together; cover: a full block for each matrix, which holds every element-wise member.",
+    ] = "elements",
+    rtol: Annotated[
+        float | None, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
+    ] = None,
+) -> Any:
+    """Uncertain model from a nominal model and the same model perturbed as far as it may go.
+
+    Other options make it of a plant's ranges, of matrices of expressions, of a set of models, or of a discovery.
+
+    Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
+    """
+    from robustlab.dynamics.plant_contract import Plant as AnyPlant
+    from robustlab.uncertainty.built import BuiltModel
+    from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
+    from robustlab.uncertainty.elementwise import endpoint_residual
+
+    if isinstance(nominal, AnyPlant) and perturbed is None:
+        return uncertain(nominal)
+    first, second = two_models(nominal, perturbed)
+    if structure == "cover":
+        note = "Contains every member of the element-wise set: what is proved for it is proved for them."
+        return BuiltModel(elementwise_cover(first, second), structure, rl.Status.CERTIFIED, notes=(note,))
+    model = rl.elementwise(first, second, structure, rtol)
+    residual = endpoint_residual(model, second)
+    status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
+    if rtol and not status.trustworthy:
+        status = rl.Status.CONVERGED  # as near as was asked
+    found = BuiltModel(model, structure, status, residual)
+    return InLoop(found, notes=() if model.blocks else (NOTHING,))
+
+
+@door("uncertain build --plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
+      foretell="of")  # fmt: skip
+def uncertain(
+    plant: Annotated[
+        Plant, "Instead of models: a plant: its name, file.py:name, or HDF5 file.", Named(option="--plant", key="of")
+    ],
+    tolerances: Annotated[
+        dict[str, Any] | None,
+        Table(Share(), "parameters"),
+        "Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable.",
+        Named(option="--tolerance"),
+    ] = None,
+    ranges: Annotated[
+        dict[str, Any] | None,
+        Table(Quantity("must"), "parameters", words="NAME=LOW:HIGH"),
+        "Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable.",
+        Named(option="--range"),
+    ] = None,
+    own: Annotated[
+        bool, Flag(), "Keep the tolerances that the plant's other parameters have of their own.", Named(in_step=False)
+    ] = True,
+    outputs: Outputs = None,
+    at: At = None,
+    pose: Pose = None,
+    hold: Annotated[
+        list[str] | None, Names(), "States and inputs of a nonlinear plant that stay while parameters change."
+    ] = None,
+) -> Any:
+    """Uncertain model of a plant: each parameter varies in a range, or by a share of its value, 0.05 or 5%.
+
+    Example: robustlab uncertain build --plant dc-motor --tolerance Kf=5% --out motor.h5
+    """
+    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+    from robustlab.uncertainty.built import BuiltModel
+
+    nominal, shares = plant.values, tolerances or {}
+    ends = in_units("range", ranges, {p.name: p.unit for p in plant.parameters.values()})
+    for name in shares:
+        if name not in nominal and name not in plant.parameters:
+            raise UsageError(f"tolerance {name}", f"no such parameter of {plant.name}", f"one of {', '.join(nominal)}")
+    if ends and hasattr(plant, "effects"):
+        raise UsageError("range", f"{plant.name} carries effects", "tolerances")
+    exact = {} if own else {name: (p.value, 0.0) for name, p in plant.parameters.items()}
+    made = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
+    rest = {"at": at_rest(made, at, pose), "hold": hold}
+    if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
+        raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
+    options = {**rest, "ranges": ends}
+    model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
+    notes = [*left_out(made.left_out() if hasattr(made, "left_out") else ()), *model.remarks]
+    without = {*shares, *ends} - {b.name for b in model.blocks}
+    if without and not hasattr(made, "effects"):
+        notes.append(f"without effect on the linear model: {', '.join(sorted(without))}")
+    notes += [] if model.blocks else [NOTHING]
+    return InLoop(BuiltModel(model, "parameters", rl.Status.CONVERGED), notes=tuple(notes))
+
+
+@door("uncertain build --expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
+def expressions(
+    file: Annotated[
+        str,
+        TextFile(),
+        "Instead of models: a TOML file with A, B, C, D in named parameters.",
+        Named(option="--expressions"),
+    ],
+) -> Any:
+    """Uncertain model from matrices of expressions in parameters with ranges."""
+    from robustlab.storage.expression_files import load_parametric
+    from robustlab.uncertainty.built import BuiltModel
+
+    model = load_parametric(file)
+    found = BuiltModel(model, "parameters", rl.Status.CONVERGED)
+    return InLoop(found, notes=() if model.blocks else (NOTHING,))
+
+
+@door("uncertain build --cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
+def cover(
+    models: Annotated[
+        list[Any],
+        Thing(ANY, model=True, many=True),
+        "Instead: a file of a set of models that is to be covered; at least two times.",
+        Named(option="--cover"),
+    ],
+    form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
+    rtol: Annotated[
+        float, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
+    ] = 1e-9,
+    weight_order: Annotated[int, Whole(0, 12), "Largest order of the cover's weight."] = 4,
+    directions: Annotated[int | None, Whole(1, 100), "Number of directions of the forms pca and ellipsoid."] = None,
+    controller: Annotated[
+        Controller,
+        "File of a controller, closed as it says: the cover's worst gain is that of its loop.",
+        Named(option="--controller,-k"),
+    ] = None,
+    feedback: Sign = None,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Any = None,
+) -> Any:
+    """The smallest uncertain model of a form that holds every one of a set of models, with its conservatism."""
+    loop: Any = None
+    words = ""
+    if feedback is not None and controller is None:
+        raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
+    if controller is not None:
+        from robustlab.closing import fed_back
+
+        around, sign, words = fed_back(models[0], controller, feedback, "cover", None)
+        loop = lambda g: g.feedback(around, sign)  # noqa: E731
+    found = rl.cover(
+        models, form, tolerance=rtol, directions=directions, order=weight_order, loop=loop, progress=progress,
+        effort=effort, time_limit=time_limit,
+    )  # fmt: skip
+    return InLoop(found, words)
+
+
+def _foretold_blocks(step: Any, ahead: Any) -> Any:
+    # Bounded errors come before its inputs.
+    return replace(ahead[step.of].select(step.outputs), inputs=None, leaves=type(step).leaves)
+
+
+@door(
+    "uncertain build --discovery",
+    "uncertain-from",
+    result="dynamics.extended.effect_blocks.EffectBlocks",
+    gives="uncertain",
+    made="model",
+    foretell=_foretold_blocks,
+)
+def uncertain_from(
+    discovery: Annotated[
+        Any,
+        Thing(("plant", "any"), discovery=True),
+        "Instead: folder of data discover --out, or its updated plant.",
+        Named(option="--discovery", key="of"),
+    ],
+    outputs: Outputs = None,
+    amplitude: Annotated[
+        dict[str, Any] | None,
+        Table(Quantity("may", least=0)),
+        "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
+    ] = None,
+    dry: Annotated[
+        str | None,
+        Choice(("gain", "load", "both")),
+        "Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the describing "
+        "function; where left out, a gain where an amplitude is given, else a load.",
+    ] = None,
+    sigmas: Annotated[
+        float, Number(least=0, most=10), "Half width of the range of a fitted value in its standard deviations."
+    ] = 2.0,
+    pade: Annotated[int, Whole(1, 8), "Order of the Pade part of delays."] = 2,
+) -> Any:
+    """Uncertain model of what a discovery found and left unexplained; each block says where it comes from.
+
+    Example: robustlab uncertain build --discovery found/ --amplitude v=0.05 --out set.h5
+    """
+    named = in_units("amplitude", amplitude, {})
+    given: Any = dry
+    try:
+        return rl.uncertain_from(discovery, outputs, sigmas=sigmas, amplitude=named or None, dry=given, pade=pade)
+    except InputError as error:
+        if "amplitude" in (error.expected or "") and error.hint:
+            raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None
+        raise
+
+
+Lengths = dict[str, Any] | None
+
+
+@door("uncertain delays", "delays", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
+      foretell="of")  # fmt: skip
+def delays(
+    system: PlantOrModel,
+    inputs: Annotated[
+        Lengths,
+        Table(Quantity("may", least=0), "inputs"),
+        "Delay of an input in s, u=0.01, or its range, u=0.01:0.03; repeatable.",
+        Named(option="--input-delay"),
+    ] = None,
+    outputs: Annotated[
+        Lengths,
+        Table(Quantity("may", least=0), "outputs"),
+        "Delay of an output in s, or its range; repeatable.",
+        Named(option="--output-delay"),
+    ] = None,
+    neglected_delays: Annotated[
+        Lengths,
+        Table(Number("s", above=0), "inputs"),
+        "Longest delay of an input in s that the model leaves out; a weight covers all up to it.",
+        Named(option="--neglected-delay"),
+    ] = None,
+    neglected_lags: Annotated[
+        Lengths,
+        Table(Number("s", above=0), "inputs"),
+        "Longest time constant in s of a lag at an input that the model leaves out; likewise.",
+        Named(option="--neglected-lag"),
+    ] = None,
+    order: Annotated[int, Whole(0, 40), "Order of the Pade approximations.", Named(option="--pade")] = 3,
+    weight_order: Annotated[int, Whole(1, 81), "Order of the weight of their error."] = 3,
+) -> Any:
+    """A set that holds a model with its exact delays: rational ones, and blocks for what these miss at any frequency.
+
+    The model may be uncertain, or have exact delays already. What is proved of the set is proved of the model.
+
+    Example: robustlab uncertain delays motor.h5 --input-delay u=0.005:0.015 --out set.h5
+    """
+    from robustlab.delays.neglected import neglected_weight
+    from robustlab.uncertainty.built import BuiltModel
+
+    model, sides = with_lengths(system, inputs, outputs)
+    found = rl.uncertain_delays(model, *sides, order, weight_order)
+    parts = {b.name: f"{b.rows} channels: {b.origin}" for b in found.blocks if b.origin}
+    for kind, longest in (("delay", neglected_delays), ("lag", neglected_lags)):
+        for name, length in (longest or {}).items():
+            weight = neglected_weight(**{kind: length})
+            block = f"{name}: neglected {kind}"
+            found = behind_input(found, name, weight.weight, block)
+            parts[block] = f"up to {length:g} s; {weight.proof}"
+    note = "The errors are bounded for all frequencies: what is proved holds for the exact delays and lags."
+    return BuiltModel(found, "delays", rl.Status.CERTIFIED, parts=parts, notes=(note,))
+
+
+def behind_input(found: Any, name: str, weight: Any, block: str) -> Any:
+    """The set behind ``1 + W Delta`` at one of its inputs."""
+    import numpy as np
+
+    known = [s.name for s in found.inputs]
+    if name not in known:
+        raise InputError(f"delays: input {name!r}", "no such signal", f"one of {', '.join(known)}")
+    column = np.eye(len(known))[:, [known.index(name)]]
+    through = rl.StateSpaceModel([], [], [], np.eye(len(known)), 0.0, found.inputs, found.inputs)
+    return found @ rl.unstructured(through, weight @ column.T, "input-multiplicative", W1=column, name=block)
+
+
+@door("uncertain neglected", "neglected-weight", result="delays.neglected.NeglectedWeight", gives="model",
+      made="weight")  # fmt: skip
+def neglected(
+    delay: Annotated[float | None, Number("s", above=0), "Longest delay in s that is left out."] = None,
+    lag: Annotated[float | None, Number("s", above=0), "Longest time constant in s that is left out."] = None,
+    weight_order: Annotated[int, Whole(1, 3), "Order of the weight for a delay: 1 or 3."] = 1,
+) -> Any:
+    """The weight of the relative error of a model that leaves out a delay or a lag, proved for all frequencies.
+
+    Example: robustlab uncertain neglected --delay 0.02 --out weight.h5
+    """
+    from robustlab.delays.neglected import neglected_weight
+
+    if (delay is None) == (lag is None):
+        raise UsageError("neglected", "delay and lag" if lag is not None else "neither", "one of them")
+    return neglected_weight(delay, lag, weight_order)

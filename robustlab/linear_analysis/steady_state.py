@@ -1,0 +1,88 @@
+"""Outputs of a stable model in steady state under constant inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from robustlab.errors import InputError, unknown_name
+from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.statespace import as_model
+
+
+@dataclass(frozen=True)
+class SteadyState(Shown):
+    """Outputs in steady state.
+
+    Attributes
+    ----------
+    inputs, outputs
+        Name -> value.
+    units
+        Name -> unit, of both.
+    status
+        CONVERGED: the model is stable.
+    """
+
+    inputs: Mapping[str, float]
+    outputs: Mapping[str, float]
+    units: Mapping[str, str]
+    status: Status = Status.CONVERGED
+
+    quantities: ClassVar[Mapping[str, Any]] = {"outputs": {"*": float}}
+
+    def headline(self) -> str:
+        """Where it is."""
+        given = ", ".join(f"{name} = {number(value, self.units[name], 5)}" for name, value in self.inputs.items())
+        return f"steady state at {given or 'zero'}"
+
+    def facts(self) -> Facts:
+        """The outputs."""
+        return [(name, number(value, self.units[name], 6)) for name, value in self.outputs.items()]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def steady_state(model: Any, inputs: Mapping[str, float], outputs: Sequence[str] | None = None) -> SteadyState:
+    r"""Outputs :math:`y = G(0) u`, of a discrete model :math:`G(1) u`, under constant inputs; others are zero.
+
+    Parameters
+    ----------
+    model
+        A stable model; with ``outputs`` the states that these do not show are left out first.
+    inputs
+        Name -> value.
+    outputs
+        Outputs to keep; all where left out.
+
+    Raises
+    ------
+    InputError
+        An unknown input, or a model that is not stable.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> steady_state(StateSpaceModel([[-2.0]], [[1.0]], [[4.0]], [[0.0]]), {"u1": 3.0}).outputs
+    {'y1': 6.0}
+    """
+    given = as_model(model, "steady state")
+    if outputs is not None:
+        given = drop_unconnected(given.select(outputs=outputs))
+    for name in inputs:
+        if name not in given.input_names:
+            raise unknown_name(f"inputs.{name}", "no such input", name, given.input_names)
+    if not given.is_stable():
+        found, hint = "is not stable, so it has no steady state", "keep only outputs that settle with outputs = [...]"
+        raise InputError("model", found, "a stable model", hint)
+    y = given.dc_gain() @ np.array([inputs.get(name, 0.0) for name in given.input_names])
+    units = {s.name: s.unit for s in (*given.inputs, *given.outputs)}
+    values = {s.name: float(value) for s, value in zip(given.outputs, y, strict=True)}
+    return SteadyState({n: inputs[n] for n in given.input_names if n in inputs}, values, units)

@@ -1,0 +1,76 @@
+"""An uncertain model with what is known of how it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from robustlab.result import Status
+from robustlab.shown import Facts, Part, Shown
+from robustlab.uncertainty.elementwise import EndpointResidual
+from robustlab.uncertainty.lft import UncertainModel
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltModel(Shown):
+    """An uncertain model with its evidence.
+
+    Attributes
+    ----------
+    model
+        The set.
+    structure
+        What moves together, or what its parts are.
+    status
+        CERTIFIED: the set is proved to hold what it was made of. CONVERGED: to an accuracy that was chosen.
+    residual
+        How far its end is from the perturbed model; None where it was not made of two models.
+    parts
+        What was put into it -> its size and why it is covered.
+    notes
+        What the reader must know.
+    """
+
+    model: UncertainModel
+    structure: str
+    status: Status
+    residual: EndpointResidual | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    quantities: ClassVar[Mapping[str, Any]] = {**UncertainModel.quantities, "endpoint_residual": "1"}
+
+    @property
+    def endpoint_residual(self) -> float | None:
+        """Largest relative difference to the perturbed model at Delta = I."""
+        return None if self.residual is None else self.residual.largest
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of the model, and the residual."""
+        residual = self.endpoint_residual
+        return self.model.numbers() | ({} if residual is None else {"endpoint_residual": residual})
+
+    def headline(self) -> str:
+        """What is uncertain."""
+        names = ", ".join(b.name for b in self.model.blocks) or "nothing"
+        return f"{'sampled' if self.model.sampled else 'exact'} uncertain model ({self.structure}); uncertain: {names}"
+
+    def facts(self) -> Facts:
+        """How it was made, and the model."""
+        off = "" if self.residual is None else f"{self.residual.largest:.2g} of each matrix's largest entry"
+        return [
+            ("structure", self.structure),
+            ("off the perturbed model at Delta = I", off),
+            *self.parts.items(),
+            *self.model.facts(),
+        ]
+
+    def details(self) -> list[Part]:
+        """The blocks."""
+        return self.model.details()
+
+    def to_json(self) -> dict[str, object]:
+        """The model's, and the evidence."""
+        more = {"structure": self.structure, "residual": self.residual, "parts": dict(self.parts)}
+        return {**self.model.to_json(), **more, "status": self.status}
