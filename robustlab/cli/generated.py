@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from inspect import Parameter as Given
-from inspect import Signature
+from inspect import Signature, signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import typer
 
-from robustlab.cli.console import FIGURE, emit, note, require_trust, save_drawing
+from robustlab.cli.columns import read_named, signals_of
+from robustlab.cli.console import FIGURE, emit, note, require_trust, save_drawing, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
+from robustlab.cli.options import RecordOptions
+from robustlab.cli.plant import machine
 from robustlab.cli.progress import MODES, ProgressOptions
 from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, Parameter, load_family
-from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Pair, Table, Thing
+from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, Thing
 from robustlab.errors import UsageError
 
 # What every command has beside its own.
@@ -25,14 +29,26 @@ PROGRESS = (
     typer.Option(help="auto: a bar on terminals; json: JSON lines on stderr; none.", autocompletion=one_of(*MODES)),
     "auto",
 )  # fmt: skip
-# How files of models are read.
-READ = (
-    ("group", str | None, typer.Option("--group", help="Group of the file that holds the model."), None),
-    ("transpose", bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D."),
-     False),
-    ("no_verify", bool, typer.Option("--no-verify", help="Load although the content hash does not match."), False),
-)  # fmt: skip
-_READING = tuple(name for name, *_ in READ)
+Options = tuple[tuple[str, Any, Any, Any], ...]  # name, type, option, default
+
+
+def options_of(group: type) -> Options:
+    """The options of a group, as `robustlab.cli.options` writes them."""
+    hints = get_type_hints(group, include_extras=True)
+    return tuple((f.name, *get_args(hints[f.name]), f.default) for f in fields(group))
+
+
+# How files are read, by `robustlab.doors.kinds.Thing.reading`.
+READ: Mapping[str, Options] = {
+    "model": (
+        ("group", str | None, typer.Option("--group", help="Group of the file that holds the model."), None),
+        ("transpose", bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D."),
+         False),
+        ("no_verify", bool, typer.Option("--no-verify", help="Load although the content hash does not match."), False),
+    ),
+    "plant": (("settings", list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE."), None),),
+    "record": options_of(RecordOptions),
+}  # fmt: skip
 DRAWN = ("figure", str | None, typer.Option(help=FIGURE), None)
 
 
@@ -42,13 +58,30 @@ def add_commands(app: typer.Typer, group: str, *families: str) -> None:
         load_family(family)
     for words, declared in COMMANDS.items():
         first, _, name = words.partition(" ")
-        if first == group and name:
+        if first == group and name and not declared.own:
             app.command(name)(command_of(declared))
 
 
-def command_of(declared: Door) -> Callable[..., None]:
-    """The command of a door, as the parser takes it."""
-    return _parsed(declared.command, {"": declared}, declared)
+class Beyond(NamedTuple):
+    """What a command says and does beyond its result."""
+
+    json: Mapping[str, Any] = {}
+    text: str | None = None  # in the place of the result's own
+    note: str = ""  # on stderr, after the result
+    exit_code: int = 0
+
+
+# Result, values of the door's parameters, options of the command's own, files read -> what is beyond the result.
+More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
+
+
+def command_of(declared: Door, own: Options | None = None, more: More | None = None) -> Callable[..., None]:
+    """The command of a door, as the parser takes it.
+
+    ``own``: options beside those of the door and its files, in the place of ``--out`` and ``--figure``; ``more`` is
+    called while progress is shown, and gets them.
+    """
+    return _parsed(declared.command, {"": declared}, declared, own, more)
 
 
 def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
@@ -60,7 +93,9 @@ def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Calla
     return _parsed(words, doors, main)
 
 
-def _parsed(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
+def _parsed(
+    words: str, doors: Mapping[str, Door], main: Door, private: Options | None = None, more: More | None = None
+) -> Callable[..., None]:
     offered: dict[str, Parameter] = {}
     for declared in doors.values():
         for p in declared.parameters:
@@ -68,20 +103,15 @@ def _parsed(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., 
                 offered.setdefault(p.name, p)
     flags = {o: _field(o) for o in doors if o and _field(o) not in offered}
     files = [p for p in offered.values() if isinstance(p.kind, Thing) and p.needed]
-    signature = [_given(p, alone=len(files) == 1) for p in offered.values()]
-    signature += [
+    offers = [_given(p, alone=len(files) == 1) for p in offered.values()]
+    offers += [
         Given(name, Given.KEYWORD_ONLY, default=False, annotation=Annotated[bool, typer.Option(o, help=doors[o].title)])
         for o, name in flags.items()
     ]
-    reading = [READ] if any(isinstance(p.kind, Thing) and p.needed for p in offered.values()) else []
-    own = [
-        *(option for group in reading for option in group),
-        OUT,
-        AS_JSON,
-        PROGRESS,
-        *([DRAWN] if any(_draws(d) for d in doors.values()) else []),
-    ]
-    signature += [
+    reading = dict.fromkeys(p.kind.reading for p in offered.values() if isinstance(p.kind, Thing))
+    written = private if private is not None else (OUT, *([DRAWN] if any(_draws(d) for d in doors.values()) else []))
+    own = [*(option for kind in reading for option in READ[kind]), *written, AS_JSON, PROGRESS]
+    offers += [
         Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
         for name, kind, option, default in own
     ]
@@ -89,11 +119,11 @@ def _parsed(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., 
     def command(**given: Any) -> None:
         shared = {name: given.pop(name) for name, *_ in own}
         chosen = _chosen(words, doors, offered, flags, given)
-        answer(words, chosen, {p.name: given[p.name] for p in chosen.parameters if p.name in given}, shared)
+        answer(words, chosen, {p.name: given[p.name] for p in chosen.parameters if p.name in given}, shared, more)
 
-    signature.sort(key=lambda p: p.default is not Given.empty)
-    command.__signature__ = Signature(signature)  # pyright: ignore[reportAttributeAccessIssue]
-    command.__annotations__ = {p.name: p.annotation for p in signature}
+    offers.sort(key=lambda p: p.default is not Given.empty)
+    command.__signature__ = Signature(offers)  # pyright: ignore[reportAttributeAccessIssue]
+    command.__annotations__ = {p.name: p.annotation for p in offers}
     command.__name__ = words.replace(" ", "_").replace("-", "_")
     command.__doc__ = "\n\n".join(
         filter(None, (main.title, main.more, f"Example: {main.example}" if main.example else ""))
@@ -127,59 +157,122 @@ def _chosen(
     return chosen
 
 
-def answer(words: str, chosen: Door, given: dict[str, Any], shared: Mapping[str, Any]) -> None:
+def answer(
+    words: str, chosen: Door, given: dict[str, Any], shared: Mapping[str, Any], more: More | None = None
+) -> None:
     """Read the files and words, compute, and answer with the result's own face."""
     files: list[str] = []
-    reading = {name: shared[name] for name in _READING if name in shared}
-    values = {p.name: _read(p, given[p.name], reading, files) for p in chosen.parameters if p.name in given}
-    values = {name: v for name, v in values.items() if not _left_out(chosen, name, v)}
-    pairs = [name for name, v in values.items() if isinstance(v, Pair)]
-    if pairs and (len(pairs) > 1 or shared["out"] is not None):
-        raise UsageError(files[0], "two models, nominal and perturbed", "one", "--group nominal, or --group perturbed")
-    with ProgressOptions(shared["progress"]).shown(words) as report:
+    out, figure = shared.get("out"), shared.get("figure")
+    with ProgressOptions(shared["progress"]).shown(
+        words, lines=chosen.progress != "", budgets=chosen.progress != "parts"
+    ) as report:
+        values = _values(chosen, given, shared, files)
+        pairs = [name for name, v in values.items() if isinstance(v, Pair)]
+        if pairs and (len(pairs) > 1 or out is not None):
+            raise UsageError(
+                files[0], "two models, nominal and perturbed", "one", "--group nominal, or --group perturbed"
+            )
         if chosen.takes_progress:
-            values["progress"] = report
+            values["progress"] = report.listener if chosen.progress == "parts" else report
         cases = {"": values} if not pairs else {
             part: {**values, pairs[0]: getattr(values[pairs[0]], part)} for part in Pair._fields
         }  # fmt: skip
         found = {part: chosen(**case) for part, case in cases.items()}
         results = {part: answered.result for part, answered in found.items()}
-        rows = [_keep(words, chosen, result, shared["out"], files, given) for result in results.values()]
-        if shared.get("figure") is not None:
+        beyond = Beyond()
+        if more is not None:
+            report("figures and files")
+            beyond = more(results[""], values, {**shared, "named": given}, files)
+        written = [_keep(words, chosen, result, values, out, files, given) for result in results.values() if out]
+        rows = [f"written: {file}" for file in written]
+        if figure is not None:
             report("figures")
-            for part, result in results.items():
-                _draw(result, shared["figure"], part)
+            written += [file for part, result in results.items() for file in _draw(result, figure, part)]
     text = "\n".join(
         ("loop  " + loop + "\n\n" if loop else "") + (f"{part}: " if part else "") + result.report()
         for part, (result, loop) in found.items()
     )
-    json = {part: {**result.to_json(), **({"loop": loop} if loop else {})} for part, (result, loop) in found.items()}
-    shown = json if pairs else json[""]
-    emit(words, shown, "\n".join([text, *filter(None, rows)]), shared["as_json"])
+    json = {part: {**_json(result), **({"loop": loop} if loop else {})} for part, (result, loop) in found.items()}
+    shown = {**(json if pairs else json[""]), **({"files": written} if written else {}), **beyond.json}
+    emit(words, shown, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
+    if beyond.note:
+        note(beyond.note)
+    if beyond.exit_code:
+        raise typer.Exit(beyond.exit_code)
     for result in results.values():
+        if hasattr(result, "require"):
+            result.require()
         if hasattr(result, "status"):
             require_trust(result.status)
 
 
-def _read(p: Parameter, given: Any, reading: Mapping[str, Any], files: list[str]) -> Any:
-    """The value of a parameter; the files that it is read from are noted down."""
-    if not isinstance(p.kind, Thing):
-        return p.kind.read(p.options[0], given)
+def _json(result: Any) -> Mapping[str, Any]:
+    """What a result is as JSON; of one with time series all but these."""
+    without = {"series": False} if "series" in signature(result.to_json).parameters else {}
+    return result.to_json(**without)
+
+
+def _values(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: list[str]) -> dict[str, Any]:
+    """The values of the door's parameters that were given; the files that they are read from are noted down."""
+    found: dict[str, Any] = {}
+    things = {p.key: p for p in chosen.parameters if isinstance(p.kind, Thing)}
+    # Models first: they say what a record's columns are called, and what units a signal's value may have.
+    for p in sorted(chosen.parameters, key=lambda p: (p.key not in things, isinstance(p.kind, RecordFile))):
+        if p.name not in given:
+            continue
+        if isinstance(p.kind, Thing):
+            value = _read(p.kind, p.options[0], given[p.name], shared, files, found)
+        elif isinstance(p.kind, Table) and p.kind.of in things:
+            units = {s.name: s.unit for s in signals_of(found.get(things[p.kind.of].name))}
+            value = p.kind.read(p.options[0], given[p.name], units)
+        else:
+            value = p.kind.read(p.options[0], given[p.name])
+        if not _left_out(chosen, p.name, value):
+            found[p.name] = value
+    return found
+
+
+def _read(
+    kind: Thing, option: str, given: Any, shared: Mapping[str, Any], files: list[str], found: Mapping[str, Any]
+) -> Any:
+    """What stands in the files that a parameter names."""
+    reading = {name: shared[name] for name, *_ in READ[kind.reading]}
     names = [given] if isinstance(given, str) else list(given or [])
+    if not names and reading.get("settings"):
+        raise UsageError(f"--set {reading['settings'][0]}", f"no {option}", f"{option} PLANT with it")
+    if isinstance(kind, RecordFile):
+        beside = next((v for v in found.values() if hasattr(v, "outputs")), None)
+        records = [read_named(RecordOptions(**reading), beside, name, files, kind.remarks) for name in names]
+        return (records or None) if kind.many else records[0] if records else None
     files += [name for name in names if Path(name).is_file()]
-    found = [p.kind.load(name, note, **reading) for name in names]
-    return found if p.kind.many else found[0] if found else None
+    if isinstance(kind, Machine):
+        return machine(kind, names[0], **reading) if names else None
+    things = [kind.load(name, note, **reading) for name in names]
+    return things if kind.many else things[0] if things else None
 
 
-def _keep(words: str, chosen: Door, result: Any, out: str | None, files: list[str], given: Mapping[str, Any]) -> str:
-    """Write what was made or found, where a file is named for it; the line that says so."""
-    if out is None:
-        return ""
+def _keep(
+    words: str,
+    chosen: Door,
+    result: Any,
+    values: Mapping[str, Any],
+    out: str,
+    files: list[str],
+    given: Mapping[str, Any],
+) -> str:
+    """Write what was made or found; its path."""
     import robustlab as rl
-    from robustlab.provenance import Provenance, file_sha256
 
-    rl.save(out, chosen.made_of(result), Provenance.now(words, {f: file_sha256(f) for f in files}, given.get("seed")))
-    return f"written: {out}"
+    rl.save(out, chosen.made_of(result), provenance_of(words, files, values, given.get("seed")))
+    return out
+
+
+def provenance_of(words: str, files: list[str], values: Mapping[str, Any], seed: int | None = None) -> Any:
+    """Where something comes from: the files read, and the code of plants."""
+    from robustlab.provenance import Provenance, code_of, file_sha256
+
+    code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
+    return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed)
 
 
 def _left_out(chosen: Door, name: str, value: Any) -> bool:
@@ -187,23 +280,29 @@ def _left_out(chosen: Door, name: str, value: Any) -> bool:
     return value is None and any(p.name == name and not p.needed for p in chosen.parameters)
 
 
-def _draw(result: Any, figure: str, part: str) -> None:
-    """Write every picture of the result that can be drawn."""
+def _draw(result: Any, figure: str, part: str) -> list[str]:
+    """Write every picture of the result that can be drawn; the paths."""
+    from robustlab.report.drawing_table import SETS
     from robustlab.report.drawings import pictures_of
 
-    made = 0
-    for name, picture in pictures_of(result, note):
-        save_drawing(picture.figure, figure, "".join(f"-{text}" for text in (part, name if made else "") if text))
-        made += 1
+    pictures = dict(pictures_of(result, note))
+    if type(result).__name__ in SETS:
+        files = save_figures({name: picture.figure for name, picture in pictures.items()}, figure)
+        note("\n".join(f"written: {file}" for file in files))
+        return files
+    made: list[str] = []
+    for name, picture in pictures.items():
+        made += save_drawing(picture.figure, figure, "".join(f"-{t}" for t in (part, name if made else "") if t))
     if not made:
         note("nothing to draw")
+    return made
 
 
 def _draws(declared: Door) -> bool:
     """Whether the results have pictures; asked by name, the classes need not be loaded."""
-    from robustlab.report.drawing_table import DRAWINGS
+    from robustlab.report.drawing_table import DRAWINGS, SETS
 
-    return declared.result.rpartition(".")[2] in DRAWINGS
+    return declared.result.rpartition(".")[2] in {*DRAWINGS, *SETS}
 
 
 # --- options ----------------------------------------------------------------------------------------------------------
@@ -253,4 +352,6 @@ def _as_text(p: Parameter) -> Any:
 def _offer(kind: Kind) -> Any:
     if isinstance(kind, Choice):
         return one_of(*kind.words)
+    if isinstance(kind, Machine):
+        return plant_or_file
     return one_of("negative", "positive") if isinstance(kind, Feedback) else None

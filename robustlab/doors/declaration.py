@@ -82,6 +82,8 @@ class Door:
     title: str  # first paragraph of the docstring
     more: str  # the rest of it
     example: str
+    own: bool = False  # the command does more, and is made where its group stands
+    progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts": and the work is counted
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -109,17 +111,27 @@ class Door:
         return found if isinstance(found, InLoop) else InLoop(found, "")
 
 
-def door(command: str = "", step: str = "", *, result: str, gives: str = "nothing", made: str = "") -> Callable[[F], F]:
+def door(
+    command: str = "",
+    step: str = "",
+    *,
+    result: str,
+    gives: str = "nothing",
+    made: str = "",
+    own: bool = False,
+    progress: str = "",
+) -> Callable[[F], F]:
     """Decorator: the function is what a command and a step of recipes do.
 
     ``result``: ``module.Class`` of what it returns; ``gives``: what later steps get, ``made`` the attribute that it is.
+    ``own``, ``progress``: see `Door`.
     """
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
-        found = Door(function, command, step, gives, made, result, paragraphs[0], rest, example)
+        found = Door(function, command, step, gives, made, result, paragraphs[0], rest, example, own, progress)
         if command:
             COMMANDS[command] = found
         if step:
@@ -189,4 +201,4 @@ def every_door() -> list[Door]:
 
 
 # The modules of doors.
-ALL = ("analysis",)
+ALL = ("analysis", "data")

@@ -45,8 +45,9 @@ from robustlab.identification.naming.discovery_parts import (
     Rival,
     SearchEntry,
     SetProbability,
+    overall,
 )
-from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
+from robustlab.identification.naming.discovery_result import Discovery, Verdict
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.search import Found
