@@ -282,12 +282,14 @@ def _left_out(chosen: Door, name: str, value: Any) -> bool:
 
 def _draw(result: Any, figure: str, part: str) -> list[str]:
     """Write every picture of the result that can be drawn; the paths."""
-    from robustlab.report.drawing_table import SETS
+    from robustlab.report.drawing_table import PREFIXES, SETS
     from robustlab.report.drawings import pictures_of
 
     pictures = dict(pictures_of(result, note))
-    if type(result).__name__ in SETS:
-        files = save_figures({name: picture.figure for name, picture in pictures.items()}, figure)
+    kind = type(result).__name__
+    if kind in SETS:
+        figures = {name: picture.figure for name, picture in pictures.items()}
+        files = save_figures(figures, figure, PREFIXES.get(kind, ""))
         note("\n".join(f"written: {file}" for file in files))
         return files
     made: list[str] = []

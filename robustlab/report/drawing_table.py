@@ -86,6 +86,8 @@ SETS: Mapping[str, str] = {
     "Validation": "set_figures.validation_figures",
     "EnvelopeCoverage": "set_figures.envelope_figures",
 }
+# Class -> what a file of such a figure begins with in a folder, where its name is that of a signal alone.
+PREFIXES: Mapping[str, str] = {"Validation": "validation-", "EnvelopeCoverage": "envelope-"}
 
 CAPTIONS: Mapping[str, str] = {
     "robustness_figures.mu_figure": "Bounds of μ over frequency. The proved margin is the inverse of the highest "

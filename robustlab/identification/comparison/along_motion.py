@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, input
 from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.additions import Addition, sorted_addition
-from robustlab.identification.comparison.comparison_result import POSE, Comparison, FreeRun, Linearisation
+from robustlab.identification.comparison.comparison_parts import FreeRun, Linearisation
+from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.localisation import (
     Motion,
     motion_of,
@@ -236,11 +238,12 @@ def _pose(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
     """Of a machine with poses the one in the middle of the worst window; empty where none can be proved."""
     machine = getattr(plant, "plant", plant)  # beneath its effects
     angles = [s.name for s in machine.outputs[:6]]
-    if not hasattr(machine, "poses") or not all(name in found.measured.outputs for name in angles):
+    poses: Any = getattr(machine, "poses", None)
+    if poses is None or not all(name in found.measured.outputs for name in angles):
         return {}
     k = int(np.argmin(np.abs(found.measured.t - 0.5 * (found.worst["start"] + found.worst["stop"]))))
     try:
-        pose = machine.poses(np.array([found.measured[name][k] for name in angles]))
+        pose = poses(np.array([found.measured[name][k] for name in angles]))
     except NoTrustworthyNumber:  # the comparison does not rest on it
         return {}
     return dict(zip(POSE, pose.tolist(), strict=True))

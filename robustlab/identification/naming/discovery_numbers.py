@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.identification.naming.discovery_parts import overall, wave_amplitude
-
-if TYPE_CHECKING:
-    from robustlab.identification.naming.discovery_result import Discovery
 
 
 def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -33,7 +30,7 @@ def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
     return effects
 
 
-def numbers_of(d: Discovery) -> dict[str, Any]:
+def numbers_of(d: Any) -> dict[str, Any]:
     """What requirements may address.
 
     ``verdict``, ``complete``, ``names``, ``places`` (names with where they sit, ``ID@PLACE``), ``answer`` (names and
@@ -94,13 +91,13 @@ def numbers_of(d: Discovery) -> dict[str, Any]:
     }
 
 
-def _strongest_line(d: Discovery, over: str) -> dict[str, float]:
+def _strongest_line(d: Any, over: str) -> dict[str, float]:
     """Period and amplitude of the strongest line that remains over a coordinate; no numbers where there is none."""
     line = next((line for line in d.remaining_lines if line["over"] == over), None)
     return {name: math.nan if line is None else float(line[name]) for name in ("period", "amplitude")}
 
 
-def _absent(d: Discovery) -> dict[str, dict[str, float]]:
+def _absent(d: Any) -> dict[str, dict[str, float]]:
     """Every effect that was tried, with parameters that are no number."""
     known = catalogue()
     tried = [known[name] for name in d.candidates if name in known]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
 from robustlab.recipe.steps.leaves import leaves_of
 from robustlab.recipe.steps.vocabulary import Count, StepName, Strict, Text, ToPlant
 
@@ -36,11 +36,10 @@ class DataSheetStep(Step):
     points: Annotated[list[SheetPointEntry], Field(min_length=1, max_length=100)]
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        from robustlab.identification.record_check.steady_state import BalanceCheck, SteadyStateComparison
+        from robustlab.identification.record_check.steady_state import SteadyStateComparison as Checked
 
-        check = leaves_of(BalanceCheck, factor="1", rivals=[str], explained_by=str)
-        points = {p.name: dict.fromkeys(("torque", "voltage", "both"), check) for p in self.points}
-        return Foretold(leaves=leaves_of(SteadyStateComparison, "checks", points=points, contradictions="1"))
+        balances = Checked.quantities["points"]["*"]
+        return Foretold(leaves={**Checked.quantities, "points": {p.name: balances for p in self.points}})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.identification.record_check.steady_state import SheetPoint, compare_steady_state
@@ -48,16 +47,10 @@ class DataSheetStep(Step):
         points = [SheetPoint(**vars(p)) for p in self.points]
         found = compare_steady_state(work.values[self.of], points)
         work.keep(found)
-        facts = [Fact(p.name, ", ".join(f"{k} {quantity(v)}" for k, v in p.stated.items()), p.source) for p in points]
-        for c in found.checks:
-            told = "contradicted" if c.contradicted else "agrees within the tolerances"
-            if c.contradicted:
-                named = [f"{c.effect} ({quantity(c.factor, digits=3)} times off)"] if c.effect else []
-                told += f"; explained by {' or '.join([*named, *c.rivals]) or 'no effect alone'}"
-            facts.append(Fact(f"{c.point}: {c.balance} balance", told))
-        count = len(found.contradictions)
-        summary = f"{len(found.checks)} balances of {self.of} checked at {len(points)} points; {count} contradicted."
-        return Outcome(found, summary, found.to_json(), tuple(facts), found.status, text=found.summary())
+        stated = [Fact(p.name, ", ".join(f"{k} {quantity(v)}" for k, v in p.stated.items()), p.source) for p in points]
+        summary = f"{self.of}: {found.headline()}."
+        facts = (*stated, *facts_of(found))
+        return Outcome(found, summary, found.numbers(), facts, found.status, text=found.summary())
 
 
 _MEANING = {
