@@ -196,7 +196,10 @@ class Comparison(Tabular, Evidence):
     def facts(self) -> Facts:
         """What was compared, the error of each output in windows, then in free run, and where it is largest."""
         gaps = [
-            (name, f"rms error {number(g.windowed_rms, g.unit)} ({g.windowed_rms_percent:.3g} % of its range)")
+            (
+                f"{name}: in windows",
+                f"rms error {number(g.windowed_rms, g.unit)} ({g.windowed_rms_percent:.3g} % of its range)",
+            )
             for name, g in self.outputs.items()
         ]
         end = "" if self.free_run.whole else f"ends at {number(self.free_run.end, 's')}: {self.free_run.reason}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
@@ -120,6 +120,8 @@ def step_of(word: str, declared: Door) -> type[DoorStep]:
             continue
         kind = p.kind.field()
         default = ... if p.needed else p.default
+        if p.needed and isinstance(p.kind, Thing) and p.kind.many:
+            kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
     made: Any = create_model(_class_name(word), __base__=BASES.get(word, DoorStep), __doc__=_doc(declared), **keys)
