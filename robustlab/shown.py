@@ -20,7 +20,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from html import escape
 from importlib import import_module
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from robustlab.errors import is_function, plain_text
 
@@ -48,11 +48,20 @@ class AllFields:
         return dict(vars(self))
 
 
+class Each(NamedTuple):
+    """In `Shown.quantities`: a table with such a number for each input or output."""
+
+    side: Literal["inputs", "outputs"]
+    leaf: Any  # "*" in it is the unit of that signal
+    more: tuple[str, ...] = ()  # further names that may be there, as in "*-rate"
+
+
 class Shown:
     """Base of what shows itself; a class says what there is to say in `facts`."""
 
     # Attributes that requirements refer to -> unit ("1" of a pure number), or a pattern of
-    # `robustlab.recipe.steps.leaves`: float where the unit depends on the signals, bool, {"*": float}, ...
+    # `robustlab.recipe.steps.leaves`: float where the unit is not known, bool, {"*": float}, a class of parts for its
+    # fields, whose own quantities say their units, `Each` for what has the names of signals.
     quantities: ClassVar[Mapping[str, Any]] = {}
 
     def __init_subclass__(cls, **keywords: Any) -> None:

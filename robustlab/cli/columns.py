@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robustlab.cli.console import note
 from robustlab.cli.groups import TYPED
-from robustlab.cli.options import names
+from robustlab.cli.options import RecordOptions, names
 from robustlab.errors import InputError, RobustlabError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from robustlab.cli.options import RecordOptions
     from robustlab.identification.record_check.column_mapping import ColumnMapping
     from robustlab.record import Record
     from robustlab.signals import Signal
+
+
+def read_named(options: RecordOptions, system: Any, named: str, files: list[str], remarks: bool) -> Record:
+    """The record that a command names, ``FILE`` or ``FILE#GROUP``; beside a model where there is one.
+
+    ``files`` gets the file. A file whose own name has a # is taken as it is.
+    """
+    file, mark, group = named.rpartition("#")
+    if not mark or Path(named).exists():
+        file, group = named, None
+    files.append(file)
+    if system is None:
+        return options.read(file, options.inputs, group, tell=remarks)
+    return read_beside(system, options, file, group, tell=remarks)
 
 
 def read_beside(
@@ -28,7 +42,7 @@ def read_beside(
     Raises InputError: what the reader refuses; columns of other names than the model's: with the proposal how they may
     belong to its signals, and the command with which that is accepted. No record is read by a proposal alone.
     """
-    inputs, outputs = _signals(system)
+    inputs, outputs = _sides(system)
     asked = options.inputs or ",".join(s.name for s in inputs)
     try:
         record = options.read(file, asked, group, tell=tell)
@@ -60,7 +74,12 @@ def _tell_strangers(record: Record, outputs: Sequence[Signal], file: str) -> Non
         note(f"{file}: {strangers}: no output of the model, and left out; --outputs {shlex.quote(every)} takes it")
 
 
-def _signals(system: Any) -> tuple[Sequence[Signal], Sequence[Signal]]:
+def signals_of(system: Any) -> Sequence[Signal]:
+    """All signals of a plant or model; none of anything else."""
+    return [s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()) if hasattr(s, "unit")]
+
+
+def _sides(system: Any) -> tuple[Sequence[Signal], Sequence[Signal]]:
     """Inputs and outputs of a plant or of a model of any kind."""
     from robustlab.statespace import as_model
 
@@ -81,7 +100,7 @@ def _proposed(error: InputError, system: Any, options: RecordOptions, file: str,
         record, clock = columns_of(read)
     except RobustlabError:
         return error
-    inputs, outputs = _signals(system)
+    inputs, outputs = _sides(system)
     taken = {text.partition("=")[2] or text for text in names(options.inputs or "")}
     tried = None if taken else system
     found = propose_columns(record, () if taken else inputs, outputs, {*taken, clock or options.clock}, tried)

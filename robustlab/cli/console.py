@@ -102,9 +102,14 @@ def save_figures(figures: Mapping[str, Figure], path: str, prefix: str = "") -> 
     return made
 
 
-def save_drawing(figure: Figure, path: str, suffix: str = "") -> None:
-    """Write a figure as SVG and PNG where ``--figure`` says, one of several with its suffix; with a note for each."""
+def save_drawing(figure: Figure, path: str, suffix: str = "") -> list[str]:
+    """Write a figure as SVG and PNG where ``--figure`` says, one of several with its suffix, with a note for each.
+
+    Gives the paths.
+    """
     from robustlab.report.figures import save_figure
 
-    for made in save_figure(figure, *figure_place(path, suffix.lstrip("-") or "figure", suffix)):
+    files = [str(made) for made in save_figure(figure, *figure_place(path, suffix.lstrip("-") or "figure", suffix))]
+    for made in files:
         note(f"written: {made}")
+    return files

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from inspect import Parameter as Given
-from inspect import Signature
-from typing import Annotated, Any
+from inspect import Signature, signature
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import typer
 
-from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_drawing
+from robustlab.cli.columns import read_named, signals_of
+from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_drawing, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
+from robustlab.cli.options import RecordOptions
+from robustlab.cli.plant import machine
 from robustlab.cli.progress import MODES, ProgressOptions
-from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, Parameter, load_family
-from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Pair, TextFile, Thing
+from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family
+from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
+from robustlab.shown import text_table
 
 # What every command has beside its own.
 OUT = ("out", str | None, typer.Option("--out", "-o", help="File to write."), None)
@@ -25,18 +30,26 @@ PROGRESS = (
     typer.Option(help="auto: a bar on terminals; json: JSON lines on stderr; none.", autocompletion=one_of(*MODES)),
     "auto",
 )  # fmt: skip
-# How files of models are read.
-READ = (
-    ("group", str | None, typer.Option("--group", help="Group of the file that holds the model."), None),
-    ("transpose", bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D."),
-     False),
-    ("no_verify", bool, typer.Option("--no-verify", help="Load although the content hash does not match."), False),
-)  # fmt: skip
-SETTINGS = (
-    "settings", list[str] | None,
-    typer.Option("--set", help="Value or choice of a plant, NAME=VALUE, such as motors=true; repeatable."), None,
-)  # fmt: skip
-_READING = (*(name for name, *_ in READ), "settings")
+Options = tuple[tuple[str, Any, Any, Any], ...]  # name, type, option, default
+
+
+def options_of(group: type) -> Options:
+    """The options of a group, as `robustlab.cli.options` writes them."""
+    hints = get_type_hints(group, include_extras=True)
+    return tuple((f.name, *get_args(hints[f.name]), f.default) for f in fields(group))
+
+
+# How files are read, by `robustlab.doors.kinds.Thing.reading`.
+READ: Mapping[str, Options] = {
+    "model": (
+        ("group", str | None, typer.Option("--group", help="Group of the file that holds the model."), None),
+        ("transpose", bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D."),
+         False),
+        ("no_verify", bool, typer.Option("--no-verify", help="Load although the content hash does not match."), False),
+    ),
+    "plant": (("settings", list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE."), None),),
+    "record": options_of(RecordOptions),
+}  # fmt: skip
 DRAWN = ("figure", str | None, typer.Option(help=FIGURE), None)
 
 
@@ -47,16 +60,33 @@ def add_commands(app: typer.Typer, group: str, *families: str) -> None:
     found: dict[str, dict[str, Door]] = {}
     for words, declared in COMMANDS.items():
         plain, dashes, option = words.partition(" --")
-        if plain.split(" ")[0] == group:
+        if plain.split(" ")[0] == group and not declared.own:
             found.setdefault(plain, {})[dashes.strip() + option] = declared
     for plain, doors in found.items():
         main = next(iter(doors.values()))
         app.command(plain.removeprefix(group).strip() or group)(choosing_command(plain, doors, main))
 
 
-def command_of(declared: Door) -> Callable[..., None]:
-    """The command of a door, as the parser takes it."""
-    return _parsed(declared.command, {"": declared}, declared)
+class Beyond(NamedTuple):
+    """What a command says and does beyond its result."""
+
+    json: Mapping[str, Any] = {}
+    text: str | None = None  # in the place of the result's own
+    note: str = ""  # on stderr, after the result
+    exit_code: int = 0
+
+
+# Result, values of the door's parameters, options of the command's own, files read -> what is beyond the result.
+More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
+
+
+def command_of(declared: Door, own: Options | None = None, more: More | None = None) -> Callable[..., None]:
+    """The command of a door, as the parser takes it.
+
+    ``own``: options beside those of the door and its files, in the place of ``--out`` and ``--figure``; ``more`` is
+    called while progress is shown, and gets them.
+    """
+    return _parsed(declared.command, {"": declared}, declared, own, more)
 
 
 def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
@@ -68,7 +98,9 @@ def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Calla
     return _parsed(words, doors, main)
 
 
-def _parsed(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
+def _parsed(
+    words: str, doors: Mapping[str, Door], main: Door, private: Options | None = None, more: More | None = None
+) -> Callable[..., None]:
     offered: dict[str, Parameter] = {}
     for declared in doors.values():
         for p in declared.parameters:
@@ -83,22 +115,19 @@ def _parsed(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., 
     by_option = {option: name for name, p in offered.items() for option in p.options}
     choosing = {option: by_option.get(option, _field(option)) for option in doors if option}
     files = [p for p in offered.values() if isinstance(p.kind, Thing) and p.needed]
-    signature = [_given(p, alone=len(files) == 1) for p in offered.values()]
-    signature += [
+    offers = [_given(p, alone=len(files) == 1) for p in offered.values()]
+    offers += [
         Given(name, Given.KEYWORD_ONLY, default=False, annotation=Annotated[bool, typer.Option(o, help=doors[o].title)])
         for o, name in choosing.items()
         if o not in by_option
     ]
-    reading = [READ] if any(isinstance(p.kind, Thing) and not p.called.option for p in offered.values()) else []
-    own = [
-        *(option for group in reading for option in group),
-        *([SETTINGS] if any(isinstance(p.kind, Thing) and p.kind.settings for p in offered.values()) else []),
-        OUT,
-        AS_JSON,
-        PROGRESS,
-        *([DRAWN] if any(_draws(d) for d in doors.values()) else []),
-    ]
-    signature += [
+    things = [p for p in offered.values() if isinstance(p.kind, Thing)]
+    reading = dict.fromkeys(p.kind.reading for p in things if p.kind.reading != "model" or not p.called.option)
+    if any(p.kind.settings for p in things):
+        reading["plant"] = None
+    written = private if private is not None else (OUT, *([DRAWN] if any(_draws(d) for d in doors.values()) else []))
+    own = [*(option for kind in reading for option in READ[kind]), *written, AS_JSON, PROGRESS]
+    offers += [
         Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
         for name, kind, option, default in own
     ]
@@ -106,11 +135,11 @@ def _parsed(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., 
     def command(**given: Any) -> None:
         shared = {name: given.pop(name) for name, *_ in own}
         chosen = _chosen(words, doors, offered, choosing, given)
-        answer(words, chosen, {p.name: given[p.name] for p in chosen.parameters if p.name in given}, shared)
+        answer(words, chosen, {p.name: given[p.name] for p in chosen.parameters if p.name in given}, shared, more)
 
-    signature.sort(key=lambda p: p.default is not Given.empty)
-    command.__signature__ = Signature(signature)  # pyright: ignore[reportAttributeAccessIssue]
-    command.__annotations__ = {p.name: p.annotation for p in signature}
+    offers.sort(key=lambda p: p.default is not Given.empty)
+    command.__signature__ = Signature(offers)  # pyright: ignore[reportAttributeAccessIssue]
+    command.__annotations__ = {p.name: p.annotation for p in offers}
     command.__name__ = words.replace(" ", "_").replace("-", "_")
     command.__doc__ = "\n\n".join(
         filter(None, (main.title, main.more, f"Example: {main.example}" if main.example else ""))
@@ -150,68 +179,133 @@ def _called(p: Parameter) -> str:
     return p.options[0] if p.called.option or not isinstance(p.kind, Thing) else p.name.upper()
 
 
-def answer(words: str, chosen: Door, given: dict[str, Any], shared: Mapping[str, Any]) -> None:
+def answer(
+    words: str, chosen: Door, given: dict[str, Any], shared: Mapping[str, Any], more: More | None = None
+) -> None:
     """Read the files and words, compute, and answer with the result's own face."""
-    files: dict[str, str] = {}
-    reading = {name: shared[name] for name in _READING if shared.get(name)}
-    values = {p.name: _read(p, given[p.name], reading, files) for p in chosen.parameters if p.name in given}
-    values = {name: v for name, v in values.items() if not _left_out(chosen, name, v)}
-    kinds = {p.name: p.kind for p in chosen.parameters}
-    pairs = [name for name, v in values.items() if isinstance(v, Pair) and not getattr(kinds[name], "pair", False)]
-    if pairs and (len(pairs) > 1 or shared["out"] is not None):
-        hint = "--group nominal, or --group perturbed"
-        raise UsageError(next(iter(files)), "two models, nominal and perturbed", "one", hint)
-    with ProgressOptions(shared["progress"]).shown(words) as report:
+    files: list[str] = []
+    out, figure = shared.get("out"), shared.get("figure")
+    with ProgressOptions(shared["progress"]).shown(
+        words, lines=chosen.progress != "", budgets=chosen.progress != "parts"
+    ) as report:
+        values = _values(chosen, given, shared, files)
         if chosen.takes_progress:
-            values["progress"] = report
-        cases = {"": values} if not pairs else {
-            part: {**values, pairs[0]: getattr(values[pairs[0]], part)} for part in Pair._fields
-        }  # fmt: skip
-        found = {part: chosen(**case) for part, case in cases.items()}
-        results = {part: answered.result for part, answered in found.items()}
+            values["progress"] = report.listener if chosen.progress == "parts" else report
+        if chosen.takes_drawn:
+            values["drawn"] = figure is not None
+        found = {part: chosen(**case) for part, case in _cases(chosen, values, files, out).items()}
+        beyond = Beyond()
+        if more is not None:
+            report("figures and files")
+            beyond = more(found[""].result, values, {**shared, "named": given}, files)
         said = _note(chosen, given, shared, files)
-        rows = [_keep(words, chosen, result, shared["out"], files, given, said) for result in results.values()]
-        if shared.get("figure") is not None:
+        written = [_keep(words, chosen, one.result, values, out, files, given, said) for one in found.values() if out]
+        rows = [f"written: {file}" for file in written]
+        if figure is not None:
             report("figures")
-            for part, result in results.items():
-                _draw(result, shared["figure"], part)
-    for remark in dict.fromkeys(text for answered in found.values() for text in answered.notes):
+            written += [file for part, one in found.items() for file in _draw(one, figure, part)]
+    for remark in dict.fromkeys(text for one in found.values() for text in one.notes):
         note(remark)
-    text = "\n".join(
-        ("loop  " + loop + "\n\n" if loop else "") + (f"{part}: " if part else "") + result.report()
-        for part, (result, loop, _) in found.items()
-    )
-    json = {part: {**result.to_json(), **({"loop": loop} if loop else {})} for part, (result, loop, _) in found.items()}
-    shown = json if pairs else json[""]
-    emit(words, shown, "\n".join([text, *filter(None, rows)]), shared["as_json"])
-    for result in results.values():
+    text = "\n".join(f"{part}: {_text(one)}" if part else _text(one) for part, one in found.items())
+    json = {part: _json(one) for part, one in found.items()}
+    shown = {**(json if len(json) > 1 else json[""]), **({"files": written} if written else {}), **beyond.json}
+    emit(words, shown, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
+    if beyond.note:
+        note(beyond.note)
+    if beyond.exit_code:
+        raise typer.Exit(beyond.exit_code)
+    for one in found.values():
+        _require(one)
+
+
+def _require(one: InLoop) -> None:
+    """Leave with the exit code of what cannot be trusted, or was asked for and is not met."""
+    if hasattr(one.result, "require"):
+        one.result.require()
+    for result in (one.result, *one.beside.values()):
         for status in getattr(result, "statuses", [result.status] if hasattr(result, "status") else []):
             require_trust(status)
-        if getattr(result, "shown", None) is False:  # what was to be shown is not
-            raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
+    if getattr(one.result, "met", None) is False:
+        raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 
 
-def _read(p: Parameter, given: Any, reading: Mapping[str, Any], files: dict[str, str]) -> Any:
-    """The value of a parameter; the files that it is read from are noted down with their SHA-256."""
-    if not isinstance(p.kind, (Thing, TextFile)):
-        return p.kind.read(p.options[0], given)
-    from robustlab.doors.reading import made_of, runs_code
+def _cases(chosen: Door, values: dict[str, Any], files: list[str], out: str | None) -> dict[str, dict[str, Any]]:
+    """The calls: one, or that of the nominal and that of the perturbed model of a file with both."""
+    kinds = {p.name: p.kind for p in chosen.parameters}
+    pairs = [name for name, v in values.items() if isinstance(v, Pair) and not getattr(kinds.get(name), "pair", False)]
+    if not pairs:
+        return {"": values}
+    if len(pairs) > 1 or out is not None:
+        hint = "--group nominal, or --group perturbed"
+        raise UsageError(files[0], "two models, nominal and perturbed", "one", hint)
+    return {part: {**values, pairs[0]: getattr(values[pairs[0]], part)} for part in Pair._fields}
 
+
+def _text(one: InLoop) -> str:
+    """The result's report, the loop before it, behind it what was asked for and what stands beside it."""
+    tables = [f"{part.title}\n{text_table(part.rows, part.header)}".lstrip() for part in one.parts if part.rows]
+    beside = [result.report() for result in one.beside.values() if result.facts()]
+    return "\n\n".join([*([f"loop  {one.loop}"] if one.loop else []), one.result.report(), *tables, *beside])
+
+
+def _json(one: InLoop) -> Mapping[str, Any]:
+    """What a result is as JSON, of one with time series all but these; what stands beside it by name."""
+    result = one.result
+    without = {"series": False} if "series" in signature(result.to_json).parameters else {}
+    beside = {name: found for name, found in one.beside.items() if hasattr(found, "to_json")}
+    return {**result.to_json(**without), **beside, **({"loop": one.loop} if one.loop else {})}
+
+
+def _values(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: list[str]) -> dict[str, Any]:
+    """The values of the door's parameters that were given; the files that they are read from are noted down."""
+    found: dict[str, Any] = {}
+    things = {p.key: p for p in chosen.parameters if isinstance(p.kind, Thing)}
+    # Models first: they say what a record's columns are called, and what units a signal's value may have.
+    for p in sorted(chosen.parameters, key=lambda p: (p.key not in things, isinstance(p.kind, RecordFile))):
+        if p.name not in given:
+            continue
+        if isinstance(p.kind, (Thing, TextFile)):
+            value = _read(p, given[p.name], shared, files, found)
+        elif isinstance(p.kind, Table) and p.kind.of in things:
+            units = {s.name: s.unit for s in signals_of(found.get(things[p.kind.of].name))}
+            value = p.kind.read(p.options[0], given[p.name], units)
+        else:
+            value = p.kind.read(p.options[0], given[p.name])
+        if not _left_out(chosen, p.name, value):
+            found[p.name] = value
+    return found
+
+
+def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str], found: Mapping[str, Any]) -> Any:
+    """What stands in the files that a parameter names."""
+    kind: Any = p.kind
     names = [given] if isinstance(given, str) else list(given or [])
-    if isinstance(p.kind, TextFile):
-        files.update({file: sha for name in names for file, sha in made_of(name, None).items()})
+    if isinstance(kind, TextFile):
+        files += [name for name in names if Path(name).is_file()]
         return given
-    found = []
-    for name in names:
-        if "plant" in p.kind.gives and runs_code(name):
-            result_alone()
-        found.append(p.kind.load(name, note, **reading if p.kind.settings else _without(reading, "settings")))
-        files.update(made_of(name, found[-1]))
-    return found if p.kind.many else found[0] if found else None
+    options = [*READ[kind.reading], *(READ["plant"] if kind.settings else [])]
+    reading = {name: shared[name] for name, *_ in options if name in shared}
+    if not names and kind.reading == "plant" and reading.get("settings"):
+        option = p.options[0]
+        raise UsageError(f"--set {reading['settings'][0]}", f"no {option}", f"{option} PLANT with it")
+    if isinstance(kind, RecordFile):
+        beside = next((v for v in found.values() if hasattr(v, "outputs")), None)
+        records = [read_named(RecordOptions(**reading), beside, name, files, kind.remarks) for name in names]
+        return (records or None) if kind.many else records[0] if records else None
+    files += [name for name in names if Path(name).is_file()]
+    if isinstance(kind, Machine):
+        return machine(kind, names[0], **reading) if names else None
+    things = [_loaded(kind, name, {key: value for key, value in reading.items() if value}) for name in names]
+    return things if kind.many else things[0] if things else None
 
 
-def _without(given: Mapping[str, Any], name: str) -> dict[str, Any]:
-    return {key: value for key, value in given.items() if key != name}
+def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
+    """What one name stands for; code of the user's may print, and the result alone goes to stdout."""
+    from robustlab.doors.reading import runs_code
+
+    if "plant" in kind.gives and runs_code(name):
+        result_alone()
+    return kind.load(name, note, **reading)
 
 
 def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: Mapping[str, str]) -> str:
@@ -227,16 +321,30 @@ def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], fil
 
 
 def _keep(
-    words: str, chosen: Door, result: Any, out: str | None, files: dict[str, str], given: Mapping[str, Any], said: str
+    words: str,
+    chosen: Door,
+    result: Any,
+    values: Mapping[str, Any],
+    out: str,
+    files: list[str],
+    given: Mapping[str, Any],
+    said: str,
 ) -> str:
-    """Write what was made or found, where a file is named for it; the line that says so."""
-    if out is None:
-        return ""
+    """Write what was made or found; its path."""
     import robustlab as rl
-    from robustlab.provenance import Provenance
 
-    rl.save(out, chosen.made_of(result), Provenance.now(words, files, given.get("seed"), said))
-    return f"written: {out}"
+    rl.save(out, chosen.made_of(result), provenance_of(words, files, values, given.get("seed"), said))
+    return out
+
+
+def provenance_of(
+    words: str, files: list[str], values: Mapping[str, Any], seed: int | None = None, said: str = ""
+) -> Any:
+    """Where something comes from: the files read, and the code of plants."""
+    from robustlab.provenance import Provenance, code_of, file_sha256
+
+    code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
+    return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, said)
 
 
 def _left_out(chosen: Door, name: str, value: Any) -> bool:
@@ -244,23 +352,33 @@ def _left_out(chosen: Door, name: str, value: Any) -> bool:
     return value is None and any(p.name == name and not p.needed for p in chosen.parameters)
 
 
-def _draw(result: Any, figure: str, part: str) -> None:
-    """Write every picture of the result that can be drawn."""
+def _draw(one: InLoop, figure: str, part: str) -> list[str]:
+    """Write every picture of the result that can be drawn, and of what stands beside it; the paths."""
+    from robustlab.report.drawing_table import PREFIXES, SETS
     from robustlab.report.drawings import pictures_of
 
-    made = 0
-    for name, picture in pictures_of(result, note):
-        save_drawing(picture.figure, figure, "".join(f"-{text}" for text in (part, name if made else "") if text))
-        made += 1
+    pictures = dict(pictures_of(one.result, note))
+    for result in one.beside.values():
+        pictures |= dict(pictures_of(result, note))
+    kind = type(one.result).__name__
+    if kind in SETS:
+        figures = {name: picture.figure for name, picture in pictures.items()}
+        files = save_figures(figures, figure, PREFIXES.get(kind, ""))
+        note("\n".join(f"written: {file}" for file in files))
+        return files
+    made: list[str] = []
+    for name, picture in pictures.items():
+        made += save_drawing(picture.figure, figure, "".join(f"-{t}" for t in (part, name if made else "") if t))
     if not made:
         note("nothing to draw")
+    return made
 
 
 def _draws(declared: Door) -> bool:
     """Whether the results have pictures; asked by name, the classes need not be loaded."""
-    from robustlab.report.drawing_table import DRAWINGS
+    from robustlab.report.drawing_table import DRAWINGS, SETS
 
-    return declared.result.rpartition(".")[2] in DRAWINGS
+    return declared.result.rpartition(".")[2] in {*DRAWINGS, *SETS}
 
 
 # --- options ----------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 An option group is a frozen dataclass whose fields are annotated as a command's own parameters are. A command that is
 marked with `grouped` takes the group as one parameter, and the parser sees the fields in its place.
 
-Among them is how the file of a record is read: alone, beside a model, and beside an uncertain one.
+Among them is how the file of a record is read.
 """
 
 from __future__ import annotations
@@ -282,7 +282,9 @@ class RecordOptions(TableOptions):
     """How the file of a record is to be read."""
 
     group: Annotated[str | None, typer.Option(help="HDF5 group, MATLAB struct or topic of a bag.")] = None
-    inputs: Annotated[str | None, typer.Option(help=f"Inputs: u or u,w. {COLUMN}")] = None
+    inputs: Annotated[
+        str | None, typer.Option(help=f"Inputs: u or u,w; beside a model its own if left out. {COLUMN}")
+    ] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs likewise, q,i=current; all others if left out.")] = None
     dt: Annotated[float | None, typer.Option(help="Sample time in s.")] = None
     clock: Annotated[str | None, typer.Option(help="Signal with the times; of a bag: stamp or log.")] = None
@@ -303,19 +305,3 @@ class RecordOptions(TableOptions):
             for line in record.meaning.get("t", "").splitlines():
                 note(f"{file}: {line}")
         return record
-
-
-@dataclass(frozen=True)
-class ModelRecordOptions(RecordOptions):
-    """The same beside a model, which knows its inputs."""
-
-    inputs: Annotated[str | None, typer.Option(help=f"Inputs; the model's if left out. {COLUMN}")] = None
-
-
-@dataclass(frozen=True)
-class UncertainRecordOptions(RecordOptions):
-    """The same beside an uncertain model; gaps are refused."""
-
-    inputs: Annotated[str | None, typer.Option(help=f"Inputs; the model's if left out. {COLUMN}")] = None
-    clock: Annotated[str | None, typer.Option(help="Signal with the times.")] = None
-    allow_gaps: bool = False

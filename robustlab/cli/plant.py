@@ -13,6 +13,7 @@ from robustlab.cli.members import named
 from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption, assignments
 from robustlab.doors import reading
+from robustlab.doors.kinds import Machine
 from robustlab.doors.reading import made_of, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 
@@ -39,22 +40,25 @@ def plant_or_model(name: str, settings: list[str]) -> Any:
     return rl.load(name) if found is None else found
 
 
-def uncertain_or_plant(name: str) -> tuple[Any, dict[str, str]]:
-    """The uncertain model in a file, or the set of a plant whose parameters have tolerances; the code that made it."""
+def machine(kind: Machine, name: str, settings: list[str] | None) -> Any:
+    """What a command names beside a record: a plant or a model; the set of a plant where an uncertain one is wanted."""
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.provenance import code_of
 
-    model = plant_or_model(name, [])
-    if isinstance(model, Plant):
-        uncertain = getattr(model, "uncertain", None)
+    found = plant_or_model(name, settings or [])
+    if kind.gives[0] != "uncertain":
+        return found
+    if isinstance(found, Plant):
+        uncertain = getattr(found, "uncertain", None)
         if uncertain is None:
-            raise InputError(name, f"{model.name} is not linear", "a linear plant, with or without effects")
-        if not any(p.tolerance for p in model.parameters.values()):
+            raise InputError(name, f"{found.name} is not linear", "a linear plant, with or without effects")
+        if not any(p.tolerance for p in found.parameters.values()):
             raise InputError(name, "no parameter has a tolerance", "a plant whose parameters may vary")
-        return uncertain(), code_of(model)
-    if not isinstance(model, rl.UncertainModel):
-        raise InputError(name, f"a {type(model).__name__}", "an uncertain model", "robustlab uncertain build")
-    return model, {}
+        made = uncertain()
+        if code_of(found):
+            made.traced(found.provenance)
+        return made
+    return kind.as_wanted(found, name)
 
 
 # --- commands --------------------------------------------------------------------------------------------------------

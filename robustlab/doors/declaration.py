@@ -10,7 +10,7 @@ class, and its door here.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -39,11 +39,13 @@ class Named:
 
 
 class InLoop(NamedTuple):
-    """What a door's function may return in the place of a result: this, the loop that it is of in words, and notes."""
+    """What a door's function may return in the place of a result: the result, and what stands beside it."""
 
     result: Any
-    loop: str = ""
-    notes: tuple[str, ...] = ()
+    loop: str = ""  # the loop that it is of, in words
+    notes: tuple[str, ...] = ()  # what the reader must know
+    beside: Mapping[str, Any] = {}  # name -> further results, of which those that have a status must be trusted, too
+    parts: tuple[Any, ...] = ()  # tables that were asked for, each a `robustlab.shown.Part`
 
 
 @dataclass(frozen=True)
@@ -88,11 +90,18 @@ class Door:
     # What is known before a recipe runs: a key whose signals the result keeps (those of ``outputs`` where that is a key
     # too), or a function of the step and of what its predecessors foretell; None: nothing.
     foretell: str | Callable[[Any, Any], Any] | None = None
+    own: bool = False  # the command does more, and is made where its group stands
+    progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts": and the work is counted
 
     @property
     def parameters(self) -> list[Parameter]:
-        """The parameters that a user gives; not ``progress`` and ``seed`` of a step, which are at hand."""
+        """The parameters that a user gives; not ``progress`` and ``drawn``, which are at hand."""
         return _parameters(self.function)
+
+    @property
+    def takes_drawn(self) -> bool:
+        """Whether the function asks if its result is drawn: curves cost time."""
+        return "drawn" in inspect.signature(self.function).parameters
 
     @property
     def takes_progress(self) -> bool:
@@ -112,7 +121,7 @@ class Door:
     def __call__(self, **values: Any) -> InLoop:
         """The result, with the words of its loop where it has one of its own."""
         found = self.function(**values)
-        return found if isinstance(found, InLoop) else InLoop(found, "")
+        return found if isinstance(found, InLoop) else InLoop(found)
 
 
 def door(
@@ -123,19 +132,24 @@ def door(
     gives: str = "nothing",
     made: str = "",
     foretell: str | Callable[[Any, Any], Any] | None = None,
+    own: bool = False,
+    progress: str = "",
 ) -> Callable[[F], F]:
     """Decorator: the function is what a command and a step of recipes do.
 
     ``command``: its words; an option behind them, ``worst-case --limit``, makes it the function of that option.
     ``result``: ``module.Class`` of what it returns; ``gives``: what later steps get, ``made`` the attribute that it is.
     ``foretell``: see `Door`.
+    ``own``, ``progress``: see `Door`.
     """
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
-        found = Door(function, command, step, gives, made, result, paragraphs[0], rest, example, foretell)
+        found = Door(
+            function, command, step, gives, made, result, paragraphs[0], rest, example, foretell, own, progress
+        )
         if command:
             COMMANDS[command] = found
         if step:
@@ -150,7 +164,7 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
     hints = get_type_hints(function, include_extras=True)
     found: list[Parameter] = []
     for name, given in inspect.signature(function).parameters.items():
-        if name == "progress":
+        if name in ("progress", "drawn"):
             continue
         marks = getattr(hints[name], "__metadata__", ())
         kind = next((m for m in marks if isinstance(m, Kind)), None)
@@ -205,4 +219,4 @@ def every_door() -> list[Door]:
 
 
 # The modules of doors.
-ALL = ("analysis", "members", "models", "sets")
+ALL = ("analysis", "data", "members", "models", "sets")

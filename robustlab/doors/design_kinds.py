@@ -38,7 +38,7 @@ class Channels(Kind):
         """A number, or a list of names."""
         from pydantic import Field
 
-        from robustlab.recipe.steps.vocabulary import Text
+        from robustlab.doors.vocabulary import Text
 
         return Annotated[int, Field(ge=1)] | Annotated[list[Text], Field(min_length=1, max_length=100)]
 
@@ -84,7 +84,7 @@ class Weight(Kind):
 
     def field(self) -> Any:
         """A number, or a table."""
-        from robustlab.recipe.steps import vocabulary
+        from robustlab.doors import vocabulary
 
         return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
 
@@ -110,7 +110,7 @@ class Diagonal(Kind):
         """A number or a list."""
         from pydantic import Field
 
-        from robustlab.recipe.steps.vocabulary import Positive
+        from robustlab.doors.vocabulary import Positive
 
         return Positive | list[Annotated[float, Field(ge=0)]]
 
@@ -134,7 +134,7 @@ class Disturbance(Thing):
 
     def field(self) -> Any:
         """The word, a frequency, or the name of an earlier step."""
-        from robustlab.recipe.steps.vocabulary import Positive
+        from robustlab.doors.vocabulary import Positive
 
         return Literal["constant"] | Positive
 
@@ -181,7 +181,7 @@ class Goals(Kind):
         """A list of tables."""
         from pydantic import Field
 
-        from robustlab.recipe.steps.vocabulary import GoalWords
+        from robustlab.doors.vocabulary import GoalWords
 
         return Annotated[list[GoalWords], Field(min_length=1, max_length=50)]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount, share
@@ -39,7 +39,7 @@ class Kind:
 
     def field(self) -> Any:
         """What a recipe may say there, as pydantic checks it."""
-        from robustlab.recipe.steps.vocabulary import Text
+        from robustlab.doors.vocabulary import Text
 
         return Text
 
@@ -130,14 +130,14 @@ def in_units(where: str, given: Mapping[str, Any] | None, units: Mapping[str, st
 
 
 @dataclass(frozen=True)
-class Share(Kind):
-    """A share between 0 and 1, or in per cent: ``5%``."""
+class Share(Number):
+    """A relative tolerance: ``0.05`` or ``5%``."""
 
     def field(self) -> Any:
-        """The same."""
-        from robustlab.recipe.steps.vocabulary import RelativeTolerance
+        """A number, or per cent as a text."""
+        from robustlab.doors.vocabulary import PriorTolerance, RelativeTolerance
 
-        return RelativeTolerance
+        return PriorTolerance if self.below is None else RelativeTolerance
 
 
 @dataclass(frozen=True)
@@ -230,6 +230,11 @@ class Names(Kind):
     side: Literal["inputs", "outputs", "signals", "parameters", ""] = ""
     of: str = "of"
     one: bool = False  # a single name
+    repeated: bool = False  # the option of a command may be repeated
+
+    def annotation(self) -> Any:
+        """A text, or several of them."""
+        return list[str] if self.repeated else str
 
     @property
     def metavar(self) -> str | None:
@@ -238,13 +243,14 @@ class Names(Kind):
 
     def read(self, option: str, given: Any) -> Any:
         """``a,b`` as a list."""
-        if given is None or self.one:
-            return given
-        return [part.strip() for part in given.split(",") if part.strip()]
+        if not given or self.one:
+            return given or None
+        texts = given if self.repeated else [given]
+        return [part.strip() for text in texts for part in text.split(",") if part.strip()]
 
     def field(self) -> Any:
         """A list of names, checked before the run where the step knows them."""
-        from robustlab.recipe.steps import vocabulary
+        from robustlab.doors import vocabulary
 
         taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
@@ -260,7 +266,7 @@ class Texts(Kind):
 
     def field(self) -> Any:
         """A list of texts."""
-        from robustlab.recipe.steps.vocabulary import Text
+        from robustlab.doors.vocabulary import Text
 
         return list[Text]
 
@@ -328,8 +334,8 @@ class Table(Kind):
         """How one is written."""
         return self.words
 
-    def read(self, option: str, given: Given) -> Any:
-        """The table; None where nothing was given."""
+    def read(self, option: str, given: Given, units: Mapping[str, str] | None = None) -> Any:
+        """The table; None where nothing was given. ``units``: of a name, in which its value may be given too."""
         if not given:
             return None
         found: dict[str, Any] = {}
@@ -343,22 +349,26 @@ class Table(Kind):
                 raise UsageError(f"{option} {text}", "no name and value", self.words)
             if name in found:
                 raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
-            found[name] = self._value(f"{option} {text}", value)
+            try:
+                found[name] = self._value(f"{option} {text}", value, (units or {}).get(name, ""))
+            except InputError as error:
+                raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
         return found
 
-    def _value(self, where: str, text: str) -> Any:
+    def _value(self, where: str, text: str, unit: str) -> Any:
         if type(self.value) is Kind:
             return text
         if isinstance(self.value, Quantity):
             return self.value.of_text(where, text)
         if isinstance(self.value, Share):
             return _as_usage(share, where, text)
+        unit = getattr(self.value, "unit", "") or unit
         if isinstance(self.value, Numbers):
             parts = text.split(":")
             if len(parts) != 2:
                 raise UsageError(where, "no name and two numbers", self.words)
-            return tuple(amount(where, part, self.value.unit) for part in parts)
-        number = amount(where, text, getattr(self.value, "unit", ""))
+            return tuple(amount(where, part, unit) for part in parts)
+        number = amount(where, text, unit)
         if isinstance(self.value, Whole):
             if not float(number).is_integer():  # nan and inf are none
                 raise UsageError(where, "no whole number", self.words)
@@ -367,7 +377,7 @@ class Table(Kind):
 
     def field(self) -> Any:
         """A table of such values."""
-        from robustlab.recipe.steps import vocabulary
+        from robustlab.doors import vocabulary
 
         taken = dict[str, self.value.field()]  # pyright: ignore[reportInvalidTypeForm]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
@@ -395,7 +405,7 @@ class Pair(NamedTuple):
 class Thing(Kind):
     """An object: a file of a command, an earlier step of a recipe.
 
-    ``gives``: what that step may give, see `robustlab.recipe.steps.vocabulary`.
+    ``gives``: what that step may give, see `robustlab.doors.vocabulary`.
     ``model``: a plain model is wanted, that of a controller or a linear plant as well.
     ``many``: several of them.
     ``number``: a number may stand in its place.
@@ -414,6 +424,8 @@ class Thing(Kind):
     pair: bool = False
     discovery: bool = False
 
+    reading: ClassVar[str] = "model"  # which of a command's options say how the file is read
+
     def annotation(self) -> Any:
         """The name of a file."""
         return list[str] if self.many else str
@@ -425,7 +437,7 @@ class Thing(Kind):
 
     def field(self) -> Any:
         """The name of an earlier step."""
-        from robustlab.recipe.steps.vocabulary import RefersTo
+        from robustlab.doors.vocabulary import RefersTo
 
         name = Annotated[str, RefersTo(self.gives)]
         taken: Any = list[name] if self.many else name  # pyright: ignore[reportInvalidTypeForm]
@@ -473,4 +485,42 @@ class Thing(Kind):
         if wanted and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
             held = f"holds a {type(found).__name__}"
             raise InputError(where, held, "an uncertain model", "robustlab uncertain build --help")
+        return found
+
+
+@dataclass(frozen=True)
+class Machine(Thing):
+    """A plant by its name or file, or a model in a file; the option ``--set`` of a command changes the plant."""
+
+    gives: tuple[str, ...] = ("plant", "model", "any")
+
+    reading: ClassVar[str] = "plant"
+
+    @property
+    def metavar(self) -> str | None:
+        """A plant, or a file."""
+        return "MODEL"
+
+
+@dataclass(frozen=True)
+class RecordFile(Thing):
+    """A record; its columns are those of the `Machine` beside it. A command says ``FILE#GROUP`` for a group of a file.
+
+    ``remarks``: whether a command says on stderr what reading did to the clock; a result may say it itself.
+    """
+
+    gives: tuple[str, ...] = ("record", "any")
+    remarks: bool = True
+
+    reading: ClassVar[str] = "record"
+
+    def as_wanted(self, found: Any, where: str) -> Any:
+        """The record.
+
+        Raises InputError: it is something else.
+        """
+        import robustlab as rl
+
+        if not isinstance(found, rl.Record):
+            raise InputError(where, f"a {type(found).__name__}", "a record")
         return found

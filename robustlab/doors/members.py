@@ -74,7 +74,7 @@ def _foretold_violation(step: Any, ahead: Any) -> Any:
     return Foretold(leaves={**type(step).leaves, "worst_value": unit})
 
 
-@door("worst-case", "worst-case", result="worst_case_analysis.search.WorstCase", foretell=_foretold_worst)
+@door("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", foretell=_foretold_worst)
 def worst_case(
     uncertain: Of,
     metric: Metric = "peak-deviation",

@@ -80,7 +80,7 @@ def uncertain(
     ],
     tolerances: Annotated[
         dict[str, Any] | None,
-        Table(Share(), "parameters"),
+        Table(Share(above=0, below=1), "parameters"),
         "Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable.",
         Named(option="--tolerance"),
     ] = None,
@@ -279,11 +279,12 @@ def delays(
 
     Example: robustlab uncertain delays motor.h5 --input-delay u=0.005:0.015 --out set.h5
     """
+    from robustlab.delays import uncertain_delays
     from robustlab.delays.neglected import neglected_weight
     from robustlab.uncertainty.built import BuiltModel
 
     model, sides = with_lengths(system, inputs, outputs)
-    found = rl.uncertain_delays(model, *sides, order, weight_order)
+    found = uncertain_delays(model, *sides, order, weight_order)
     parts = {b.name: f"{b.rows} channels: {b.origin}" for b in found.blocks if b.origin}
     for kind, longest in (("delay", neglected_delays), ("lag", neglected_lags)):
         for name, length in (longest or {}).items():

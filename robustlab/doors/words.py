@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from robustlab.doors.kinds import Feedback, Flag, Names, Number, Numbers, Thing, Whole
+from robustlab.doors.kinds import Feedback, Flag, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
 System = Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]
 Uncertain = Annotated[Any, Thing(("uncertain", "any")), "HDF5 file with an uncertain model, or with frequency data."]
 Design = Annotated[Any, Thing(("problem", "plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]
+Plant = Annotated[Any, Machine(), "Model file, name of a plant, or file.py:name."]
+UncertainPlant = Annotated[Any, Machine(("uncertain", "any")), "Uncertain model: a file, or a plant with tolerances."]
+Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, Parquet, MCAP, CSV or TXT file."]
+Repeats = Annotated[list[Any] | None, RecordFile(many=True), "Further record with the same input, for the noise floor."]
 Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
 Sign = Annotated[
     int | None, Feedback(), "negative (u = -K y) or positive; if left out, as the controller says of itself."

@@ -34,7 +34,7 @@ _WORDS = {
     "SheetPoint": "record_check.steady_state",
     "compare_steady_state": "record_check.steady_state",
     "validate": "validation.model_validation",
-    "Validation": "validation.result",
+    "Validation": "validation.validation_result",
     "ValidationTuning": "validation.tuning",
 }
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import robustlab as rl
+from robustlab.doors.vocabulary import Names
 from robustlab.errors import InputError, RobustlabError, UsageError, unknown_name
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Foretold, Step
 from robustlab.recipe.steps.leaves import kind_in_words, look_ahead
-from robustlab.recipe.steps.vocabulary import Names
 from robustlab.units import same_unit
 
 # What a loaded file may hold, and what a step may ask for that takes nothing else.

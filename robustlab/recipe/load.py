@@ -9,13 +9,14 @@ The files around it are found here, too: those it names and may read, and the re
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from robustlab.doors.vocabulary import RefersTo
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.document import parse_document, read_document
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
@@ -23,7 +24,6 @@ from robustlab.recipe.shipped import shipped_folder, shipped_recipes
 from robustlab.recipe.steps.contract import KINDS, Step
 from robustlab.recipe.steps.models import LoadStep, PlantStep
 from robustlab.recipe.steps.records import FrequencyResponseStep, RecordStep
-from robustlab.recipe.steps.vocabulary import RefersTo
 
 Mark = TypeVar("Mark")
 MAX_BYTES = 1 << 20
@@ -229,10 +229,15 @@ def marked(step: Step, kind: type[Mark]) -> list[tuple[str, Mark]]:
     found: list[tuple[str, Mark]] = []
     for name, field in type(step).model_fields.items():
         # An optional field keeps its mark inside the union, a list of references inside the list.
-        parts = [m for a in getattr(field.annotation, "__args__", ()) for m in getattr(a, "__metadata__", ())]
-        marks = [m for m in (*field.metadata, *parts) if isinstance(m, kind)]
+        marks = [m for m in (*field.metadata, *_metadata(field.annotation)) if isinstance(m, kind)]
         found += [(name, mark) for mark in marks[:1]]
     return found
+
+
+def _metadata(annotation: Any) -> Iterator[Any]:
+    yield from getattr(annotation, "__metadata__", ())
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _metadata(inner)
 
 
 # --- overrides -------------------------------------------------------------------------------------------------------

@@ -16,10 +16,10 @@ from typing import Annotated, Any, Literal, Self, Union
 from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
+from robustlab.doors.vocabulary import StepName, Strict, Text
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import KINDS, Step
 from robustlab.recipe.steps.leaves import nothing_there
-from robustlab.recipe.steps.vocabulary import StepName, Strict, Text
 
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
 

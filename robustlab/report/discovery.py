@@ -21,14 +21,13 @@ from robustlab.identification.naming.discovery_result import (
     Discovery,
     chance,
     compared,
-    headline,
     in_words,
-    overall,
     with_interval,
 )
-from robustlab.identification.naming.named_effects import Gap, SetProbability
+from robustlab.identification.naming.named_effects import Gap, SetProbability, overall
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
+from robustlab.report.drawings import caption_of
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -59,18 +58,10 @@ DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "up
 FREE, ALONG = "free run", "one run, linear about the recorded motion"
 SHORT = {ALONG: "one linear run"}  # above narrow panels
 
+WHOLE = "discovery.discovery_figures"  # of `robustlab.report.drawing_table`
 COLUMNS = 2
 ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
-
-CAPTIONS = {
-    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated. "
-    "A free run is one over a whole record; of a nonlinear plant it is a linear run, about the recorded motion.",
-    "run": "One simulation from the start of a held-out record to its end, without restarts; errors below.",
-    "stretch": "A held-out stretch, window by window: record and models, and their errors below.",
-    "posterior": "Sets of effects and how probable they are; blue: the smallest collection with 95 %.",
-    "force": "The force that the refitted and the updated model lack, over each coordinate, with its 95 % band.",
-}
 
 
 def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
@@ -121,7 +112,8 @@ def gap_figure(discovery: Discovery) -> Figure:
             if k == 0:
                 traces.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3, columnspacing=1.2)
                 headroom(traces, below=0.2)
-        figure.suptitle(_wrapped(plain_label(headline(d)), 104), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+        title = _wrapped(plain_label(f"{d.headline()}."), 104)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
     return figure
 
 
@@ -500,19 +492,13 @@ def _share(percent: float) -> str:
     return f"{percent:.2g} %" if math.isfinite(percent) and percent < 99.5 else f"{percent:.0f} %"
 
 
-def caption(name: str) -> str:
-    """Caption of a figure of `discovery_figures`; of one output it begins with the output's name."""
-    kind, _, output = name.partition("-")
-    return f"{output}: {CAPTIONS[kind][0].lower()}{CAPTIONS[kind][1:]}" if output else CAPTIONS[kind]
-
-
 def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:
     """Write the figures into ``folder/figures`` and ``folder/report.html``; the paths written, the page last."""
     figures = discovery_figures(d)
     files = [path for name, figure in figures.items() for path in save_figure(figure, folder / "figures", name)]
     tone, mark = TONES[d.verdict] if d.complete or d.verdict != "named" else ("warn", "!")
     page = {
-        "verdict": {"tone": tone, "mark": mark, "headline": headline(d), "detail": MEANINGS[d.verdict]},
+        "verdict": {"tone": tone, "mark": mark, "headline": f"{d.headline()}.", "detail": MEANINGS[d.verdict]},
         "requirements": [],
         "steps": [_step(d, figures)],
         "recipe": {
@@ -538,12 +524,12 @@ def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
         "title": f"{d.plant} against {', '.join(d.records)}",
         "status": str(d.status),
         "trustworthy": d.status.trustworthy,
-        "summary": headline(d),
+        "summary": f"{d.headline()}.",
         "error": "",
         "numbers": plain(d.to_json()),
         "facts": [dict(zip(("label", "value", "source"), fact, strict=True)) for fact in facts(d)],
         "notes": [f.message for f in d.findings],
         "text": d.summary(details=True),
         "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
-        "figures": [{"stem": name, "caption": caption(name)} for name in figures],
+        "figures": [{"stem": name, "caption": caption_of(WHOLE, name)} for name in figures],
     }

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.report.drawing_table import CAPTIONS, DRAWINGS
+from robustlab.report.drawing_table import CAPTIONS, DRAWINGS, SETS
 from robustlab.report.figures import drawn_on
 
 
@@ -34,6 +34,11 @@ class Picture(NamedTuple):
 
 def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iterator[tuple[str, Picture]]:
     """Every drawing of an object that has something to show, by name; ``remark`` hears why another has not."""
+    whole = SETS.get(type(shown).__name__, "")
+    if whole:
+        made: Any = _function(whole)(shown)
+        yield from ((name, Picture(figure, caption_of(whole, name))) for name, figure in made.items())
+        return
     for name, function in drawings_of(type(shown)).items():
         try:
             figure: Any = _function(function)(shown)
@@ -42,6 +47,13 @@ def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iter
                 remark(f"no figure {name}: {error}")
             continue
         yield name, Picture(figure, CAPTIONS.get(function, f"{name.capitalize()}."))
+
+
+def caption_of(whole: str, name: str) -> str:
+    """What a figure of a set shows; its name is one of the set's, or that with an output's, or an output."""
+    kind, _, output = name.partition("-")
+    known = CAPTIONS.get(f"{whole} {kind}")
+    return CAPTIONS[whole].format(name) if known is None else known.format(output)
 
 
 def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> Any:

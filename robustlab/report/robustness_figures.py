@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.axis.critical_delta import Replay
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
     from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
-    from robustlab.worst_case_analysis.search import WorstCase
+    from robustlab.worst_case_analysis.worst_case_search import WorstCase
 
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.comparison.envelope import SignalCoverage
+from robustlab.identification.comparison.envelope import EnvelopeCoverage, SignalCoverage
 from robustlab.identification.validation import Validation
 from robustlab.identification.validation.data_cover import DataCover
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
@@ -227,6 +227,11 @@ def validation_figures(found: Validation) -> dict[str, Figure]:
     if found.domain == "frequency" and np.isfinite(found.upper):
         figures["delta"] = delta_figure(found)
     return figures
+
+
+def envelope_figures(found: EnvelopeCoverage) -> dict[str, Figure]:
+    """A figure for each signal of a record in the envelope of a set."""
+    return {name: envelope_figure(signal) for name, signal in found.signals.items()}
 
 
 def validation_figure(found: Validation, output: str) -> Figure:

@@ -56,7 +56,8 @@ def test_text_figures_and_result_file(run, record_file, tmp_path):
         "time-q.svg",
         "where-q.svg",
     ]
-    assert str(out_file) in err
+    assert f"written: {out_file}" in out
+    assert str(folder) in err
     stored = rl.load(out_file)
     assert stored.status is rl.Status.CONVERGED
     assert len(stored.data["simulated"]["q"]) == 800

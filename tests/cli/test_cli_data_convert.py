@@ -40,7 +40,7 @@ def test_convert_and_check(run, csv):
     found = json.loads(run("check", "r.h5", "--json"))
     assert (found["n"], found["is_uniform"], found["remarks"]) == (50, True, [])
     assert [c["side"] for c in found["channels"]] == ["input", "output"]
-    assert "remark: q: no unit stated" in run("check", csv)
+    assert "remark  q: no unit stated" in run("check", csv)
 
 
 def test_faults(run, csv):

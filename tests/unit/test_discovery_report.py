@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.data import DiscoveryFiles
+from robustlab.cli.data import _fill_folder
 from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
+from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.discovery_result import (
     Discovery,
     chance,
     compared,
-    headline,
-    overall,
     with_interval,
 )
 from robustlab.identification.naming.named_effects import (
@@ -29,14 +28,15 @@ from robustlab.identification.naming.named_effects import (
     Rival,
     SearchEntry,
     SetProbability,
+    overall,
     wave_amplitude,
 )
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
-from robustlab.recipe.steps.records import numbers
-from robustlab.report.discovery import caption, discovery_figures, facts, stretch_figure, write_page
+from robustlab.report.discovery import discovery_figures, facts, stretch_figure, write_page
+from robustlab.report.drawings import caption_of
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
@@ -44,6 +44,10 @@ COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "f = -Fc sgn
 RIVAL = Rival("presliding", "Presliding", "v", "coulomb-friction", 1.4, -0.7, 0.21, (replace(FC, name="Fb"),))
 LINE = {"over": "position", "period": 0.0025, "unit": "m", "amplitude": 0.98, "force_unit": "N", "p_value": 0.005}
 WINDOWS, LENGTH, DT = 5, 40, 0.01
+
+
+def sentence(d):
+    return f"{d.headline()}."
 
 
 def series(apart: int):
@@ -152,7 +156,7 @@ def test_what_tolerances_may_hide_is_told_beside_no_missing_effect():
     found = hidden()
     assert found.names == ()
     assert found.answer == ("viscous-friction",)
-    assert headline(found).endswith("but they do not exclude viscous friction, misjudged or missing.")
+    assert sentence(found).endswith("but they do not exclude viscous friction, misjudged or missing.")
     line = next(x for x in found.summary().splitlines() if "not excluded" in x)
     assert "viscous-friction at v" in line
     assert "20.31 to 20.47" in line
@@ -168,20 +172,20 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
         "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % -> 0.1 % of the range, in free run "
         "25 % -> 0.5 %."
     )
-    assert "cannot tell which" in headline(ambiguous())
+    assert "cannot tell which" in sentence(ambiguous())
     unsettled = made(verdict="ambiguous", status=Status.INCONCLUSIVE)
-    assert "lacks Coulomb (dry) friction, as far as the search came before its work was used up" in headline(unsettled)
+    assert "lacks Coulomb (dry) friction, as far as the search came before its work was used up" in sentence(unsettled)
     no_nearer = made(verdict="ambiguous", status=Status.INCONCLUSIVE, gap_refitted=0.09)
-    assert "may lack Coulomb (dry) friction, which is on held-out data no nearer than the refitted" in headline(
+    assert "may lack Coulomb (dry) friction, which is on held-out data no nearer than the refitted" in sentence(
         no_nearer
     )
-    assert "either Coulomb (dry) friction or presliding (elastic dry friction): these" in headline(ambiguous())
-    assert headline(unknown()).startswith("servo-axis lacks something that no effect of the catalogue explains")
-    beyond = headline(unknown(effects=(COULOMB,)))
+    assert "either Coulomb (dry) friction or presliding (elastic dry friction): these" in sentence(ambiguous())
+    assert sentence(unknown()).startswith("servo-axis lacks something that no effect of the catalogue explains")
+    beyond = sentence(unknown(effects=(COULOMB,)))
     assert beyond.startswith("servo-axis lacks something beyond Coulomb (dry) friction that no effect")
-    none = headline(made(verdict="no missing effect", effects=(), gap_after=0.9))
+    none = sentence(made(verdict="no missing effect", effects=(), gap_after=0.9))
     assert none.startswith("servo-axis lacks no effect that these records show")
-    assert headline(made(complete=False)).endswith("; something else remains.")
+    assert sentence(made(complete=False)).endswith("; something else remains.")
 
 
 def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
@@ -240,9 +244,9 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     ripple = NamedEffect("cogging", "Cogging", "f = ...", "omega", parts, 1.0, 9.0, ())
     d = made(effects=(ripple,), candidates=("cogging", "coulomb-friction"))
     assert "amplitude   5 N m, period 0.8976 rad, 7 a turn" in d.summary()
-    assert numbers(d)["effects"]["cogging"]["amplitude"] == pytest.approx(5.0)
-    assert "amplitude" not in numbers(made())["effects"]["coulomb-friction"]
-    assert numbers(made(candidates=("cogging",)))["effects"]["cogging"]["amplitude"] == 0.0
+    assert numbers_of(d)["effects"]["cogging"]["amplitude"] == pytest.approx(5.0)
+    assert "amplitude" not in numbers_of(made())["effects"]["coulomb-friction"]
+    assert numbers_of(made(candidates=("cogging",)))["effects"]["cogging"]["amplitude"] == 0.0
     assert wave_amplitude({"Fc": 1.0}) is None
 
 
@@ -259,7 +263,7 @@ def test_what_sets_have_in_common_is_told_once():
         SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.3, -0.7, 1.1, "force over position"),
         SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.1, -1.8, 2.0),
     )
-    first = headline(ambiguous(posterior=sets)).partition(":")[0]
+    first = sentence(ambiguous(posterior=sets)).partition(":")[0]
     assert first == (
         "servo-axis lacks Coulomb (dry) friction, and either cogging (force ripple), an unnamed force over position or "
         "nothing more"
@@ -303,9 +307,9 @@ def test_the_next_experiment_is_told_and_kept(tmp_path):
     assert "next: measure what tells them apart: ramp u slowly through zero" in d.summary()
     text = d.summary(details=True)
     assert "next experiment:\n  ramp u slowly through zero\n  predicted separation" in text
-    assert numbers(d)["next_experiment"] == {"name": "slow ramp", "separation": 12.0}
-    assert numbers(made())["next_experiment"]["name"] == "none"
-    files = DiscoveryFiles(out=str(tmp_path)).write(d, {"model": "servo-axis", **d.to_json()}, [], {})
+    assert numbers_of(d)["next_experiment"] == {"name": "slow ramp", "separation": 12.0}
+    assert numbers_of(made())["next_experiment"]["name"] == "none"
+    files = _fill_folder(d, {"model": "servo-axis", **d.to_json()}, tmp_path, Provenance.now("test"))
     assert str(tmp_path / "next-experiment.csv") in files
     assert json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["next_experiment"]["separation"] == 12.0
     back = rl.load(rl.save(tmp_path / "evidence.h5", d)).data
@@ -461,7 +465,7 @@ def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
     odd = replace(odd, free_run={"../x$": d.gaps["q"]})
     odd.series["free_run"]["outputs"]["../x$"] = odd.series["free_run"]["outputs"].pop("q")
     assert list(discovery_figures(odd)) == ["story", "run-output1", "stretch-output1", "posterior"]
-    captions = [caption(name) for name in discovery_figures(odd)]
+    captions = [caption_of("discovery.discovery_figures", name) for name in discovery_figures(odd)]
     assert all(len(words.split()) > 5 for words in captions)
     assert len(set(captions)) == len(captions)
 
@@ -498,7 +502,7 @@ def test_a_hostile_name_cannot_leave_its_place(tmp_path):
 
 
 def met(d, **condition):
-    return judge(Requirement(text="t", **condition), {"naming": plain(numbers(d))}, {}).met
+    return judge(Requirement(text="t", **condition), {"naming": plain(numbers_of(d))}, {}).met
 
 
 def test_requirements_may_address_names_and_numbers():
@@ -525,16 +529,16 @@ def test_a_requirement_on_an_effect_that_was_not_named_is_not_met():
     assert not met(d, that="naming.effects.backlash.gap", at_most=1.0)
     assert met(d, that="naming.confidence.backlash", at_most=0.0)
     mistyped = Requirement(text="t", that="naming.effects.coulomb-frction.Fc", at_least=0.0)
-    found = judge(mistyped, {"naming": plain(numbers(d))}, {})
+    found = judge(mistyped, {"naming": plain(numbers_of(d))}, {})
     assert (found.met, found.misstated) == (False, True)
     assert "did you mean coulomb-friction" in found.why_not
 
 
 def test_two_effects_of_a_kind_are_told_apart_by_their_place():
     d = made(effects=(COULOMB, replace(COULOMB, site="w", parameters=(replace(FC, value=1.0),))))
-    found = numbers(d)["effects"]
+    found = numbers_of(d)["effects"]
     assert (found["coulomb-friction"]["Fc"], found["coulomb-friction@w"]["Fc"]) == (20.39, 1.0)
 
 
 def test_nothing_left_is_an_infinite_ratio():
-    assert numbers(made(gap_after=0.0))["gap_ratio"] == math.inf
+    assert numbers_of(made(gap_after=0.0))["gap_ratio"] == math.inf

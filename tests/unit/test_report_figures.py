@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from robustlab.worst_case_analysis.search import WorstCase, WorstResponse
 
 import robustlab as rl
 from robustlab.mu_analysis import Margin
 from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
 from robustlab.report.figures import axis_label, house_style, logarithmic, new_figure, save_figure
 from robustlab.report.robustness_figures import mu_figure, response_figure, shares_figure, worst_case_figure
+from robustlab.worst_case_analysis.worst_case_search import WorstCase, WorstResponse
 
 T = np.linspace(0.0, 1.0, 101)
 

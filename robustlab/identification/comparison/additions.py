@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from robustlab.errors import InputError
 from robustlab.identification.comparison.localisation import REST, Motion
 from robustlab.identification.response.response import Response, Stretch
 from robustlab.result import Evidence
+from robustlab.shown import Each
 from robustlab.statespace import StateSpaceModel
 
 # Share of the squared error that an addition has to take away to be told, and two places of what one leaves.
@@ -79,6 +80,13 @@ class Addition(Evidence):
     offsets: Mapping[str, float]
     speed_source: str = ""  # the speed it is sorted by, as in `robustlab.identification.comparison.localisation.Motion`
     together: tuple[str, ...] = field(default=())  # the other places of the same fit
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "seconds": "s",
+        **dict.fromkeys(("forward", "backward", "forward_std", "backward_std"), "*"),
+        "shares": Each("outputs", float),
+        "explained_share": float,
+    }
 
     @property
     def shares(self) -> dict[str, float]:

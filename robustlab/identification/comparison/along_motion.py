@@ -10,6 +10,8 @@ belongs to.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +20,8 @@ from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, input
 from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.additions import Addition, sorted_addition
-from robustlab.identification.comparison.comparison_result import Comparison, FreeRun, Linearisation
+from robustlab.identification.comparison.comparison_parts import FreeRun, Linearisation
+from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import (
     even_odd_test,
     kept,
@@ -201,7 +204,7 @@ def compare_along(
         errors = [_windowed_error(r, s, length) for r, s in zip(owners, stretches, strict=True)]
     linearisation = _linearisation(response, windows, names)
     noise_std = 1.0 / whole.weight
-    return Comparison(
+    compared = Comparison(
         status=Status.CONVERGED,
         model=title(plant),
         record=record.name,
@@ -232,6 +235,22 @@ def compare_along(
         left_out=_left_out(run, motions, inputs),
         **found,
     )
+    return replace(compared, pose=_pose(plant, compared))
+
+
+def _pose(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
+    """Of a machine with poses the one in the middle of the worst window; empty where none can be proved."""
+    machine = getattr(plant, "plant", plant)  # beneath its effects
+    angles = [s.name for s in machine.outputs[:6]]
+    poses: Any = getattr(machine, "poses", None)
+    if poses is None or not all(name in found.measured.outputs for name in angles):
+        return {}
+    k = int(np.argmin(np.abs(found.measured.t - 0.5 * (found.worst["start"] + found.worst["stop"]))))
+    try:
+        pose = poses(np.array([found.measured[name][k] for name in angles]))
+    except NoTrustworthyNumber:  # the comparison does not rest on it
+        return {}
+    return dict(zip(POSE, pose.tolist(), strict=True))
 
 
 # --- plant and record ------------------------------------------------------------------------------------------------

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.additions import SURE, Addition, located
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
+from robustlab.identification.comparison.comparison_parts import (
+    FreeRun,
+    Linearisation,
+    OutputGap,
+    ResidualTests,
+    WindowErrors,
+)
 from robustlab.identification.comparison.localisation import (
     Bin,
     DirectionError,
@@ -18,13 +26,14 @@ from robustlab.identification.comparison.localisation import (
     Spectrum,
 )
 from robustlab.identification.comparison.noise_floor import NoiseFloor
-from robustlab.identification.comparison.residual_tests import EvenOdd, InputCorrelation, Whiteness
+from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, listed, number
+from robustlab.shown import Each, Facts, listed, number
 from robustlab.tables import Table, Tabular
 
+POSE = ("tx", "ty", "tz", "ax", "ay", "az")
 LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
 MOST_INPUTS_TOLD = 3  # one by one
 ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
@@ -33,100 +42,6 @@ REFERENCE = (
     "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
     "(each sample predicted from the samples of the same output before it in its window)"
 )
-
-
-@dataclass(frozen=True)
-class OutputGap(Evidence):
-    r"""Disagreement at one output, in its unit and in percent.
-
-    Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
-    :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
-    """
-
-    # name, unit, range: the output and its measured range
-    name: str
-    unit: str
-    range: float
-    # peak, rms, peak_percent, rms_percent, fit: free run; NaN where it does not reach the end of the record.
-    # ``peak_time`` is when its peak error occurs [s].
-    peak: float
-    rms: float
-    peak_percent: float
-    rms_percent: float
-    fit: float
-    peak_time: float
-    # windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit: the same of the windowed
-    # simulation
-    windowed_peak: float
-    windowed_rms: float
-    windowed_peak_percent: float
-    windowed_rms_percent: float
-    windowed_fit: float
-
-
-@dataclass(frozen=True)
-class WindowErrors(Evidence):
-    """Error of one output window by window; all arrays have shape (n_windows,)."""
-
-    # start, stop: first and last time of each window in s
-    start: Array
-    stop: Array
-    # rms, share: RMS of the free run's error, and its share of the record's squared error (sum 1); NaN where it does
-    # not reach the end of the record
-    rms: Array
-    share: Array
-    # windowed_rms, windowed_share: the same of the windowed simulation
-    windowed_rms: Array
-    windowed_share: Array
-    # worst, worst_free: index of the window with the largest windowed RMS, and with the largest free-run RMS (None
-    # without)
-    worst: int
-    worst_free: int | None
-
-
-@dataclass(frozen=True)
-class ResidualTests(Evidence):
-    """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`)."""
-
-    rms: float  # RMS of the residual in the unit of the output
-    whiteness: Whiteness  # autocorrelation and Ljung-Box test
-    inputs: Mapping[str, InputCorrelation]  # input name -> correlation with the residual
-
-
-@dataclass(frozen=True)
-class FreeRun(Evidence):
-    """How far the free run goes.
-
-    Attributes
-    ----------
-    end
-        Time of its last sample in s.
-    reason
-        Why it ends there; empty where it reaches the end of the record. Where it does not, nothing that rests on it has
-        a number: what is told is of the windows only.
-    """
-
-    end: float
-    reason: str
-
-    @property
-    def whole(self) -> bool:
-        """Whether it reaches the end of the record."""
-        return not self.reason
-
-
-@dataclass(frozen=True)
-class Linearisation(Evidence):
-    """Windows that are linear about the recorded motion, against the nonlinear plant from the same starts."""
-
-    windows: Array  # times in s at which the checked windows start
-    # output name -> RMS of nonlinear minus linear simulation over these windows, in its unit
-    difference: Mapping[str, float]
-    # output name -> the same over the RMS of the error in these windows: far below 1, the error is the model's and not
-    # of the linearisation
-    share: Mapping[str, float]
-    # times at which those windows start whose nonlinear simulation does not reach their end; they count nowhere
-    broken: Array
 
 
 @dataclass(frozen=True)
@@ -186,6 +101,8 @@ class Comparison(Tabular, Evidence):
         in its unit. Empty of a linear one.
     left_out
         What is not told, and why.
+    pose
+        Of a machine with poses: its pose in the middle of the `worst` window, m and rad; else empty.
     """
 
     status: Status
@@ -218,6 +135,42 @@ class Comparison(Tabular, Evidence):
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    pose: Mapping[str, float] = field(default_factory=dict)
+
+    percent_of: ClassVar[str] = "measured range (max - min) of the output"
+    residual_reference: ClassVar[str] = REFERENCE
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("model", "record", "percent_of", "residual_reference"), str),
+        "outputs": Each("outputs", OutputGap),
+        "windows": Each("outputs", WindowErrors),
+        "worst_window": Each("outputs", ("s", "s")),
+        "worst": {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)},
+        "residual": Each("outputs", ResidualTests),
+        "direction": Each("outputs", {"*": DirectionError}),
+        "amplitude": Each("outputs", {"*": [Bin]}),
+        "disturbance": Each("inputs", Addition, ("torque at *", "force at *", "*, together")),
+        "nonlinearity": EvenOdd,
+        "initial_state": InitialState,
+        "free_run": FreeRun,
+        "linearisation": Linearisation,
+        "sensor_noise": Each("outputs", "*"),
+        "window": "s",
+        "left_out": [str],
+        "warnings": [str],
+        **dict.fromkeys(("speed", "position", "frequency", "noise", "linear"), ...),
+    }
+
+    @property
+    def worst_window(self) -> dict[str, tuple[float, float]]:
+        """Output name -> first and last time in s of the window with its largest error."""
+        return {name: (float(w.start[w.worst]), float(w.stop[w.worst])) for name, w in self.windows.items()}
+
+    @property
+    def worst(self) -> dict[str, Any]:
+        """The output with the largest windowed error of its range, its worst window in s, and the pose amid that."""
+        name = max(self.outputs.values(), key=lambda gap: gap.windowed_rms_percent).name
+        start, stop = self.worst_window[name]
+        return {"output": name, "start": start, "stop": stop, **({"pose": self.pose} if self.pose else {})}
 
     @property
     def located(self) -> tuple[Addition, ...]:
@@ -228,10 +181,25 @@ class Comparison(Tabular, Evidence):
         """The result as a few lines of text."""
         return _text(self)
 
+    def headline(self) -> str:
+        """The output that is furthest off, in free run where that is whole, else in windows."""
+        if self.free_run.whole:
+            most = max(self.outputs.values(), key=lambda gap: gap.rms_percent)
+            size, how = most.rms_percent, "in free run"
+            when = f"most at {number(most.peak_time, 's', 3)}"
+        else:
+            most = max(self.outputs.values(), key=lambda gap: gap.windowed_rms_percent)
+            size, how = most.windowed_rms_percent, f"in windows of {number(self.window, 's', 3)}"
+            when = f"the free run ends at {number(self.free_run.end, 's', 3)}"
+        return f"against {self.record}: {how} {most.name} is off by {size:.3g} % of its range (rms); {when}"
+
     def facts(self) -> Facts:
-        """What was compared, and the error of each output in windows."""
+        """What was compared, the error of each output in windows, then in free run, and where it is largest."""
         gaps = [
-            (name, f"rms error {number(g.windowed_rms, g.unit)} ({g.windowed_rms_percent:.3g} % of its range)")
+            (
+                f"{name}: in windows",
+                f"rms error {number(g.windowed_rms, g.unit)} ({g.windowed_rms_percent:.3g} % of its range)",
+            )
             for name, g in self.outputs.items()
         ]
         end = "" if self.free_run.whole else f"ends at {number(self.free_run.end, 's')}: {self.free_run.reason}"
@@ -241,8 +209,39 @@ class Comparison(Tabular, Evidence):
             *gaps,
             ("windows", f"of {number(self.window, 's')}, each from its best start"),
             ("free run", end),
+            *(fact for name in self.outputs for fact in self._more(name)),
+            ("worst of all", self._worst_in_words()),
             *(("warning", text) for text in self.warnings),
         ]
+
+    def _more(self, name: str) -> Facts:
+        """The error of an output in free run and in windows, and where the windowed error is largest."""
+        g, motion = self.outputs[name], self.motions[name]
+        free = _errors(g.unit, g.peak, g.peak_percent, g.rms, g.rms_percent, g.fit) if self.free_run.whole else ""
+        sizes = g.windowed_peak, g.windowed_peak_percent, g.windowed_rms, g.windowed_rms_percent, g.windowed_fit
+        places = ["{:.3g} to {:.3g} s".format(*self.worst_window[name])]
+        for bins, over, unit in (
+            (self.speed.get(name), "of speed", motion.speed_unit),
+            (self.position.get(name), "of position", motion.position_unit),
+        ):
+            if bins:
+                worst = max(bins, key=lambda b: b.rms)
+                places.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} {over}")
+        return [
+            (f"{name}: free run", free),
+            (f"{name}: restarted every {number(self.window, 's', 3)}", _errors(g.unit, *sizes)),
+            (f"{name}: where", f"windowed error largest at {'; at '.join(places)}"),
+        ]
+
+    def _worst_in_words(self) -> str:
+        worst = self.worst
+        text = f"{worst['output']}, {worst['start']:.3g} to {worst['stop']:.3g} s"
+        axes = [f"{axis} {1e3 * v:.3g} {'mm' if axis[0] == 't' else 'mrad'}" for axis, v in self.pose.items()]
+        return f"{text}, at the pose {', '.join(axes)}" if axes else text
+
+    def numbers(self) -> dict[str, Any]:
+        """All but the time series, and the `worst`."""
+        return {**self.to_json(series=False), "worst": self.worst}
 
     def table(self) -> Table:
         """A row for each output: sizes of its error in its unit."""
@@ -256,10 +255,10 @@ class Comparison(Tabular, Evidence):
             "status": self.status,
             "model": self.model,
             "record": self.record,
-            "percent_of": "measured range (max - min) of the output",
+            "percent_of": self.percent_of,
             "outputs": self.outputs,
             "windows": self.windows,
-            "worst_window": {name: [w.start[w.worst], w.stop[w.worst]] for name, w in self.windows.items()},
+            "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
             "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
@@ -321,6 +320,11 @@ def _text(c: Comparison) -> str:
     if c.warnings:
         lines += ["", *(f"warning: {text}" for text in c.warnings)]
     return "\n".join(lines)
+
+
+def _errors(unit: str, peak: float, peak_percent: float, rms: float, rms_percent: float, fit: float) -> str:
+    peak_text = f"peak {number(peak, unit, 3)} ({peak_percent:.3g} % of the range)"
+    return f"{peak_text}, rms {number(rms, unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"
 
 
 def _run_lines(c: Comparison) -> list[str]:

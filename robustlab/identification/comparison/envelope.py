@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
+from robustlab.shown import Each, Facts, number
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 
@@ -57,6 +58,13 @@ class SignalCoverage(Evidence):
     lower: Array
     upper: Array
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("size", "miss", "gap", "reach", "allowance"), "*"),
+        **dict.fromkeys(("miss_percent", "gap_percent", "reach_percent"), "%"),
+        "share": "1",
+        "miss_time": "s",
+    }
+
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` those of shape (n,) are left out."""
         data = super().to_json()
@@ -75,10 +83,44 @@ class EnvelopeCoverage(Evidence):
     seed: int
     label: str = LABEL  # what the envelope is, and is not
 
+    notes: ClassVar[tuple[str, ...]] = (
+        "Sampled, not proved: members that were not drawn may reach further.",
+        "Covered is not explained: a set that is wide enough covers anything.",
+    )
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "record": str,
+        "label": str,
+        "covered": bool,
+        "members": "1",
+        "seed": "1",
+        "signals": Each("outputs", SignalCoverage, ("*-rate",)),
+    }
+
     @property
     def covered(self) -> bool:
         """Whether every sample of every signal lies inside."""
         return all(s.share == 1.0 for s in self.signals.values())
+
+    def headline(self) -> str:
+        """Whether the record lies among the members."""
+        verdict = "lies in the envelope" if self.covered else "is not covered"
+        return f"{self.record} {verdict} of {self.members} members (seed {self.seed})"
+
+    def facts(self) -> Facts:
+        """Of each signal how much lies inside, the nominal gap, and how far the set reaches."""
+        found: Facts = []
+        for s in self.signals.values():
+            miss = f"; misses by {number(s.miss, s.unit, 3)} ({s.miss_percent:.3g} %)" if s.miss else ""
+            found += [
+                (f"{s.name}: inside the envelope", f"{100 * s.share:.3g} % of the time{miss}"),
+                (f"{s.name}: gap of the nominal model", f"{number(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"),
+                (f"{s.name}: how far the set reaches", f"{number(s.reach, s.unit, 3)} ({s.reach_percent:.3g} %)"),
+            ]
+        return found
+
+    def numbers(self) -> dict[str, Any]:
+        """All but the time series."""
+        return self.to_json(series=False)
 
     def summary(self) -> str:
         """One line for each signal."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.comparison_result import OutputGap, ResidualTests, WindowErrors
+from robustlab.identification.comparison.comparison_parts import OutputGap, ResidualTests, WindowErrors
 from robustlab.identification.comparison.localisation import (
     Motion,
     amplitude_edges,

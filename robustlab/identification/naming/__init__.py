@@ -8,5 +8,6 @@ answer                 verdict, names, intervals, what remains, and the errors b
 residual_after_naming  the force that is left with the named effects in the model, and the lines in it
 updated_plant          the plant after naming, and `uncertain_from`: the uncertain model of what remains
 named_effects          what a discovery consists of: named effects, their values, gaps, sets
+discovery_numbers      what of a discovery requirements may refer to
 discovery_result       `Discovery` and its text
 """

@@ -36,7 +36,7 @@ from robustlab.identification.hypotheses.noise import (
     window_errors,
 )
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, start_std
-from robustlab.identification.naming.discovery_result import Discovery, Verdict, overall
+from robustlab.identification.naming.discovery_result import Discovery, Verdict
 from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
@@ -46,6 +46,7 @@ from robustlab.identification.naming.named_effects import (
     Rival,
     SearchEntry,
     SetProbability,
+    overall,
 )
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
@@ -17,11 +18,12 @@ from robustlab.identification.naming.named_effects import (
     Rival,
     SearchEntry,
     SetProbability,
+    overall,
     wave_amplitude,
 )
 from robustlab.identification.tuning import AS_LARGE
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, listed, number
+from robustlab.shown import Each, Facts, listed, number
 from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
@@ -125,6 +127,29 @@ class Discovery(Tabular, Evidence):
     model: Any = None
     seconds: float = 0.0
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "verdict": str,
+        "complete": bool,
+        "names": [str],
+        "places": [str],
+        "answer": [str],
+        "count": "1",
+        **dict.fromkeys(("gap_before", "gap_refitted", "gap_after"), "%"),
+        **dict.fromkeys(("gap_ratio", "refitted_ratio"), "1"),
+        "gaps": Each("outputs", Gap),
+        "free_run": {**dict.fromkeys(("before", "refitted", "after"), "%"), "outputs": Each("outputs", Gap)},
+        "effects": {"*": {"*": float}},
+        "lower": {"*": {"*": float}},
+        "upper": {"*": {"*": float}},
+        "confidence": {"*": "1"},
+        "nominal": {"*": float},
+        "next_experiment": {"name": str, "separation": float},
+        "structure": {"*": ...},
+        "remaining_lines": [...],
+        "line": {over: {"period": unit, "amplitude": float} for over, unit in (("position", float), ("time", "s"))},
+        "seconds": "s",
+    }
+
     @property
     def whole_run(self) -> str:
         """What ``free_run`` is: of a nonlinear plant one run that is linear about the recorded motion."""
@@ -161,6 +186,36 @@ class Discovery(Tabular, Evidence):
     def interrupted(self) -> bool:
         """True where the search was stopped by the user: the answer is what was known by then."""
         return any(f.kind == "interrupted" for f in self.findings)
+
+    def headline(self) -> str:
+        """The verdict in one sentence that a person understands."""
+        early = "Interrupted; by then: " if self.interrupted else ""
+        change = f"error on held-out data {_percent(self.gap_before)} -> {_percent(self.gap_after)} of the range"
+        if self.free_run:
+            run = [_percent(overall(self.free_run, model)) for model in ("nominal", "updated")]
+            change += f", in {self.whole_run} {run[0]} -> {run[1]}"
+        named = _listed(e.title for e in self.effects)
+        if self.verdict == "no missing effect":
+            error = f"refitted its error on held-out data is {_percent(self.gap_after)} of the range"
+            hidden = f"; but they do not exclude {_or(r.title for r in self.rivals)}" if self.rivals else ""
+            return f"{early}{self.plant} lacks no effect that these records show: {error}{hidden}"
+        also = "" if self.complete else "; something else remains"
+        if self.verdict == "named":
+            return f"{early}{self.plant} lacks {named}: {change}{also}"
+        if self.verdict == "ambiguous" and not self.rivals and self.gap_after > self.gap_refitted:
+            worth = "on held-out data no nearer than the refitted model"
+            return f"{early}{self.plant} may lack {named}, which is {worth} ({change}{also})"
+        if self.verdict == "ambiguous" and not self.rivals and len(self.collection) == 1:
+            far = "as far as the search came before its work was used up"
+            return f"{early}{self.plant} lacks {named}, {far} ({change}{also})"
+        if self.verdict == "ambiguous":
+            return f"{early}{self.plant} lacks {_choices(self)}: these records cannot tell which ({change}{also})"
+        beyond = f" beyond {named}" if self.effects else ""
+        return f"{early}{self.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
+
+    def numbers(self) -> dict[str, Any]:
+        """What requirements may refer to; see `robustlab.identification.naming.discovery_numbers`."""
+        return numbers_of(self)
 
     def summary(self, details: bool = False) -> str:
         """The result as a few lines of text; with ``details`` everything that it rests on."""
@@ -214,7 +269,7 @@ MODELS = ("nominal", "refitted", "updated")
 
 def _text(d: Discovery, details: bool) -> str:
     """Verdict in a sentence, effects with intervals, gap, what remains, what to do next; on demand all the rest."""
-    lines = [headline(d), "", f"verdict: {d.verdict}, {_scope(d)}"]
+    lines = [f"{d.headline()}.", "", f"verdict: {d.verdict}, {_scope(d)}"]
     for effect in d.effects:
         lines += _effect_lines(d, effect, details)
     lines += [_doubt_line(r) for r in d.rivals if r.instead_of == "none"]
@@ -238,32 +293,6 @@ def _text(d: Discovery, details: bool) -> str:
         if part:
             lines += ["", f"{title}:", *part]
     return "\n".join([*lines, "", f"named in {d.seconds:.3g} s"])
-
-
-def headline(d: Discovery) -> str:
-    """The verdict in one sentence that a person understands."""
-    early = "Interrupted; by then: " if d.interrupted else ""
-    change = f"error on held-out data {_percent(d.gap_before)} -> {_percent(d.gap_after)} of the range"
-    if d.free_run:
-        run = [_percent(overall(d.free_run, model)) for model in ("nominal", "updated")]
-        change += f", in {d.whole_run} {run[0]} -> {run[1]}"
-    if d.verdict == "no missing effect":
-        error = f"refitted its error on held-out data is {_percent(d.gap_after)} of the range"
-        hidden = f"; but they do not exclude {_or(r.title for r in d.rivals)}" if d.rivals else ""
-        return f"{early}{d.plant} lacks no effect that these records show: {error}{hidden}."
-    also = "" if d.complete else "; something else remains"
-    if d.verdict == "named":
-        return f"{early}{d.plant} lacks {_listed(e.title for e in d.effects)}: {change}{also}."
-    if d.verdict == "ambiguous" and not d.rivals and d.gap_after > d.gap_refitted:
-        worth = "on held-out data no nearer than the refitted model"
-        return f"{early}{d.plant} may lack {_listed(e.title for e in d.effects)}, which is {worth} ({change}{also})."
-    if d.verdict == "ambiguous" and not d.rivals and len(d.collection) == 1:
-        far = "as far as the search came before its work was used up"
-        return f"{early}{d.plant} lacks {_listed(e.title for e in d.effects)}, {far} ({change}{also})."
-    if d.verdict == "ambiguous":
-        return f"{early}{d.plant} lacks {_choices(d)}: these records cannot tell which ({change}{also})."
-    beyond = f" beyond {_listed(e.title for e in d.effects)}" if d.effects else ""
-    return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})."
 
 
 def in_words(e: NamedEffect) -> str:
@@ -294,12 +323,6 @@ def compared(before: float, after: float, name: str) -> str:
     times = max(ratio, 1.0 / ratio)
     size = f"{times:.3g}" if times < 1000.0 else f"{times:.0f}"
     return f"{size} times {'smaller' if ratio > 1.0 else 'larger'} than {name}"
-
-
-def overall(gaps: Mapping[str, Gap], model: str) -> float:
-    """RMS over the outputs of the error of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
-    shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
-    return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
 
 
 def chance(probability: float) -> str:

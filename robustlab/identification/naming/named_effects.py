@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from robustlab.result import Evidence
 
@@ -104,6 +104,14 @@ class Gap(Evidence):
     nominal: float
     refitted: float
     updated: float
+
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("range", "nominal", "refitted", "updated"), "*")
+
+
+def overall(gaps: Mapping[str, Gap], model: str) -> float:
+    """RMS over the outputs of the error of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
+    shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
+    return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
 
 
 @dataclass(frozen=True)

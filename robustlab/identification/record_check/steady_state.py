@@ -17,6 +17,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from robustlab.dynamics.effects.contract import Effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, number
 
 QUANTITIES = ("voltage", "speed", "current", "torque")
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a speed -> unit of the torque or force against it
@@ -118,10 +120,20 @@ class BalanceCheck(Evidence):
     factor: float = math.nan
     explanations: tuple[Explanation, ...] = ()  # all that would close it, those that break nothing first
 
+    quantities: ClassVar[Mapping[str, Any]] = {"factor": "1", "rivals": [str], "explained_by": str}
+
     @property
     def rivals(self) -> tuple[str, ...]:
         """Other effects that explain it and break nothing."""
         return tuple(e.effect for e in self.explanations if not e.breaks and e.effect != self.effect)
+
+    @property
+    def in_words(self) -> str:
+        """Whether it is contradicted, and what explains that."""
+        if not self.contradicted:
+            return "agrees within the tolerances"
+        named = [f"{self.effect} ({number(self.factor, digits=3)} times off)"] if self.effect else []
+        return f"contradicted; explained by {' or '.join([*named, *self.rivals]) or 'no effect alone'}"
 
     def to_json(self) -> dict[str, object]:
         """All fields, the rivals, and ``explained_by``: all effects that explain it, in one text."""
@@ -158,10 +170,34 @@ class SteadyStateComparison(Evidence):
     parameters: Mapping[str, float]
     unit: str
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "plant": str,
+        "points": {"*": dict.fromkeys(("torque", "voltage", "both"), BalanceCheck)},
+        "contradictions": "1",
+        "unchecked": [str],
+        "friction": FrictionLevel,
+        "suspected_units": {"*": str},
+        "parameters": {"*": float},
+        "unit": str,
+    }
+
     @property
     def contradictions(self) -> tuple[BalanceCheck, ...]:
         """The contradicted balances."""
         return tuple(c for c in self.checks if c.contradicted)
+
+    def headline(self) -> str:
+        """How many balances were checked, and how many are contradicted."""
+        places = len({c.point for c in self.checks}) + len(self.unchecked)
+        return f"{len(self.checks)} balances checked at {places} points; {len(self.contradictions)} contradicted"
+
+    def facts(self) -> Facts:
+        """What each balance says, and what would explain a contradicted one."""
+        return [(f"{c.point}: {c.balance} balance", c.in_words) for c in self.checks]
+
+    def numbers(self) -> dict[str, Any]:
+        """All fields; the checks as point -> balance -> check."""
+        return self.to_json()
 
     def summary(self) -> str:
         """The result as text, a line for each finding."""

@@ -28,8 +28,9 @@ without a model.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -42,7 +43,8 @@ from robustlab.identification.record_check.resampling import UniformRecord, unif
 from robustlab.identification.response.response import Response, longest_period, matched, response_of
 from robustlab.identification.response.windowed_simulation import response_windows
 from robustlab.record import Record
-from robustlab.result import Evidence
+from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, Part
 
 SHORTEST_CLIP = 5  # samples that must stand still at the end of the range
 FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) cannot be judged
@@ -62,22 +64,82 @@ class ChannelSummary:
 
 
 @dataclass(frozen=True)
-class RecordCheck:
-    """Summary of a record and remarks, each with the channel it concerns."""
+class RecordCheck(Evidence):
+    """What is in a record and what is odd about it, each remark with the channel it concerns.
+
+    Attributes
+    ----------
+    suitability
+        With a model: whether the record is fit for naming what that lacks.
+    """
 
     record: Record
     channels: tuple[ChannelSummary, ...]
     remarks: tuple[str, ...]
+    suitability: Suitability | None = None
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "record": {"n": "1", "duration": "s", "dt": "s", "is_uniform": bool},
+        "remarks": [str],
+        "channels": {"*": dict.fromkeys(("least", "greatest", "rms"), float)},
+    }
+
+    @property
+    def status(self) -> Status:
+        """CONVERGED: there is a record; whether it is fit for naming `require` says."""
+        return Status.CONVERGED
+
+    def headline(self) -> str:
+        """How many samples, and how many remarks."""
+        fit = "" if self.suitability is None else ", fit for naming" if self.suitability.fit else ", not fit for naming"
+        return f"{self.clock}; {len(self.remarks)} remarks{fit}"
+
+    @property
+    def clock(self) -> str:
+        """Samples, duration and sample time."""
+        r = self.record
+        even = "uniform" if r.is_uniform else "not uniform"
+        return f"{r.n} samples, {r.duration:.6g} s, dt {r.dt:.6g} s, {even}"
+
+    def facts(self) -> Facts:
+        """The clock, the remarks, and what the model says."""
+        fit = () if self.suitability is None else self.suitability.summary().splitlines()
+        remarks = [("remark", text) for text in self.remarks]
+        return [(self.record.name, self.clock), *remarks, *(("for naming", text.strip()) for text in fit)]
+
+    def details(self) -> list[Part]:
+        """The channels with their ranges."""
+        rows = [
+            (c.name, c.side, c.unit or "?", f"{c.least:.6g}", f"{c.greatest:.6g}", f"{c.rms:.6g}")
+            for c in self.channels
+        ]
+        return [Part("", ("signal", "side", "unit", "least", "greatest", "rms"), rows)]
+
+    def require(self) -> None:
+        """Go on only with a record that is fit for naming, where that was asked; see `Suitability.require`."""
+        if self.suitability is not None:
+            self.suitability.require()
+
+    def numbers(self) -> dict[str, Any]:
+        """The clock, the remarks, and the range of each channel by its name."""
+        found = self.to_json()
+        clock = {name: found[name] for name in ("n", "duration", "dt", "is_uniform")}
+        return {"record": clock, "remarks": self.remarks, "channels": {c.name: vars(c) for c in self.channels}}
 
     def to_json(self) -> dict[str, object]:
         """All but the samples."""
         r = self.record
         clock = {"n": r.n, "duration": r.duration, "dt": r.dt, "is_uniform": r.is_uniform}
-        return {"name": r.name, **clock, "channels": [vars(c) for c in self.channels], "remarks": self.remarks}
+        channels: dict[str, object] = {"channels": [vars(c) for c in self.channels], "remarks": self.remarks}
+        fit = {} if self.suitability is None else {"suitability": self.suitability.to_json()}
+        return {"name": r.name, **clock, **channels, **fit, "status": self.status}
 
 
-def check_record(record: Record) -> RecordCheck:
-    """Summarise ``record``; what makes a record unusable (NaN, a clock that runs backwards) never gets here."""
+def check_record(record: Record, plant: Any = None) -> RecordCheck:
+    """Summarise ``record``; what makes a record unusable (NaN, a clock that runs backwards) never gets here.
+
+    ``plant``: a plant or model beside which the record is judged, too; see `suitability`.
+    """
     channels, remarks = [], []
     if not record.is_uniform:
         steps = np.diff(record.t)
@@ -95,7 +157,8 @@ def check_record(record: Record) -> RecordCheck:
             if not record.units[name]:
                 remarks.append(f"{name}: no unit stated")
     remarks.extend(channel_warnings(record, tuple(record.inputs), tuple(record.outputs)))
-    return RecordCheck(record, tuple(channels), tuple(remarks))
+    fit = suitability(plant, record) if plant is not None else None
+    return RecordCheck(record, tuple(channels), tuple(remarks), fit)
 
 
 def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> list[str]:

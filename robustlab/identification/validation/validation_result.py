@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, listed, number
+from robustlab.shown import Each, Facts, number
 from robustlab.tables import Table, Tabular
 
 # Sizes below this count as zero.
@@ -39,6 +39,15 @@ class BlockSize(Evidence):
     value: Any = None
     physical: tuple[float, str] | None = None  # value and unit of the parameter that a constant stands for
     impossible: str = ""  # what physics asks of that parameter and the value does not meet; empty where it may exist
+
+    @property
+    def in_words(self) -> str:
+        """Its size in the explanation, the parameter's value, and what it needs alone."""
+        texts = [f"size {self.size:.4g} in the explanation"] if np.isfinite(self.size) else []
+        texts += [number(*self.physical, 6)] if self.physical is not None else []
+        texts += [f"physically impossible ({self.impossible})"] if self.impossible else []
+        texts += [] if np.isnan(self.lower) else [f"alone, the others within 1: {self.lower:.4g} to {self.upper:.4g}"]
+        return "; ".join(texts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,36 +147,53 @@ class Validation(Tabular, Evidence):
             lines.append(f"no Delta of any size leaves less than {self.excess:.4g} times the noise bound")
         else:
             lines.append(f"smallest gamma between {self.lower:.6g} and {self.upper:.6g}: {self.label}")
-        for block in self.blocks.values():
-            if np.isnan(block.size) and np.isnan(block.lower):
-                continue
-            text = f"{block.name} ({block.kind})"
-            if not np.isnan(block.size):
-                text += f": size {block.size:.4g} in the explanation"
-            if block.physical is not None:
-                text += f", {block.physical[0]:.6g} {block.physical[1]}".rstrip()
-            if block.impossible:
-                text += f", physically impossible ({block.impossible})"
-            if not np.isnan(block.lower):
-                text += f"; alone, the others within 1: {block.lower:.4g} to {block.upper:.4g}"
-            lines.append(text)
+        lines += [f"{b.name} ({b.kind}): {b.in_words}" for b in self.blocks.values() if b.in_words]
         if np.isfinite(self.upper):
             lines.append(f"replayed: noise {self.excess:.4g} of its {self.noise_norm} bound")
         lines += [f"assumed: {text}" for text in self.assumptions]
         lines += self.notes
         return "\n".join(lines)
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("gamma", "lower", "upper", "excess", "replay_error"), "1"),
+        **dict.fromkeys(("record", "verdict", "label", "noise_norm", "domain"), str),
+        "invalidated": bool,
+        "blocks": {"*": BlockSize},
+        "noise_bound": Each("outputs", "*"),
+        "outputs": [[str]],
+        "assumptions": [str],
+        "notes": [str],
+    }
+
+    @property
+    def gamma(self) -> float:
+        """The smallest scaling that is known to explain the record: ``upper``."""
+        return self.upper
+
+    def headline(self) -> str:
+        """The verdict on the record."""
+        return f"{self.record} as its record: {self.verdict}"
+
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
-        sizes = [f"{b.name} {number(b.size)}" for b in self.blocks.values()]
+        units = dict(self.outputs)
         return [
             ("record", self.record),
             ("verdict", self.verdict),
             ("smallest gamma", f"{number(self.lower)} .. {number(self.upper)}"),
-            ("sizes in the explanation", listed(sizes)),
             ("noise left", f"{number(self.excess)} of its {self.noise_norm} bound"),
             ("said", self.label),
+            *((f"{b.name} ({b.kind})", b.in_words) for b in self.blocks.values()),
+            *(
+                (f"{name}: noise bound ({self.noise_norm})", number(bound, units[name], 3))
+                for name, bound in self.noise_bound.items()
+            ),
+            ("caution", "Not invalidated is not proved: another record may still invalidate the set."),
         ]
+
+    def numbers(self) -> dict[str, Any]:
+        """All but the time series."""
+        return {**self.to_json(series=False), "gamma": self.gamma}
 
     def table(self) -> Table:
         """A row for each block: its size in the explanation, and what it needs alone."""

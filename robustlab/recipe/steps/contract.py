@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 from pydantic import ConfigDict, Field
 
 import robustlab as rl
+from robustlab.doors.vocabulary import Strict, Text
 from robustlab.errors import InputError
-from robustlab.recipe.steps.vocabulary import Strict, Text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -216,8 +216,12 @@ class Workspace:
 
 
 def facts_of(found: Any) -> tuple[Fact, ...]:
-    """What a result says of itself, for the report."""
-    return tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.facts() if text)
+    """What a result says of itself, for the report; a label that begins with a name, "q: ..." or "k (...)", stays."""
+    return tuple(
+        Fact(label if ": " in label or " (" in label else f"{label[:1].upper()}{label[1:]}", text)
+        for label, text in found.facts()
+        if text
+    )
 
 
 def told(found: Any, value: Any, summary: str, numbers: Mapping[str, Any], work: Workspace) -> Outcome:

@@ -12,19 +12,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError, unknown_name
-from robustlab.recipe.steps.contract import (
-    Ahead,
-    Fact,
-    Foretold,
-    Outcome,
-    Step,
-    Workspace,
-    least_trusted,
-    quantity,
-    step,
-)
-from robustlab.recipe.steps.vocabulary import (
+from robustlab.doors.vocabulary import (
     GUARD,
     ComplementaryWeight,
     ControlWeight,
@@ -39,6 +27,18 @@ from robustlab.recipe.steps.vocabulary import (
     ToPlant,
     ToPlantOrFile,
     ToUncertainOrProblem,
+)
+from robustlab.errors import InputError, unknown_name
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    least_trusted,
+    quantity,
+    step,
 )
 
 if TYPE_CHECKING:

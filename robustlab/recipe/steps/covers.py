@@ -11,10 +11,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
-from robustlab.recipe.steps.leaves import leaves_of
-from robustlab.recipe.steps.vocabulary import (
+from robustlab.doors.vocabulary import (
     GUARD,
     Effort,
     Feedback,
@@ -30,6 +27,9 @@ from robustlab.recipe.steps.vocabulary import (
     ToRecord,
     ToUncertain,
 )
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
+from robustlab.recipe.steps.leaves import leaves_of
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import NoiseInput

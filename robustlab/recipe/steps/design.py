@@ -9,20 +9,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.closing import SIGNS, Sign, closing
-from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import (
-    Ahead,
-    Fact,
-    Foretold,
-    Outcome,
-    Step,
-    Workspace,
-    facts_of,
-    quantity,
-    step,
-)
-from robustlab.recipe.steps.models import UNCERTAIN, uncertain_numbers
-from robustlab.recipe.steps.vocabulary import (
+from robustlab.doors.vocabulary import (
     GUARD,
     ComplementaryWeight,
     ControlWeight,
@@ -37,6 +24,19 @@ from robustlab.recipe.steps.vocabulary import (
     ToDesignable,
     ToModel,
 )
+from robustlab.errors import InputError
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    quantity,
+    step,
+)
+from robustlab.recipe.steps.models import UNCERTAIN, uncertain_numbers
 from robustlab.signals import Taken
 
 TAKES = {-1: "r - y", 1: "y"}  # of a controller that says nothing, by the sign that closes its loop

@@ -9,10 +9,10 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
+from robustlab.doors.vocabulary import GUARD, Effort, Positive, TimeLimit, ToController, ToDesignable
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, step
 from robustlab.recipe.steps.design import designed, numbers_of
-from robustlab.recipe.steps.vocabulary import GUARD, Effort, Positive, TimeLimit, ToController, ToDesignable
 
 FORMATS = (".c", ".json", ".mat", ".h5")
 

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
-from robustlab.doors.declaration import STEPS, Door, load_family
-from robustlab.doors.kinds import Thing
+from robustlab.doors.declaration import STEPS, Door, InLoop, load_family, objects
+from robustlab.doors.kinds import RecordFile, Thing
 from robustlab.errors import InputError, UsageError
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, step
+from robustlab.recipe.steps.leaves import with_signals
+from robustlab.record import Record
 from robustlab.report.drawings import pictures_of
+from robustlab.shown import Shown
+from robustlab.signals import Signal
+
+# Word of a step -> its base, where a recipe says or does more than call the function.
+BASES: dict[str, type[DoorStep]] = {}
 
 
 class Quantities:
@@ -31,20 +39,42 @@ class DoorStep(Step):
     declared: ClassVar[Door]
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        """What the declaration says of the signals."""
+        """What requirements may refer to, and which signals later steps will see; a record has to fit its model."""
         known = self.declared.foretell
-        if known is None:
-            return Foretold()
-        if not isinstance(known, str):
+        if known is not None and not isinstance(known, str):
             return known(self, ahead)
-        kept = getattr(self, "outputs", None)
-        told = ahead[getattr(self, known)].select(kept if isinstance(kept, list) else None)
-        sides = {"inputs": told.inputs, "outputs": told.outputs}
-        lists = {side: (str,) * len(s) for side, s in sides.items() if s is not None and self.leaves.get(side) == [str]}
-        return replace(told, leaves={**self.leaves, **lists})
+        if known is not None:
+            kept = getattr(self, "outputs", None)
+            told = ahead[getattr(self, known)].select(kept if isinstance(kept, list) else None)
+            sides = {"inputs": told.inputs, "outputs": told.outputs}
+            lists = {n: (str,) * len(s) for n, s in sides.items() if s is not None and self.leaves.get(n) == [str]}
+            return replace(told, leaves={**self.leaves, **lists})
+        first = _first(self.declared)
+        given = getattr(self, first) if first else None
+        of = given if isinstance(given, str) else None
+        fits = [compared(ahead, of, name) for name in self._records() if name != of]
+        inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].outputs)
+        return Foretold(leaves=with_signals(self.pattern(ahead), inputs, outputs))
+
+    def pattern(self, ahead: Ahead) -> Any:
+        """What requirements may refer to; a kind of step may know more than its result's class."""
+        return self.leaves
+
+    def _records(self) -> list[str]:
+        """Steps that give the records."""
+        given = [getattr(self, p.key) for p in objects(self.declared) if isinstance(p.kind, RecordFile)]
+        return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
     def run(self, work: Workspace) -> Outcome:
         """Call the function, and let the result say itself."""
+        try:
+            found = self.declared(**self._values(work))
+        except UsageError as error:  # what is off is the recipe, not a command
+            raise InputError(error.where, error.found, error.expected, error.hint) from None
+        return self.outcome(found, work)
+
+    def _values(self, work: Workspace) -> dict[str, Any]:
+        """What the function is given."""
         values: dict[str, Any] = {}
         for p in self.declared.parameters:
             if p.name == "seed":
@@ -53,22 +83,49 @@ class DoorStep(Step):
                 given = p.kind.of_field(getattr(self, p.key))
                 if given is not None or p.needed:
                     values[p.name] = _thing(p.kind, given, work) if isinstance(p.kind, Thing) else given
-        try:
-            found, loop, notes = self.declared(**values)
-        except UsageError as error:  # what is off is the recipe, not a command
-            raise InputError(error.where, error.found, error.expected, error.hint) from None
-        if self.declared.made or self.gives == "nothing":
-            work.keep(found)  # a model alone is no evidence, and the step that asks something of it draws
-            for name, picture in pictures_of(found):
-                work.draw(picture.figure, name, picture.caption)
-        of = getattr(self, _first(self.declared), "")
-        what = found.headline() or self.declared.title.rstrip(".")
+        if self.declared.takes_drawn:
+            values["drawn"] = True
+        return values
+
+    def outcome(self, found: InLoop, work: Workspace) -> Outcome:
+        """What the result leaves: its evidence, pictures, numbers and words."""
+        result = found.result
+        if self.declared.made or self.gives == "nothing":  # a model alone is no evidence: a later step asks and draws
+            work.keep(result)
+            for name, beside in found.beside.items():
+                if hasattr(beside, "status"):
+                    work.keep(beside, name)
+            for shown in (result, *found.beside.values()):
+                for name, picture in pictures_of(shown):
+                    work.draw(picture.figure, name, picture.caption)
+        first = _first(self.declared)
+        of = getattr(self, first) if first else ""
+        what = result.headline() or self.declared.title.rstrip(".")
         summary = f"{of if isinstance(of, str) else ', '.join(of)}: {what}.".removeprefix(": ")
-        value = self.declared.made_of(found) if self.gives != "nothing" else None
-        notes = (*notes, *getattr(found, "notes", ()))
-        facts = (*([Fact("Loop", loop)] if loop else []), *facts_of(found))
-        status, text = getattr(found, "status", None), found.tables()
-        return Outcome(value, summary, found.numbers(), facts, status, notes, text)
+        value = self.declared.made_of(result) if self.gives != "nothing" else None
+        simulated = [f"Record {name} is simulated, not measured." for name in self._records() if name in work.simulated]
+        notes = (*found.notes, *getattr(result, "notes", ()), *simulated)
+        facts = (*([Fact("Loop", found.loop)] if found.loop else []), *facts_of(result))
+        # A text of the class's own says all; else the facts are said already.
+        text = result.tables() if type(result).summary is Shown.summary else result.report()
+        numbers = {name: value for name, value in result.numbers().items() if value is not None}
+        return Outcome(value, summary, numbers, facts, getattr(result, "status", None), notes, text)
+
+
+def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str, str] | None, Mapping[str, str] | None]:
+    """Inputs of a model, and the outputs that a record shares with it, with their units as far as they are known.
+
+    Raises InputError: an input is not recorded, or no output is; UnitMismatch: their units differ.
+    """
+    from robustlab.identification.response.response import matched
+
+    ours, recorded = ahead[model], ahead[record]
+    if ours.inputs is None or ours.outputs is None or recorded.outputs is None:
+        return None, None
+    if isinstance(recorded.value, Record):
+        inputs, outputs = ([Signal(*s) for s in side.items()] for side in (ours.inputs, ours.outputs))
+        return ours.inputs, {s.name: s.unit for s in matched(inputs, outputs, recorded.value)[0]}
+    return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
 
 
 def add_steps(*families: str) -> None:
@@ -82,7 +139,6 @@ def add_steps(*families: str) -> None:
 def step_of(word: str, declared: Door) -> type[DoorStep]:
     """The class of the steps of a door."""
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
-    first = _first(declared)
     for p in declared.parameters:
         if p.called.only == "command":
             continue
@@ -91,9 +147,11 @@ def step_of(word: str, declared: Door) -> type[DoorStep]:
             continue
         kind = p.kind.field()
         default = ... if p.needed else p.default if p.called.in_step is None else p.called.in_step
+        if p.needed and isinstance(p.kind, Thing) and p.kind.many:
+            kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
-        keys[p.key] = (taken, Field(default, description=None if p.key == first else p.help))
-    made: Any = create_model(_class_name(word), __base__=DoorStep, __doc__=_doc(declared), **keys)
+        keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
+    made: Any = create_model(_class_name(word), __base__=BASES.get(word, DoorStep), __doc__=_doc(declared), **keys)
     made.gives, made.leaves, made.declared = declared.gives, Quantities(declared), declared
     return made
 
@@ -116,4 +174,5 @@ def _class_name(word: str) -> str:
 
 
 def _doc(declared: Door) -> str:
-    return "\n\n".join(filter(None, (declared.title, declared.more)))
+    more = [part for part in declared.more.split("\n\n") if not part.startswith("Exit code")]  # that of the command
+    return "\n\n".join(filter(None, (declared.title, *more)))

@@ -7,6 +7,8 @@
 ``[pattern]``          a list of such, of any length
 ``(pattern, ...)``     a list of just these
 ``{name: pattern}``    a table; a name with ``*`` stands for all that match
+a class of parts       its fields, with the units that its ``quantities`` say
+``Each``               a table by signals; see `with_signals`
 ``...``                not said: anything may be there
 =====================  =================================================================
 
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 import re
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
@@ -26,6 +28,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.result import Evidence
+from robustlab.shown import Each
 
 COMPLEX = {"re": float, "im": float}
 
@@ -68,13 +71,44 @@ def _of_annotation(hint: Any) -> Any:
     return _of_class(kind) if is_dataclass(kind) and getattr(kind, "to_json", None) is Evidence.to_json else ...
 
 
+def with_signals(pattern: Any, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None) -> Any:
+    """The pattern with the names and units of signals in each `Each`; "*" and no unit where they are not known."""
+    pattern = _of_part(pattern)
+    if isinstance(pattern, Each):
+        known = inputs if pattern.side == "inputs" else outputs
+        found = {name: _in_unit(pattern.leaf, unit) for name, unit in ({"*": ""} if known is None else known).items()}
+        return with_signals(found | dict.fromkeys(pattern.more, _in_unit(pattern.leaf, "")), inputs, outputs)
+    return _inside(pattern, lambda leaf: with_signals(leaf, inputs, outputs))
+
+
+def _in_unit(leaf: Any, unit: str) -> Any:
+    """A leaf with the unit of its signal in the place of "*"."""
+    if isinstance(leaf, str) and leaf == "*":
+        return unit
+    return leaf if isinstance(leaf, Each) else _inside(_of_part(leaf), lambda inner: _in_unit(inner, unit))
+
+
+def _inside(pattern: Any, change: Callable[[Any], Any]) -> Any:
+    if isinstance(pattern, Mapping):
+        return {name: change(leaf) for name, leaf in pattern.items()}
+    return type(pattern)(map(change, pattern)) if isinstance(pattern, (list, tuple)) else pattern
+
+
+def _of_part(pattern: Any) -> Any:
+    """Of a class of parts its fields, with what its quantities say of them."""
+    if not (isinstance(pattern, type) and is_dataclass(pattern)):
+        return pattern
+    stated = getattr(pattern, "quantities", {})
+    return {**_of_class(pattern), **stated} if stated else _of_annotation(pattern)
+
+
 def look_ahead(path: str, leaves: Any) -> Any:
     """The pattern at a dotted path below a step's name, as far as it is said; ``...`` where it is not.
 
     Raises InputError: nothing of that name can be there.
     """
     step, *parts = path.split(".")
-    here, done = leaves, [step]
+    here, done = with_signals(leaves, None, None), [step]
     for part in parts:
         known: list[str] = []
         if here is ...:

@@ -11,6 +11,17 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
+from robustlab.doors.vocabulary import (
+    Band,
+    FileName,
+    NumberOrPair,
+    Positive,
+    Text,
+    ToAnything,
+    ToOneModel,
+    ToSaved,
+    as_pair,
+)
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import (
     Ahead,
@@ -25,17 +36,6 @@ from robustlab.recipe.steps.contract import (
     told,
 )
 from robustlab.recipe.steps.leaves import COMPLEX
-from robustlab.recipe.steps.vocabulary import (
-    Band,
-    FileName,
-    NumberOrPair,
-    Positive,
-    Text,
-    ToAnything,
-    ToOneModel,
-    ToSaved,
-    as_pair,
-)
 
 # What is left of a model, and of an uncertain one.
 MODEL: dict[str, Any] = {

@@ -11,13 +11,7 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.closing import closing, fed_back
-from robustlab.iqc import IqcStability
-from robustlab.mu_analysis.axis.margin import StabilityMargin
-from robustlab.mu_analysis.axis.robust_gain import RobustGain
-from robustlab.mu_analysis.margins.classical import ClassicalMargins
-from robustlab.norms import HinfNorm, PeakGain
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, picked, quantity, step, told
-from robustlab.recipe.steps.vocabulary import (
+from robustlab.doors.vocabulary import (
     GUARD,
     Band,
     Effort,
@@ -32,6 +26,12 @@ from robustlab.recipe.steps.vocabulary import (
     ToUncertain,
     as_pair,
 )
+from robustlab.iqc import IqcStability
+from robustlab.mu_analysis.axis.margin import StabilityMargin
+from robustlab.mu_analysis.axis.robust_gain import RobustGain
+from robustlab.mu_analysis.margins.classical import ClassicalMargins
+from robustlab.norms import HinfNorm, PeakGain
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, picked, quantity, step, told
 
 if TYPE_CHECKING:
     from robustlab.iqc import Nature

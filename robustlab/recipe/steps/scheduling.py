@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
+from robustlab.doors.vocabulary import GUARD, Effort, TimeLimit, ToUncertain
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace, step, told
-from robustlab.recipe.steps.vocabulary import GUARD, Effort, TimeLimit, ToUncertain
 
 Counts = dict[str, Annotated[int, Field(ge=2, le=100)]]
 Rates = dict[str, Annotated[float, Field(ge=0)]]

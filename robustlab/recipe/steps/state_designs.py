@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
+from robustlab.doors.vocabulary import Names, Positive, ToModel
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace, step, told
 from robustlab.recipe.steps.leaves import COMPLEX
-from robustlab.recipe.steps.vocabulary import Names, Positive, ToModel
 
 Weights = dict[str, Annotated[float, Field(ge=0)]]
 

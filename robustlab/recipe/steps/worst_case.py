@@ -11,9 +11,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.errors import NoTrustworthyNumber, unknown_name
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, picked, quantity, step
-from robustlab.recipe.steps.vocabulary import (
+from robustlab.doors.vocabulary import (
     Count,
     Names,
     Points,
@@ -22,6 +20,8 @@ from robustlab.recipe.steps.vocabulary import (
     Tolerance,
     ToUncertain,
 )
+from robustlab.errors import NoTrustworthyNumber, unknown_name
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, picked, quantity, step
 
 
 class DrivenStep(Step):

@@ -1,0 +1,171 @@
+"""Doors of measured records: is one fit, where does a model miss it, what does the model lack, does a set hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import robustlab as rl
+from robustlab.doors.declaration import Named, door
+from robustlab.doors.kinds import Choice, Flag, Machine, Names, Number, RecordFile, Share, Table, Whole
+from robustlab.doors.words import Effort, Measured, Plant, Repeats, TimeLimit, UncertainPlant
+
+Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
+Period = Annotated[float | None, Number(above=0), "Period of the record in s; found if a signal repeats."]
+Column = Annotated[str | None, Names("outputs", "record", one=True)]
+
+
+@door("data check", "check-record", result="identification.record_check.suitability.RecordCheck")
+def check_record(
+    record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, Parquet, MCAP, CSV or TXT file."],
+    model: Annotated[Any, Machine(), "A model, too: is the record fit for naming what that lacks?"] = None,
+) -> Any:
+    """Read a record and say what is in it and what is odd about it.
+
+    Example: robustlab data check run3.csv --inputs u --outputs q
+    Example: robustlab data check run3.csv --model servo-axis
+    Example: robustlab data check bag.mcap --inputs u=/command.data --outputs q=/joint_states.position[0]
+    """
+    from robustlab.identification.record_check.suitability import check_record as check
+
+    return check(record, model)
+
+
+@door("data compare", "compare", result="identification.comparison.comparison_result.Comparison")
+def compare(
+    model: Annotated[
+        Any, Machine(("plant", "model", "uncertain", "any")), Named(key="of"), "Model file, plant, or file.py:name."
+    ],
+    record: Measured,
+    window: Window = None,
+    start: Annotated[float | None, Number(above=0), "Longest opening stretch in s for the initial state."] = None,
+    lags: Annotated[int, Whole(1, 1000), "Lags of the residual tests."] = 25,
+    speed: Annotated[Column, "Output over which the error is sorted by speed."] = None,
+    position: Annotated[Column, "Output over which the error is sorted by position."] = None,
+    period: Period = None,
+    repeats: Annotated[Repeats, Named(option="--repeat")] = None,
+) -> Any:
+    """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
+
+    Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
+    Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
+    """
+    return rl.compare(
+        model, record, window=window, start=start, lags=lags, speed=speed, position=position, period=period,
+        repeats=repeats or (),
+    )  # fmt: skip
+
+
+@door(
+    "data discover", "discover", result="identification.naming.discovery_result.Discovery", gives="plant", made="model",
+    own=True, progress="parts",
+)  # fmt: skip
+def discover(
+    model: Annotated[Plant, Named(key="of")],
+    records: Annotated[list[Any], RecordFile(many=True), "Records of one machine; FILE#GROUP takes that group."],
+    held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit sees; the gap is judged on it."]
+    = None,
+    repeats: Annotated[Repeats, Named(option="--repeat")] = None,
+    tolerances: Annotated[
+        dict[str, float] | None,
+        Table(Share(above=0), "parameters"),
+        Named(option="--tolerance"),
+        "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
+    ] = None,
+    exclude: Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."] = None,
+    window: Annotated[float | None, Number(above=0), "Length of the windows in s."] = None,
+    period: Annotated[float | None, Number(above=0), "Period of the excitation in s."] = None,
+    progress: Callable[[str], None] | None = None,
+) -> Any:  # fmt: skip
+    """Name the effect that a model lacks, from measured records, and update the model with it.
+
+    Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", which the result says
+    in full all the same, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C ended the
+    search, and the result says what was known by then.
+
+    Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
+    """
+    from robustlab.dynamics.effects.catalogue import effect
+
+    return rl.discover(
+        model, records, held_out or None, tolerances=tolerances, window=window, period=period, repeats=repeats or (),
+        exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
+    )  # fmt: skip
+
+
+@door(
+    "data validate",
+    "validate",
+    result="identification.validation.validation_result.Validation",
+    own=True,
+    progress="lines",
+)
+def validate(
+    uncertain: Annotated[UncertainPlant, Named(key="of")],
+    record: Measured,
+    noise: Annotated[
+        dict[str, float] | None,
+        Table(Number(least=0), "outputs"),
+        "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
+    ] = None,
+    domain: Annotated[
+        Literal["time", "frequency"],
+        Choice(("time", "frequency")),
+        "time, or frequency: whole periods in steady state, line by line.",
+    ] = "time",
+    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal tells it."] = None,
+    noise_norm: Annotated[
+        Literal["peak", "rms"] | None,
+        Choice(("peak", "rms")),
+        "What the bound is of: peak or rms (frequency domain: rms).",
+    ] = None,
+    delta: Annotated[
+        Literal["time-invariant", "time-varying"],
+        Choice(("time-invariant", "time-varying")),
+        "What complex and full blocks are; real ones are constants.",
+    ] = "time-invariant",
+    at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False,
+    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None,
+    per_block: Annotated[bool, Flag(), "Also the smallest scaling of each block alone."] = False,
+    precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
+    effort: Effort = 1.0,
+    time_limit: TimeLimit = None,
+    progress: Callable[[str], None] | None = None,
+) -> Any:
+    """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
+
+    Exit code 0: the bounds of gamma are within the precision, or decide whether the set explains the record; 4: they
+    decide nothing, or no Delta of any size explains the record; 1: gamma is not shown to be within --at-most.
+
+    Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
+    """
+    return rl.validate(
+        uncertain, record, noise or None, domain=domain, noise_norm=noise_norm, delta=delta, at_rest=at_rest,
+        window=window, period=period, per_block=per_block, precision=precision, effort=effort, time_limit=time_limit,
+        progress=progress,
+    )  # fmt: skip
+
+
+@door("data envelope", "cover", result="identification.comparison.envelope.EnvelopeCoverage")
+def cover(
+    uncertain: Annotated[UncertainPlant, Named(key="of")],
+    record: Measured,
+    n: Annotated[int, Whole(), Named(option="--samples,-n"), "Random members."] = 20,
+    vertices: Annotated[int, Whole(), "Vertices of the set beside them."] = 0,
+    rate: Annotated[
+        float | None, Number(above=0), "Time in s over which mean rates of the outputs are judged as well."
+    ] = None,
+    allowance: Annotated[
+        dict[str, float] | None,
+        Table(Number(least=0), "outputs", "record"),
+        "What the sensor of an output may be off, in its unit.",
+    ] = None,
+    seed: Annotated[int | None, Whole(0, 2**63 - 1), "Seed of the members; in a recipe its own if left out."] = None,
+) -> Any:
+    """Does the envelope of an uncertain model's members hold a record? Sampled, not proved.
+
+    Example: robustlab data envelope axis.h5 run3.csv --samples 50
+    """
+    from robustlab.identification.comparison.envelope import cover as within
+
+    return within(uncertain, record, n=n, vertices=vertices, seed=seed or 0, rate=rate, allowance=allowance)
