@@ -58,7 +58,7 @@ def unit_of_metric(step: Any, ahead: Any) -> Any:
 
 
 def _foretold_worst(step: Any, ahead: Any) -> Any:
-    from robustlab.recipe.steps.contract import Foretold
+    from robustlab.doors.foretold import Foretold
 
     unit = unit_of_metric(step, ahead)
     known = type(step).leaves
@@ -66,7 +66,7 @@ def _foretold_worst(step: Any, ahead: Any) -> Any:
 
 
 def _foretold_violation(step: Any, ahead: Any) -> Any:
-    from robustlab.recipe.steps.contract import Foretold
+    from robustlab.doors.foretold import Foretold
 
     unit = unit_of_metric(step, ahead)
     if step.unit is not None and unit is not float and step.unit != unit:

@@ -123,7 +123,7 @@ def check(
 
 
 def _foretold_steady_state(step: Any, ahead: Any) -> Any:
-    from robustlab.recipe.steps.contract import Foretold
+    from robustlab.doors.foretold import Foretold
 
     kept = ahead[step.of].select(step.outputs).outputs
     return Foretold(leaves={"outputs": {"*": float} if kept is None else dict(kept)})
@@ -196,7 +196,7 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
 
 
 def _foretold_connection(step: Any, ahead: Any) -> Any:
-    from robustlab.recipe.steps.contract import Foretold
+    from robustlab.doors.foretold import Foretold
 
     units: dict[str, str] = {}
     for part in step.parts:
