@@ -333,6 +333,10 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
             "spectral_abscissa": self.spectral_abscissa(), "poles": self.poles(),
         }  # fmt: skip
 
+    def headline(self) -> str:
+        """Its size."""
+        return f"model with {self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+
     def details(self) -> list[Part]:
         """The poles, the rightmost first."""
         poles = sorted(self.poles(), key=lambda p: (-p.real, p.imag))[:SHOWN_BLOCKS]

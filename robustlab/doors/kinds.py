@@ -99,8 +99,8 @@ class Quantity(Kind):
         """A number, or two."""
         from pydantic import Field
 
-        number = Annotated[float, Field(ge=self.least)]
-        two = Annotated[list[number], Field(min_length=2, max_length=2)]  # pyright: ignore[reportInvalidTypeForm]
+        number: Any = Annotated[float, Field(ge=self.least)]
+        two: Any = Annotated[list[number], Field(min_length=2, max_length=2)]
         return {"": number, "may": number | two, "must": two}[self.ends]
 
     def of_field(self, given: Any) -> Any:

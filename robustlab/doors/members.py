@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -58,20 +59,16 @@ def unit_of_metric(step: Any, ahead: Any) -> Any:
 
 
 def _foretold_worst(step: Any, ahead: Any) -> Any:
-    from robustlab.doors.foretold import Foretold
-
     unit = unit_of_metric(step, ahead)
     known = type(step).leaves
-    return Foretold(leaves={**known, "value": unit, "nominal_value": unit})
+    return replace(ahead[None], leaves={**known, "value": unit, "nominal_value": unit})
 
 
 def _foretold_violation(step: Any, ahead: Any) -> Any:
-    from robustlab.doors.foretold import Foretold
-
     unit = unit_of_metric(step, ahead)
     if step.unit is not None and unit is not float and step.unit != unit:
         raise UnitMismatch("unit", step.unit, f"{unit or 'none'}: that of the metric")
-    return Foretold(leaves={**type(step).leaves, "worst_value": unit})
+    return replace(ahead[None], leaves={**type(step).leaves, "worst_value": unit})
 
 
 @door("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", foretell=_foretold_worst)

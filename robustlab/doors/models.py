@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -123,10 +124,8 @@ def check(
 
 
 def _foretold_steady_state(step: Any, ahead: Any) -> Any:
-    from robustlab.doors.foretold import Foretold
-
     kept = ahead[step.of].select(step.outputs).outputs
-    return Foretold(leaves={"outputs": {"*": float} if kept is None else dict(kept)})
+    return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
 
 @door(
@@ -196,12 +195,11 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
 
 
 def _foretold_connection(step: Any, ahead: Any) -> Any:
-    from robustlab.doors.foretold import Foretold
-
     units: dict[str, str] = {}
     for part in step.parts:
         units |= {**(ahead[part].inputs or {}), **(ahead[part].outputs or {})}
-    return Foretold(None, *({name: units.get(name, "") for name in side} for side in (step.inputs, step.outputs)))
+    inputs, outputs = ({name: units.get(name, "") for name in side} for side in (step.inputs, step.outputs))
+    return replace(ahead[None], inputs=inputs, outputs=outputs)
 
 
 @door("model connect", "connect", result="uncertainty.lft.UncertainModel", gives="any", foretell=_foretold_connection)

@@ -115,13 +115,14 @@ def uncertain(
     if ends and hasattr(plant, "effects"):
         raise UsageError("range", f"{plant.name} carries effects", "tolerances")
     exact = {} if own else {name: (p.value, 0.0) for name, p in plant.parameters.items()}
-    made = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
+    made: Any = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
     rest = {"at": at_rest(made, at, pose), "hold": hold}
     if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
         raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
-    options = {**rest, "ranges": ends}
+    options: dict[str, Any] = {**rest, "ranges": ends}
     model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
-    notes = [*left_out(made.left_out() if hasattr(made, "left_out") else ()), *model.remarks]
+    missing = getattr(made, "left_out", tuple)()
+    notes = [*left_out(missing), *model.remarks]
     without = {*shares, *ends} - {b.name for b in model.blocks}
     if without and not hasattr(made, "effects"):
         notes.append(f"without effect on the linear model: {', '.join(sorted(without))}")
@@ -284,7 +285,7 @@ def delays(
     from robustlab.uncertainty.built import BuiltModel
 
     model, sides = with_lengths(system, inputs, outputs)
-    found = uncertain_delays(model, *sides, order, weight_order)
+    found = uncertain_delays(model, sides[0], sides[1], order, weight_order)
     parts = {b.name: f"{b.rows} channels: {b.origin}" for b in found.blocks if b.origin}
     for kind, longest in (("delay", neglected_delays), ("lag", neglected_lags)):
         for name, length in (longest or {}).items():

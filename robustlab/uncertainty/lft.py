@@ -427,6 +427,10 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         size = {"blocks": [b.name for b in self.blocks], "channels": self.delta_shape[0]}
         return {**self.nominal.numbers(), **size} | ({"sampled": list(self.sampled)} if self.sampled else {})
 
+    def headline(self) -> str:
+        """Its size."""
+        return f"uncertain model with {len(self.blocks)} blocks, {self.M.n_states} states"
+
     def details(self) -> list[TablePart]:
         """The blocks with what they stand for, and where they come from."""
         shown = self.blocks[:SHOWN_BLOCKS]

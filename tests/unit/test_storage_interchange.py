@@ -138,11 +138,12 @@ def test_check_pair(model):
 def test_difference_names_the_entries(model):
     a = A.copy()
     a[1, 0], a[0, 0] = 3.0, -1.1
-    changes = difference(model, StateSpaceModel(a, B, C, D, 0.0, model.inputs, model.outputs, model.states))
+    other = StateSpaceModel(a, B, C, D, 0.0, model.inputs, model.outputs, model.states)
+    changes = difference(model, other).changes
     assert [(c.matrix, c.row, c.column, c.second) for c in changes] == [("A", "x", "x", -1.1), ("A", "v", "x", 3.0)]
     assert changes[0].relative == pytest.approx(-0.1)
     assert changes[1].relative == np.inf
-    assert difference(model, model) == ()
+    assert difference(model, model).changes == ()
 
 
 UNCERTAIN_FAULTS = [

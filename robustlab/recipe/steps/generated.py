@@ -78,7 +78,8 @@ class DoorStep(Step):
         values: dict[str, Any] = {}
         for p in self.declared.parameters:
             if p.name == "seed":
-                values["seed"] = work.seed if getattr(self, "seed", None) is None else self.seed
+                own = vars(self)["seed"]
+                values["seed"] = work.seed if own is None else own
             elif p.called.only != "command":
                 given = p.kind.of_field(getattr(self, p.key))
                 if given is not None or p.needed:
