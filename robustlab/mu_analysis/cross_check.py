@@ -36,7 +36,7 @@ MU_DIGITS, GAIN_DIGITS = 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
-class CrossCheck:
+class CrossCheck(AllFields, Shown):
     """What SLICOT says beside our bounds."""
 
     routine: str  # the routine asked
@@ -51,9 +51,9 @@ class CrossCheck:
     status: Status
     said: str  # the same in words
 
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return {"type": "CrossCheck", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+    def facts(self) -> Facts:
+        """What it says."""
+        return [("SLICOT", self.said)]
 
 
 def cross_check(uncertain: UncertainModel, result: Margin | WorstCaseGain) -> CrossCheck:

@@ -50,6 +50,12 @@ class H2Norm(Shown):
     reason: str = ""
     integral: float | None = None
 
+    quantities: ClassVar[Mapping[str, Any]] = {"value": float, "integral": float}
+
+    def headline(self) -> str:
+        """The norm."""
+        return f"H2 norm {number(self.value, digits=8)}"
+
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         by_integral = number(self.integral, digits=6)

@@ -102,6 +102,20 @@ class Passivity(Shown):
     reason: str = ""
     output_index: PassivityIndex | None = None
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "passive": bool, "input_index": float, "output_index": float,
+    }  # fmt: skip
+
+    def numbers(self) -> dict[str, Any]:
+        """The indices by what is proved of them."""
+        both = {"input_index": self.input_index, "output_index": self.output_index}
+        return {**super().numbers(), **{name: None if index is None else index.lower for name, index in both.items()}}
+
+    def headline(self) -> str:
+        """Whether it is passive."""
+        words = {True: "passive", False: "not passive", None: "on the boundary of passivity, or not decided"}
+        return words[self.passive]
+
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         words = {True: "yes", False: "no", None: f"to within {number(self.upper - 1)} of the relative index"}

@@ -34,6 +34,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # robustness
     "Margin": {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"},
     "WorstCaseGain": {"gain": "robustness_figures.gain_figure"},
+    "Replay": {"replay": "robustness_figures.replay_figure"},
     "MarginAt": {"margin": "robustness_figures.bounds_at"},
     "GainAt": {"gain": "robustness_figures.bounds_at"},
     "DiskMarginAt": {"margin": "robustness_figures.bounds_at"},
@@ -92,6 +93,8 @@ PREFIXES: Mapping[str, str] = {"Validation": "validation-", "EnvelopeCoverage": 
 CAPTIONS: Mapping[str, str] = {
     "robustness_figures.mu_figure": "Bounds of μ over frequency. The proved margin is the inverse of the highest "
     "shaded level.",
+    "robustness_figures.replay_figure": "Free responses from the critical mode: nominal, just inside the margin, and at "
+    "the critical Δ.",
     "robustness_figures.margin_shares": "What each block weighs in the margin: the one on top is to be tightened "
     "first.",
     "design_figures.loop_picture": "The weighted closed loop with its peak, and the controller.",

@@ -39,7 +39,7 @@ INSIDE = 0.95  # share of the critical Delta that is shown as just inside the ma
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(AllFields, Shown):
     """Free responses from the critical mode: of the nominal model, just inside the margin, and at the critical Delta.
 
     Attributes
@@ -66,9 +66,9 @@ class Replay:
     growth: float
     period: float
 
-    def to_json(self) -> dict[str, Any]:
-        """All attributes; arrays stay arrays."""
-        return {"type": "Replay", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+    def facts(self) -> Facts:
+        """Nothing: it is to be drawn."""
+        return []
 
 
 def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points: int = 40) -> Replay:

@@ -65,6 +65,9 @@ class StateFeedback(Shown):
     status: Status
     reason: str
     X: AnyArray | None = None
+    states: tuple[Signal, ...] = ()  # of the model, which the controller takes by name
+    inputs: tuple[Signal, ...] = ()
+    dt: float = 0.0
 
     # Why it is no controller by itself: it does not know the names of the states.
     no_model: ClassVar[str] = "u = -K x: give its K, a matrix, and sign=-1, around a model with the states as outputs"

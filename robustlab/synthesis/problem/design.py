@@ -142,6 +142,8 @@ class Synthesis(Design):
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
+        from robustlab.synthesis.problem.performance_limits import limits_in_words
+
         return {
             "method": self.method,
             "status": self.status,
@@ -152,6 +154,7 @@ class Synthesis(Design):
             "closed_loop_abscissa": self.closed_loop_abscissa,
             "limit": self.limit,
             "reason": self.reason,
+            "limits": limits_in_words(self),
             "K": self.K.to_json(),
             "closed_loop": self.closed_loop.to_json(),
         }

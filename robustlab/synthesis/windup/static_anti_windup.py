@@ -84,6 +84,26 @@ class AntiWindup(Shown):
     level: float
     controller: StateSpaceModel
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": float, "upper": float, "without": float, "back": float, "linear": float, "L": [[float]],
+    }  # fmt: skip
+
+    def numbers(self) -> dict[str, Any]:
+        """What is proved of each, and the gain."""
+        gains = {"lower": self.proved.lower, "upper": self.proved.upper}
+        return gains | {
+            "without": self.without.upper, "back": self.back.upper, "linear": self.linear, "L": self.L.tolist(),
+        }  # fmt: skip
+
+    def headline(self) -> str:
+        """The proved gain beside that without."""
+        return f"worst L2 gain {self.proved.bounds()}, without anti-windup {self.without.bounds()}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Conditions of the proof."""
+        return self.proved.conditions
+
     @property
     def status(self) -> Status:
         """That of ``proved``."""
