@@ -37,7 +37,7 @@ def test_show_says_parameters_and_effects(file):
 
 def test_check_looks_at_the_linear_model(file):
     shown = run(model_app, "check", file)
-    assert "pole -" in shown.stdout
+    assert "pole [1/s]" in shown.stdout
 
 
 def test_build_linearises_where_it_is_asked_to(file, tmp_path):
