@@ -181,8 +181,7 @@ def answer(
         results = {part: answered.result for part, answered in found.items()}
         beyond = Beyond()
         if more is not None:
-            report("figures and files")
-            beyond = more(results[""], values, {**shared, "named": given}, files)
+            beyond = more(results[""], values, {**shared, "named": given, "report": report}, files)
         written = [_keep(words, chosen, result, values, out, files, given) for result in results.values() if out]
         rows = [f"written: {file}" for file in written]
         if figure is not None:
