@@ -78,6 +78,8 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
     result = {"model": options["named"]["model"], **found.to_json()}
     origin = provenance_of("data discover", files, values)
     written: list[str] = []
+    if options["figures"] or options["model_out"] or options["folder"]:
+        options["report"]("figures and files")
     if options["figures"]:
         from robustlab.report.discovery import discovery_figures
 
@@ -153,6 +155,7 @@ def _validated(found: Any, values: Mapping[str, Any], options: Mapping[str, Any]
     if members:
         from robustlab.identification.comparison.envelope import cover
 
+        options["report"]("envelope")
         model = values["uncertain"]
         vertices: Any = "all" if len(model.blocks) <= 6 else 64
         peak = found.noise_bound if found.noise_norm == "peak" else {}

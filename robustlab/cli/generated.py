@@ -19,7 +19,7 @@ from robustlab.cli.plant import machine
 from robustlab.cli.progress import MODES, ProgressOptions
 from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family
 from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
-from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
+from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, UsageError
 from robustlab.shown import text_table
 
 # What every command has beside its own.
@@ -50,6 +50,7 @@ READ: Mapping[str, Options] = {
     "plant": (("settings", list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE."), None),),
     "record": options_of(RecordOptions),
 }  # fmt: skip
+VERBOSE = ("verbose", bool, typer.Option("--verbose", help="A line on stderr for each step of the search."), False)
 DRAWN = ("figure", str | None, typer.Option(help=FIGURE), None)
 
 
@@ -112,8 +113,12 @@ def _parsed(
         if p.needed and not all(any(q.name == name for q in d.parameters) for d in doors.values()):
             kind = p.kind if not isinstance(p.kind, Thing) or p.called.option else replace(p.kind, positional=True)
             offered[name] = replace(p, default=None, kind=kind)
+    words_of = [option.partition("=")[2] for option in doors if "=" in option]
+    if words_of:  # "--kind=h2": the value of an option chooses, the first where none is given
+        option = next(iter(doors)).partition("=")[0]
+        offered[_field(option)] = Parameter(_field(option), Choice(tuple(words_of)), words_of[0], "Which is asked for.")
     by_option = {option: name for name, p in offered.items() for option in p.options}
-    choosing = {option: by_option.get(option, _field(option)) for option in doors if option}
+    choosing = {} if words_of else {option: by_option.get(option, _field(option)) for option in doors if option}
     files = [p for p in offered.values() if isinstance(p.kind, Thing) and p.needed]
     offers = [_given(p, alone=len(files) == 1) for p in offered.values()]
     offers += [
@@ -126,7 +131,8 @@ def _parsed(
     if any(p.kind.settings for p in things):
         reading["plant"] = None
     written = private if private is not None else (OUT, *([DRAWN] if any(_draws(d) for d in doors.values()) else []))
-    own = [*(option for kind in reading for option in READ[kind]), *written, AS_JSON, PROGRESS]
+    told = [VERBOSE] if any(d.takes_progress and not d.progress for d in doors.values()) else []
+    own = [*(option for kind in reading for option in READ[kind]), *written, *told, AS_JSON, PROGRESS]
     offers += [
         Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
         for name, kind, option, default in own
@@ -155,6 +161,10 @@ def _chosen(
     given: dict[str, Any],
 ) -> Door:
     """The door that the options choose; what it does not take is refused, and what it needs is asked for."""
+    by_word = next(iter(doors)).partition("=")[0] if any("=" in option for option in doors) else ""
+    if by_word:
+        word = offered[_field(by_word)].kind.read(by_word, given[_field(by_word)])
+        choosing = {f"{by_word}={word}": _field(by_word)}
     asked = [option for option, name in choosing.items() if given.get(name) not in (None, False, [])]
     if len(asked) > 1:
         raise UsageError(words, " and ".join(asked), "one of them")
@@ -163,10 +173,11 @@ def _chosen(
     taken = {p.name for p in chosen.parameters}
     for name, p in offered.items():
         default = None if p.default is REQUIRED else p.default
-        if name not in taken and given.get(name) not in (None, default, []):
-            others = [o for o, d in doors.items() if o and name in {q.name for q in d.parameters}]
+        if name not in taken | {_field(by_word)} and given.get(name) not in (None, default, []):
+            others = [o.replace("=", " ") for o, d in doors.items() if o and name in {q.name for q in d.parameters}]
             expected = f"{p.options[0]} with {' or '.join(others)} only" if others else f"it without {option}"
-            raise UsageError(words, f"{_called(p)}{f' with {option}' if option else ''}", expected)
+            asked_by = f" with {option}".replace("=", " ") if option else ""
+            raise UsageError(words, f"{_called(p)}{asked_by}", expected)
     for p in chosen.parameters:
         if p.needed and p.name in offered and given.get(p.name) in (None, []):
             missing = _called(offered[p.name])
@@ -185,8 +196,10 @@ def answer(
     """Read the files and words, compute, and answer with the result's own face."""
     files: list[str] = []
     out, figure = shared.get("out"), shared.get("figure")
+    if out is not None and not Path(out).resolve().parent.is_dir():  # before the work whose result it is for
+        raise EnvironmentFault(out, "no such folder", "a folder that exists")
     with ProgressOptions(shared["progress"]).shown(
-        words, lines=chosen.progress != "", budgets=chosen.progress != "parts"
+        words, lines=chosen.progress != "", verbose=shared.get("verbose", False), budgets=chosen.progress != "parts"
     ) as report:
         values = _values(chosen, given, shared, files)
         if chosen.takes_progress:
@@ -196,8 +209,7 @@ def answer(
         found = {part: chosen(**case) for part, case in _cases(chosen, values, files, out).items()}
         beyond = Beyond()
         if more is not None:
-            report("figures and files")
-            beyond = more(found[""].result, values, {**shared, "named": given}, files)
+            beyond = more(found[""].result, values, {**shared, "named": given, "report": report}, files)
         said = _note(chosen, given, shared, files)
         written = [_keep(words, chosen, one.result, values, out, files, given, said) for one in found.values() if out]
         rows = [f"written: {file}" for file in written]
@@ -273,7 +285,23 @@ def _values(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], f
             value = p.kind.read(p.options[0], given[p.name])
         if not _left_out(chosen, p.name, value):
             found[p.name] = value
-    return found
+    return _overruled(found, given)
+
+
+def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """A controller that says another sign than ``--feedback`` says nothing any more, with a note above the number."""
+    sign, K = found.get("sign"), found.get("controller")
+    if sign is None or K is None:
+        return found
+    from robustlab.closing import SIGNS, as_controller, silenced
+    from robustlab.signals import Taken, law
+
+    inputs = as_controller(K, "controller").inputs
+    if all(s.sign in (0, sign) for s in inputs if isinstance(s, Taken)):
+        return found
+    word = "negative" if sign < 0 else "positive"
+    note(f"{given['controller']} says {law(inputs)}; --feedback {word} closes {SIGNS[sign]} all the same")
+    return {**found, "controller": silenced(K, "controller")}
 
 
 def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str], found: Mapping[str, Any]) -> Any:
@@ -398,6 +426,9 @@ def _given(p: Parameter, alone: bool) -> Given:
         default: Any = Given.empty if p.needed else None
         taken = kind if p.needed else kind | None
         return Given(p.name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, option])
+    if p.called.option == "*":
+        return Given(p.name, Given.KEYWORD_ONLY, default=None, annotation=Annotated[
+            kind | None, typer.Argument(help=help_text, metavar=f"[{p.kind.metavar}]...")])  # fmt: skip
     option = typer.Option(*p.options, help=help_text, metavar=p.kind.metavar, autocompletion=_offer(p.kind))
     if p.needed:
         return Given(p.name, Given.KEYWORD_ONLY, annotation=Annotated[kind, option])

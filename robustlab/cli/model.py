@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, table
+from robustlab.cli.console import emit, note, table
 from robustlab.cli.generated import add_commands
-from robustlab.cli.margins import margins
 from robustlab.cli.members import named
-from robustlab.cli.offers import NORMS, REDUCTIONS, one_of
 from robustlab.cli.options import (
-    BandOption,
     JsonOption,
-    OutputOptions,
-    band_of,
     ends,
     grouped,
-    load_model,
 )
 from robustlab.cli.plots import frequency_response, plot_model
-from robustlab.cli.progress import ProgressOptions
-from robustlab.cli.timing import d2c, d2d, discretise
-from robustlab.errors import UsageError, did_you_mean
+from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded
@@ -131,98 +122,9 @@ def convert(
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
-@app.command()
-@grouped
-def norm(
-    *,
-    file: FileArgument,
-    kind: Annotated[str, typer.Option(help="hinf, linf, h2 or passivity.", autocompletion=one_of(*NORMS))] = "hinf",
-    band: BandOption = None,
-    options: ReadOptions,
-    progress: ProgressOptions,
-    as_json: JsonOption = False,
-) -> None:
-    """A norm of a model with its evidence: peak gain (hinf; linf of unstable models), white noise (h2), passivity.
-
-    Exit code 4: the number cannot be vouched for.
-
-    Example: robustlab model norm motor.h5 --kind h2
-    """
-    part = band_of(band)
-    peaks = [partial(rl.peak_gain, norm="hinf"), partial(rl.peak_gain, norm="linf", band=part)]
-    functions: dict[str, Any] = dict(zip(NORMS, (*peaks, rl.h2_norm, rl.passivity), strict=True))
-    if part is not None and kind != "linf":
-        raise UsageError("--band", f"--kind {kind}", "--kind linf: the peak gain in the band")
-    if kind not in functions:
-        raise UsageError(f"--kind {kind}", "no such norm", ", ".join(NORMS), did_you_mean(kind, NORMS))
-    loaded = options.read(file)
-    with progress.shown("model norm"):
-        found = [(name, functions[kind](model)) for name, model in _models(loaded)]
-    text = "\n".join(f"{name}{value.summary()}" for name, value in found)
-    result = {name.rstrip(": ") or "model": value for name, value in found}
-    emit("model norm", {"file": file, "kind": kind, **result}, text, as_json)
-    for _, value in found:
-        require_trust(value.status)
-
-
-app.command()(margins)
-add_commands(app, "model", "analysis", "models")
+add_commands(app, "model", "analysis", "designs", "models", "robustness")
 app.command("plot")(plot_model)
 app.command("response")(frequency_response)
-
-
-@dataclass(frozen=True)
-class ReductionOptions:
-    """How a model is made smaller."""
-
-    method: Annotated[
-        str,
-        typer.Option(
-            help="truncation, residualisation, hankel, stochastic (relative error) or coprime.",
-            autocompletion=one_of(*REDUCTIONS),
-        ),
-    ] = "truncation"
-    input_weight: Annotated[
-        str | None, typer.Option(help="File with a stable model W_i: the error is W_o (G - Gr) W_i.")
-    ] = None
-    output_weight: Annotated[str | None, typer.Option(help="The same for W_o.")] = None
-    band: BandOption = None
-    floor: Annotated[float, typer.Option(help="Of stochastic: gain below which errors count absolutely.")] = 0.0
-
-    def arguments(self) -> dict[str, Any]:
-        """As `robustlab.reduce_model` takes them."""
-        files = {"input_weight": self.input_weight, "output_weight": self.output_weight}
-        weights = {name: None if file is None else rl.load(file) for name, file in files.items()}
-        return {"method": self.method, "band": band_of(self.band), "floor": self.floor, **weights}
-
-
-@app.command()
-@grouped
-def reduce(
-    *,
-    file: ModelArgument,
-    order: Annotated[int | None, typer.Option(help="States of the result.")] = None,
-    max_error: Annotated[float | None, typer.Option(help="In place of --order: largest error, as it is told.")] = None,
-    how: ReductionOptions,
-    progress: ProgressOptions,
-    output: OutputOptions,
-) -> None:
-    """A model of lower order, with its certified error beside what theory promises.
-
-    Modes that are not stable are kept, or reduced too with --method coprime.
-    Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
-
-    Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
-    """
-    with progress.shown("model reduce"):
-        found = rl.reduce_model(load_model(file), order, tolerance=max_error, **how.arguments())
-    files = [f for f in (file, how.input_weight, how.output_weight) if f is not None]
-    output.finish_made("model reduce", found, found.model, files)
-
-
-app.command()(discretise)
-app.command()(d2c)
-app.command()(d2d)
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------

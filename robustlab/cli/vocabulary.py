@@ -55,6 +55,7 @@ _DELAYS = {"--input": "--input-delay", "--output": "--output-delay"}
 _METRIC = {"--input": "--input-value", "--output": "--outputs", "--from": "--inputs", "--band": "--settling-band"}
 _FIGURES = {"--figures": "--figure"}
 _CHANNELS = {"--disturbances": "--disturbance-inputs", "--performance": "--performance-outputs"}
+_COUNTS = {"--n-meas": "--measurements", "--n-con": "--controls"}
 _WEIGHTS = {"--state": "--state-weight", "--control": "--control-weight"}
 FORMER = {
     "model plot": _SIDES,
@@ -69,12 +70,12 @@ FORMER = {
     "campaign run": _METRIC,
     "iqc gain": {"--order": "--filter-order"},
     "iqc anti-windup": {"--order": "--filter-order", "--limit": "--saturation", "--direct": "--correct-outputs"},
-    **{f"synth {method}": _CHANNELS for method in ("hinf", "h2", "dk", "fixed")},
+    **{f"synth {method}": {**_CHANNELS, **_COUNTS} for method in ("hinf", "h2", "dk", "fixed")},
     "synth lqg": {"--at": "--disturbance-at"},
     "synth tune": {"--limit": "--pole-limit"},
     **{f"synth {method}": _WEIGHTS for method in ("lqr", "lqi")},
     "synth kalman": {"--process": "--process-noise", "--measurement": "--measurement-noise"},
-    **{f"lpv {word}": {"--points": "--grid"} for word in ("build", "gain", "hinf")},
+    **{f"lpv {word}": {"--points": "--grid", **_COUNTS} for word in ("build", "gain", "hinf")},
     "data compare": {**_SIDES, **_FIGURES},
     "data discover": {**_SIDES, **_FIGURES},
     "data validate": {"--output": "--outputs", "--cover": "--envelope", **_FIGURES},

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from robustlab.doors.kinds import Kind, Thing
 
@@ -109,10 +109,21 @@ class Door:
         return "progress" in inspect.signature(self.function).parameters
 
     @property
+    def result_classes(self) -> list[Any]:
+        """The classes that the result may be of."""
+        paths = [path.strip().rpartition(".") for path in self.result.split(",")]
+        return [getattr(import_module(f"robustlab.{module}"), name) for module, _, name in paths]
+
+    @property
     def result_class(self) -> Any:
-        """The class of the result; it says what requirements may refer to."""
-        module, _, name = self.result.rpartition(".")
-        return getattr(import_module(f"robustlab.{module}"), name)
+        """The class of the result; of several the first."""
+        return self.result_classes[0]
+
+    @property
+    def quantities(self) -> Mapping[str, Any]:
+        """What requirements may refer to: that of the class, or of all of them."""
+        found = [kind.quantities for kind in self.result_classes]
+        return found[0] if len(found) == 1 else {name: leaf for each in reversed(found) for name, leaf in each.items()}
 
     def made_of(self, result: Any) -> Any:
         """What was made, of a result."""
@@ -138,7 +149,8 @@ def door(
     """Decorator: the function is what a command and a step of recipes do.
 
     ``command``: its words; an option behind them, ``worst-case --limit``, makes it the function of that option.
-    ``result``: ``module.Class`` of what it returns; ``gives``: what later steps get, ``made`` the attribute that it is.
+    ``result``: ``module.Class`` of what it returns, or several with commas.
+    ``gives``: what later steps get, ``made`` the attribute that it is.
     ``foretell``: see `Door`.
     ``own``, ``progress``: see `Door`.
     """
@@ -166,14 +178,20 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
     for name, given in inspect.signature(function).parameters.items():
         if name in ("progress", "drawn"):
             continue
-        marks = getattr(hints[name], "__metadata__", ())
-        kind = next((m for m in marks if isinstance(m, Kind)), None)
+        marks = _marks(hints[name])
+        kind = next((m for m in reversed(marks) if isinstance(m, Kind)), None)
         if kind is None:
             raise TypeError(f"{function.__module__}.{function.__name__}: {name} has no kind in its annotation")
         texts = [m for m in marks if isinstance(m, str)]
         called = next((m for m in reversed(marks) if isinstance(m, Named)), Named())
         found.append(Parameter(name, kind, given.default, texts[-1] if texts else "", called))
     return found
+
+
+def _marks(hint: Any) -> list[Any]:
+    """What an annotation says beside its type, also of one among alternatives; the outer comes last."""
+    inner = [mark for part in get_args(hint) for mark in _marks(part)] if get_origin(hint) is not Literal else []
+    return [*inner, *getattr(hint, "__metadata__", ())]
 
 
 def objects(of: Door) -> list[Parameter]:
@@ -219,4 +237,4 @@ def every_door() -> list[Door]:
 
 
 # The modules of doors.
-ALL = ("analysis", "data", "members", "models", "sets")
+ALL = ("analysis", "data", "designs", "members", "models", "robustness", "sets")

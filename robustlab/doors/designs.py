@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.design_kinds import Channels, Diagonal, Disturbance, Goals, Weight
 from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
-from robustlab.doors.words import Band, Design, Effort, Model, SampleTime, Seed, TimeLimit
+from robustlab.doors.words import Band, Design, Effort, Model, SampleTime, Seed, Sign, TimeLimit
 from robustlab.errors import InputError, UsageError
 
-DESIGN = "synthesis.problem.design."
+DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model.", Named(key="of")]
 Of = Annotated[Model, Named(key="of")]
 K = Annotated[Any, Thing(("controller", "any"), model=True), "File with the controller."]
@@ -122,7 +123,7 @@ def hinf(
     return _design(found, system, drawn=drawn)
 
 
-@door("synth h2", "h2", result=DESIGN + "H2Synthesis", gives="controller", made="controller")
+@door("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
     measurements: Measurements = None,
@@ -210,7 +211,13 @@ def _rows(text: str) -> list[list[int]]:
     return rows
 
 
-@door("synth fixed", "fixed", result=DESIGN + "FixedSynthesis", gives="controller", made="controller")
+@door(
+    "synth fixed",
+    "fixed",
+    result="synthesis.fixed.fixed_structure.FixedSynthesis",
+    gives="controller",
+    made="controller",
+)
 def fixed_structure(
     system: Plant,
     structure: Structure = "static",
@@ -291,7 +298,8 @@ def mixsyn(
     return InLoop(found, "", notes)
 
 
-@door("synth ncf", "ncf", result="synthesis.hinf.loop_shaping.NcfSynthesis", gives="controller", made="controller")
+@door("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis, {HINF}two_degree.TwoDegreeSynthesis",
+      gives="controller", made="controller")  # fmt: skip
 def ncf(
     system: Of,
     w1: Annotated[
@@ -657,6 +665,88 @@ def reduce_model(
     )  # fmt: skip
 
 
+Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
+RESAMPLED = "synthesis.sampled.resampling.Resampled"
+
+
+@door("model discretise", result="statespace.StateSpaceModel", gives="model")
+def discretise_by_formula(
+    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
+    dt: SampleTime,
+    method: Annotated[
+        str, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
+    ] = "tustin",
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
+    ] = None,
+) -> Any:
+    """A discrete model of a continuous one, by formula.
+
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
+    What a loop loses by it is what "synth discretise" computes.
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.sampled.discretisation import merged_modes
+
+    late = isinstance(system, rl.DelayedModel)
+    model: Any = system if late else as_model(system, "model discretise")
+    given: Any = method
+    found = rl.discretise(model, dt, given, prewarp=prewarp)
+    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
+
+
+@door("model d2c", result=RESAMPLED, gives="model", made="model")
+def d2c(system: Of, method: Hold = "zoh") -> Any:
+    """A continuous model of a discrete one, with the error with which discretising gives it back.
+
+    Exit code 4: there is none (a pole on the negative real axis), or digits were lost.
+
+    Example: robustlab model d2c sampled.h5 --out plant.h5
+    """
+    given: Any = method
+    return rl.d2c(system, given)
+
+
+@door("model d2d", result=RESAMPLED, gives="model", made="model")
+def d2d(system: Of, dt: SampleTime, method: Hold = "zoh") -> Any:
+    """A discrete model with another sample time; a whole multiple needs no continuous model on the way.
+
+    Exit code 4: there is none, or digits were lost.
+
+    Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
+    """
+    given: Any = method
+    return rl.d2d(system, dt, given)
+
+
+def _foretold_loop(step: Any, ahead: Any) -> Any:
+    """References in; the outputs and the control signals out."""
+    inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
+    if inputs is None or outputs is None:
+        return ahead[None]
+    references = {f"{name}_ref": unit for name, unit in outputs.items()}
+    return replace(ahead[None], inputs=references, outputs={**outputs, **inputs})
+
+
+@door("model close", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
+      made="model", foretell=_foretold_loop)  # fmt: skip
+def close_loop(
+    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
+    controller: Annotated[Any, Thing(("controller", "any")), "File with the controller."],
+    sign: Annotated[Sign, Named(option="--feedback")] = None,
+) -> Any:
+    """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out.
+
+    Example: robustlab model close motor.h5 k.h5 --out loop.h5
+    """
+    from robustlab.synthesis.specifications.tracking_loop import close_loop as closed
+
+    given: Any = sign
+    return closed(system, controller, given)
+
+
 # --- scheduling -------------------------------------------------------------------------------------------------------
 
 Scheduled = Annotated[
@@ -745,11 +835,11 @@ def lpv_hinf(
 @door("lpv at", "lpv-at", result="statespace.StateSpaceModel", gives="model")
 def lpv_at(
     system: Annotated[Any, Thing(("any",)), "LPV model or scheduled controller: HDF5 file.", Named(key="of")],
-    values: Annotated[dict[str, float] | None, Table(Number()), "Value of each parameter."] = None,
+    values: Annotated[dict[str, float] | None, Table(Number()), "Value of each parameter.", Named(option="*")] = None,
 ) -> Any:
     """The model or the controller at one value of every parameter.
 
-    Example: robustlab lpv at controller.h5 --values k=2.5 --out frozen.h5
+    Example: robustlab lpv at controller.h5 k=2.5 --out frozen.h5
     """
     from robustlab.synthesis.scheduling.scheduled_controller import LPVController
 

@@ -22,7 +22,9 @@ from robustlab.doors.words import (
     TimeLimit,
     Uncertain,
 )
+from robustlab.errors import InputError, UsageError
 
+AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
 OfSet = Annotated[Uncertain, Named(key="of")]
 Around = Annotated[Controller | None, Named(option="--controller,-k")]
@@ -34,6 +36,8 @@ Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Nam
 CrossCheck = Annotated[
     bool, Flag(), "Ask SLICOT too (AB13MD, AB13DD); where it contradicts, exit code 4.", Named(only="command")
 ]
+ON_COMMAND = Named(only="command")
+Bounds = Annotated[dict[str, float] | None, Table(Number(above=0))]
 Nature = Annotated[
     dict[str, str] | None,
     Table(Kind(), words="NAME=WORD"),
@@ -45,7 +49,7 @@ Nature = Annotated[
 # --- norms of one model -----------------------------------------------------------------------------------------------
 
 
-@door("model norm", "hinf-norm", result="norms.HinfNorm")
+@door("model norm --kind=hinf", "hinf-norm", result="norms.HinfNorm")
 def hinf_norm(system: Of) -> Any:
     """A norm of a model with its evidence: peak gain (hinf; linf of unstable models), white noise (h2), passivity.
 
@@ -173,6 +177,9 @@ def robust_stability(
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
     if frequency is not None or isinstance(loop, rl.UncertainFrequencyData):
         del options["omega"]
+        asked = {"--certify": certify, "--cross-check": cross_check, "--intervals": intervals}
+        if refused := next((name for name, given in asked.items() if given), None):
+            raise UsageError("mu", f"{refused} at given frequencies", "the margin, or --gain")
     found = rl.robust_stability(loop, frequency=frequency, effort=effort, time_limit=time_limit, seed=seed, **options)
     beside = _checked(found, loop, cross_check)
     if certify:
@@ -256,7 +263,9 @@ def robust_gain(
     return InLoop(rl.robust_gain(_kept(loop, inputs, outputs), level, tolerance=tolerance, **options), words)
 
 
-@door("", "robustness-at", result="mu_analysis.margins.at_frequencies.MarginAt")
+@door(
+    "", "robustness-at", result="mu_analysis.margins.at_frequencies.MarginAt, mu_analysis.margins.at_frequencies.GainAt"
+)
 def robustness_at(
     system: OfSet,
     controller: Around = None,
@@ -291,13 +300,29 @@ def iqc_gain(
     order: FilterOrder = 2,
     effort: Effort = 1.0,
     time_limit: TimeLimit = None,
-    amplitude: Annotated[dict[str, float] | None, Table(Number(above=0)), "Bound of the signal at an effect's place."]
-    | None = None,
+    amplitude: Annotated[
+        Bounds, "Of a plant with effects: place of an effect -> bound of its signal.", ON_COMMAND
+    ] = None,
+    stick_speed: Annotated[
+        Bounds, "Of a plant with effects: joint -> speed below which dry friction is creep.", ON_COMMAND
+    ] = None,
 ) -> Any:
     """Worst L2 gain, proved for blocks that are nonlinear, vary with time, or are uncertain.
 
     Example: robustlab iqc gain loop.h5 --nature y:u=saturation --nature k=varying:0.5
     """
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+
+    if isinstance(system, ExtendedPlant):
+        if controller is None:
+            raise UsageError("iqc gain", "a plant with effects without --controller", "the loop that it stands in")
+        if nature or inputs:
+            expected, hint = "none of them", "its effects say what they are"
+            raise UsageError("iqc gain", "--nature or --inputs for a plant with effects", expected, hint)
+        return effect_gain(system, controller, outputs, amplitude, stick_speed, sign, order, effort, time_limit)
+    if amplitude or stick_speed:
+        found, expected = f"--amplitude or --stick-speed for a {type(system).__name__}", "a plant with effects"
+        raise UsageError("iqc gain", found, expected, "--nature says what a block is")
     loop, words = closed(system, controller, sign, "iqc gain")
     found = rl.peak_gain(
         loop, natures=_natures(nature, loop), inputs=inputs, outputs=outputs, order=order, effort=effort,
@@ -322,7 +347,7 @@ def iqc_stability(
     return InLoop(rl.robust_stability(loop, natures=_natures(nature, loop), **options), words)
 
 
-@door("iqc effects", "effect-gain", result="iqc.effect_gain_bounds.EffectGain")
+@door("", "effect-gain", result="iqc.effect_gain_bounds.EffectGain")
 def effect_gain(
     plant: Annotated[
         Any, Thing(("plant", "any")), "A plant with effects: what a discovery found, or its file.", Named(key="of")
@@ -342,7 +367,7 @@ def effect_gain(
 ) -> Any:
     """Worst L2 gain of a loop with the plant's effects as nonlinearities, beside that of constant gains.
 
-    Example: robustlab iqc effects machine.h5 --controller K.h5 --outputs q --amplitude u=40 --stick-speed v=0.01
+    It is what ``iqc gain`` does for a plant with effects.
     """
     from robustlab.closing import closing
 
@@ -385,7 +410,6 @@ def anti_windup(
 
     Example: robustlab iqc anti-windup motor.h5 pi.h5 --saturation u=-10:10 --out windup.h5
     """
-    from robustlab.errors import InputError
     from robustlab.signals import law
 
     unknown = [name for name in limits or {} if name not in controller.output_names]

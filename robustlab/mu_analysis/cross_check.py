@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain
 from robustlab.result import Status
+from robustlab.shown import AllFields, Facts, Shown
 from robustlab.slicot import peak_gain, structured_norm_bounds
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel

@@ -93,8 +93,8 @@ PREFIXES: Mapping[str, str] = {"Validation": "validation-", "EnvelopeCoverage": 
 CAPTIONS: Mapping[str, str] = {
     "robustness_figures.mu_figure": "Bounds of μ over frequency. The proved margin is the inverse of the highest "
     "shaded level.",
-    "robustness_figures.replay_figure": "Free responses from the critical mode: nominal, just inside the margin, and at "
-    "the critical Δ.",
+    "robustness_figures.replay_figure": "Free responses from the critical mode: nominal, just inside the margin, and "
+    "at the critical Δ.",
     "robustness_figures.margin_shares": "What each block weighs in the margin: the one on top is to be tightened "
     "first.",
     "design_figures.loop_picture": "The weighted closed loop with its peak, and the controller.",

@@ -421,6 +421,11 @@ class ViolationProbability(Tabular, Shown):
             found["influence"] = dict(zip(known.names, known.first_order.tolist(), strict=True))
         return found
 
+    @property
+    def met(self) -> bool | None:
+        """Whether it was shown that the probability is as small as wanted; None where nothing was wanted."""
+        return self.shown
+
     def headline(self) -> str:
         """What violates the limit how often."""
         beyond = "above" if self.sense > 0 else "below"

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.matrix.certificate import delta_norm
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.mu_analysis.matrix.minimum_norm import dual_minimum
+from robustlab.shown import AllFields, Facts, Shown
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel

@@ -321,13 +321,13 @@ class CoverModelsStep(Step):
         ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
         ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
         """
-        from robustlab.recipe.steps.design import speaking, tracking_loop
         from robustlab.report.set_figures import cover_figures
+        from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
 
         models = _models(self, work)
         said, loop = "", None
         if self.controller is not None:  # one sign for all: that of the first
-            K, said = speaking(models[0], work.values[self.controller], self.sign)
+            K, said = with_law(models[0], work.values[self.controller], self.sign)
             loop = partial(tracking_loop, controller=K)
         nominal = None if self.nominal is None else _selected(rl.linearise, work.values[self.nominal], self.outputs)
         found = rl.cover(

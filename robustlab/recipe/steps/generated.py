@@ -30,7 +30,7 @@ class Quantities:
 
     def __get__(self, instance: Any, owner: Any) -> Any:
         """The pattern of the class."""
-        return self.declared.result_class.quantities
+        return self.declared.quantities
 
 
 class DoorStep(Step):

@@ -12,15 +12,12 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.doors.vocabulary import (
-    Band,
     FileName,
     NumberOrPair,
-    Positive,
     Text,
     ToAnything,
     ToOneModel,
     ToSaved,
-    as_pair,
 )
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import (
@@ -33,7 +30,6 @@ from robustlab.recipe.steps.contract import (
     facts_of,
     quantity,
     step,
-    told,
 )
 from robustlab.recipe.steps.leaves import COMPLEX
 
@@ -193,46 +189,6 @@ class SaveStep(Step):
             {"sha256": digest},
             (Fact("SHA-256", digest),),
         )
-
-
-@step
-class ReduceModelStep(Step):
-    """A model of lower order, its error certified; modes that are not stable are kept, but for "coprime"."""
-
-    gives: ClassVar[str] = "model"
-    leaves: ClassVar[Any] = {
-        "order": "1", "error": float, "states": "1", "bound": float, "n_apart": "1", "hankel": [float], "stable": bool,
-    }  # fmt: skip
-    do: Literal["reduce-model"]
-    of: ToOneModel
-    order: Annotated[int, Field(ge=0, le=1000)] | None = None
-    tolerance: Positive | None = Field(None, description="In place of order: largest error, as it is told.")
-    method: Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"] = "truncation"
-    input_weight: ToOneModel | None = Field(None, description="A stable model W_i: the error is W_o (G - Gr) W_i.")
-    output_weight: ToOneModel | None = Field(None, description="The same for W_o.")
-    band: Band | None = Field(None, description="[low, high] in rad/s: the error between these alone.")
-    floor: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="Of stochastic: gain below which errors count absolutely."
-    )
-
-    @model_validator(mode="after")
-    def _one_measure(self) -> Self:
-        if (self.order is None) == (self.tolerance is None):
-            raise PydanticCustomError("one_measure", "expected either order or tolerance")
-        return self
-
-    foretell = same_signals
-
-    def run(self, work: Workspace) -> Outcome:
-        weights = {
-            name: None if given is None else work.values[given]
-            for name, given in (("input_weight", self.input_weight), ("output_weight", self.output_weight))
-        }
-        found = rl.reduce_model(
-            work.values[self.of], self.order, tolerance=self.tolerance, method=self.method,
-            band=as_pair(self.band), floor=self.floor, **weights,
-        )  # fmt: skip
-        return told(found, found.model, f"{self.of} with {found.order} states.", found.numbers(), work)
 
 
 @step

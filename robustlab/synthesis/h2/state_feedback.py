@@ -17,7 +17,7 @@ from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care, da
 from robustlab.linear_analysis.structural import controllability
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
-from robustlab.signals import Taken
+from robustlab.signals import Signal, Taken
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
@@ -25,7 +25,6 @@ from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 __all__ = [
     "StateFeedback",
     "checked_weight",
-    "gain_controller",
     "lqr",
     "place",
     "require_definite",
@@ -72,6 +71,16 @@ class StateFeedback(Shown):
     # Why it is no controller by itself: it does not know the names of the states.
     no_model: ClassVar[str] = "u = -K x: give its K, a matrix, and sign=-1, around a model with the states as outputs"
 
+    @property
+    def controller(self) -> Controller:
+        """``u = -K x`` as a controller that takes the states by name; the minus is within it."""
+        gain = StateSpaceModel([], [], [], -self.K, self.dt, [Taken(*x) for x in self.states], self.inputs)
+        return Controller(gain, None, self.status, "lqr")
+
+    def headline(self) -> str:
+        """What is fed back."""
+        return f"{self.K.shape[1]} states fed back to {self.K.shape[0]} controls"
+
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [
@@ -82,7 +91,12 @@ class StateFeedback(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
-        return {"type": "StateFeedback", **vars(self)}
+        names = ("K", "poles", "status", "reason", "X")
+        return {"type": "StateFeedback", **{name: getattr(self, name) for name in names}}
+
+
+def _signals(g: StateSpaceModel) -> tuple[tuple[Signal, ...], tuple[Signal, ...], float]:
+    return g.states, g.inputs, g.dt
 
 
 @told_as("lqr")
@@ -136,13 +150,9 @@ def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> State
     loop = _closed(g, K)
     if not surely_stable(loop):
         raise NoTrustworthyNumber("lqr", "the closed loop is not surely stable: a pole lies on the stability boundary")
-    return StateFeedback(K, loop.poles(), Status.CONVERGED, f"stable; Riccati residual {found.residual:.1e}", found.X)
-
-
-def gain_controller(g: StateSpaceModel, found: StateFeedback) -> Controller:
-    """``u = -K x`` as a controller that takes the states by name; the minus is within it."""
-    gain = StateSpaceModel([], [], [], -found.K, g.dt, [Taken(*x) for x in g.states], g.inputs)
-    return Controller(gain, None, found.status, "lqr")
+    return StateFeedback(
+        K, loop.poles(), Status.CONVERGED, f"stable; Riccati residual {found.residual:.1e}", found.X, *_signals(g)
+    )
 
 
 @told_as("place")
@@ -184,7 +194,7 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     g = as_model(G, "place: G")
     wanted = _wanted(g, poles)
     if not g.n_states:
-        return StateFeedback(np.zeros((g.n_inputs, 0)), wanted, Status.CONVERGED, "no states")
+        return StateFeedback(np.zeros((g.n_inputs, 0)), wanted, Status.CONVERGED, "no states", None, *_signals(g))
     test = controllability(g)
     if not test.complete:
         modes = "; ".join(mode.meaning for mode in test.modes)
@@ -212,7 +222,8 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     miss = _largest_distance(reached, wanted)
     size = max(float(np.abs(wanted).max()), 1e-300)
     status = Status.CONVERGED if miss <= PLACED * size else Status.INACCURATE
-    return StateFeedback(K, reached, status, f"poles miss their places by {miss / size:.1e} of the largest at most")
+    reason = f"poles miss their places by {miss / size:.1e} of the largest at most"
+    return StateFeedback(K, reached, status, reason, None, *_signals(g))
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

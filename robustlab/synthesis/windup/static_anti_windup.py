@@ -23,9 +23,9 @@ Mulder, Kothare, Morari, "Multivariable anti-windup controller synthesis using l
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 

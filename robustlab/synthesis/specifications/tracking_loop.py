@@ -1,0 +1,149 @@
+"""The loop of a controller with references around a model: reference in, the controlled outputs out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from robustlab.closing import SIGNS, Sign, closing
+from robustlab.errors import InputError
+from robustlab.shown import Facts, Shown, listed, number
+from robustlab.signals import Signal, Taken
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.lft import UncertainModel
+
+TAKES = {-1: "r - y", 1: "y"}  # of a controller that says nothing, by the sign that closes its loop
+REFERRED = {-1: "u = K (r - y)", 1: "u = K (y - r)"}  # the same with references
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop(Shown):
+    """The tracking loop of a controller around a model.
+
+    Attributes
+    ----------
+    model
+        The loop, an uncertain model, of which a certain one has no blocks.
+    loop
+        The law that closes it, and who says so.
+    """
+
+    model: UncertainModel
+    loop: str
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **UncertainModel.quantities, "spectral_abscissa": float, "nominally_stable": bool,
+    }  # fmt: skip
+
+    @property
+    def spectral_abscissa(self) -> float:
+        """That of the nominal loop; negative where it is stable."""
+        return self.model.nominal.spectral_abscissa()
+
+    def numbers(self) -> dict[str, Any]:
+        """Those of the loop, and whether it is stable."""
+        abscissa = self.spectral_abscissa
+        return {**self.model.numbers(), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
+
+    def headline(self) -> str:
+        """Whether the nominal loop is stable."""
+        return f"nominally {'stable' if self.spectral_abscissa < 0 else 'unstable'}"
+
+    def facts(self) -> Facts:
+        """The law, the signals, the rightmost pole."""
+        return [
+            ("loop", self.loop),
+            ("inputs", listed(s.name for s in self.model.inputs)),
+            ("outputs", listed(s.name for s in self.model.outputs)),
+            ("rightmost pole of the nominal loop", number(self.spectral_abscissa, "1/s")),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """The loop's matrices and blocks, and the law."""
+        return {**self.model.to_json(), "loop": self.loop, "spectral_abscissa": self.spectral_abscissa}
+
+
+def close_loop(system: Any, controller: Any, sign: Sign | None = None) -> ClosedLoop:
+    """The tracking loop of a controller around a model, an uncertain one or not; see `tracking_loop`.
+
+    Raises InputError: a sign that is not said, or contradicts the controller; sizes that do not fit.
+    """
+    K, words = with_law(system, controller, sign)
+    return ClosedLoop(tracking_loop(system, K), words)
+
+
+def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[Any, str]:
+    """A controller each of whose inputs knows what it takes of a model, and the loop in words.
+
+    One that says nothing takes ``r - y`` or ``y``, as ``sign`` says, or the stability of the loop.
+    Raises InputError: see `robustlab.closing.closing`; sizes that do not fit.
+    """
+    base = system if isinstance(system, UncertainModel) else as_model(system)
+    K = as_model(controller, "controller")
+    names = [s.name for s in base.outputs]
+    fed = [s for s in K.inputs if not (isinstance(s, Taken) and not s.sign)]
+    by_name = all((s.of if isinstance(s, Taken) else s.name) in names for s in fed)
+    if K.n_outputs != len(base.inputs) or not (by_name or len(fed) == len(names)):
+        found = f"{K.n_inputs} inputs and {K.n_outputs} outputs"
+        sizes = f"{len(names)} and {len(base.inputs)}: an input per output of the model, and vice versa"
+        raise InputError("controller", found, sizes)
+    loop = closing(base, K, sign, "controller", None)
+    own = {s.sign for s in fed if isinstance(s, Taken)}
+    if by_name and own:
+        return K, loop.said
+    of = (
+        {s.name: s.name for s in fed}
+        if by_name
+        else {s.name: y.name for s, y in zip(fed, loop.plant.outputs, strict=True)}
+    )
+    word = {} if len(own) > 1 or loop.sign in own else dict.fromkeys(of, TAKES[loop.sign])
+    takes = [
+        Taken(s.name, s.unit, word.get(s.name, getattr(s, "takes", "")), of[s.name]) if s.name in of else s
+        for s in K.inputs
+    ]
+    said = loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1) if not own else loop.said
+    return K.renamed(inputs=takes), said
+
+
+def tracking_loop(system: Any, controller: Any) -> Any:
+    """The loop of a controller with references around a model or an uncertain model, as an uncertain model.
+
+    ``u = K (r - y)`` for a controller that takes the error; ``u = K (y - r)`` for one that takes y;
+    one with inputs for references gets these. Inputs: a reference for each output. Outputs: the outputs y and the
+    control signals u.
+    """
+    base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
+    K, _ = with_law(base, controller)
+    takes: list[Any] = list(K.inputs)
+    names = [s.name for s in base.outputs]
+    m, (q, p) = base.M, base.delta_shape
+    n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
+    # v = F r + S y is what K takes; one with inputs for references gets those there, and y as it is.
+    F, S = np.zeros((len(takes), n_y)), np.zeros((len(takes), n_y))
+    referred = {s.of for s in takes if not s.sign}
+    order = iter(range(n_y))
+    for row, s in enumerate(takes):
+        j = names.index(s.of) if s.of in names else next(order)
+        S[row, j], F[row, j] = s.sign, 1.0 if not s.sign else 0.0 if s.of in referred else -s.sign
+    none = np.zeros((n_u, n_y))
+    plant = StateSpaceModel(
+        m.A,
+        np.hstack([m.B[:, :q], np.zeros((n, n_y)), m.B[:, q:]]),
+        np.vstack([m.C, np.zeros((n_u, n)), S @ m.C[p:]]),
+        np.block(
+            [
+                [m.D[:, :q], np.zeros((m.n_outputs, n_y)), m.D[:, q:]],
+                [np.zeros((n_u, q)), none, np.eye(n_u)],
+                [S @ m.D[p:, :q], F, S @ m.D[p:, q:]],
+            ]
+        ),
+        m.dt,
+        [*m.inputs[:q], *(Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs],
+        [*m.outputs, *base.inputs, *(Taken(f"{s.name} taken", s.unit, s.takes, s.of) for s in takes)],
+        m.states,
+        where="tracking loop",
+    )
+    return UncertainModel(plant, base.blocks).close(K)
