@@ -26,9 +26,12 @@ class RefersTo:
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
         """The schema of a text, with what it is; a field's own description comes before this one."""
-        *first, last = [kind for kind in self.gives if kind != "any"]
+        *first, last = [kind for kind in self.gives if kind != "any"] or [""]
         kinds = f"{', '.join(first)} or {last}" if first else last
-        return {"description": f"Name of an earlier step that gives: {kinds}.", **handler(core_schema)}
+        return {
+            "description": f"Name of an earlier step{f' that gives: {kinds}' if kinds else ''}.",
+            **handler(core_schema),
+        }
 
 
 @dataclass(frozen=True)
