@@ -1,7 +1,8 @@
 """One declaration of a capability for all its doors: `door` marks a function, `DOORS` has them all.
 
 A door's function has a light signature: each parameter is annotated ``Annotated[type, kind, "help"]`` (those that many
-share are in `robustlab.doors.words`), and the work is imported inside. From it come the command with its options, help
+share are in `robustlab.doors.words`), and the work is imported inside. Options that travel together are the fields of a
+dataclass, which the function takes as one parameter. From it come the command with its options, help
 and completion (`robustlab.cli.generated`), the step of recipes with its checks and its schema
 (`robustlab.recipe.steps.generated`), and the pages of the reference. Adding a capability is: its function, its result
 class, and its door here.
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -130,7 +131,10 @@ class Door:
         return getattr(result, self.made) if self.made else result
 
     def __call__(self, **values: Any) -> InLoop:
-        """The result, with the words of its loop where it has one of its own."""
+        """The result with what stands beside it; values of a group's fields are handed on as the group."""
+        for name, group in _groups(self.function).items():
+            own = [f.name for f in fields(group) if f.name in values]
+            values[name] = group(**{field: values.pop(field) for field in own})
         found = self.function(**values)
         return found if isinstance(found, InLoop) else InLoop(found)
 
@@ -178,14 +182,34 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
     for name, given in inspect.signature(function).parameters.items():
         if name in ("progress", "drawn"):
             continue
-        marks = _marks(hints[name])
-        kind = next((m for m in reversed(marks) if isinstance(m, Kind)), None)
-        if kind is None:
-            raise TypeError(f"{function.__module__}.{function.__name__}: {name} has no kind in its annotation")
-        texts = [m for m in marks if isinstance(m, str)]
-        called = next((m for m in reversed(marks) if isinstance(m, Named)), Named())
-        found.append(Parameter(name, kind, given.default, texts[-1] if texts else "", called))
+        if is_dataclass(hints[name]):
+            found += [_parameter(function, *one) for one in _fields_of(hints[name])]
+            continue
+        found.append(_parameter(function, name, hints[name], given.default))
     return found
+
+
+def _parameter(function: Callable[..., Any], name: str, hint: Any, default: Any) -> Parameter:
+    marks = _marks(hint)
+    kind = next((m for m in reversed(marks) if isinstance(m, Kind)), None)
+    if kind is None:
+        raise TypeError(f"{function.__module__}.{function.__name__}: {name} has no kind in its annotation")
+    texts = [m for m in marks if isinstance(m, str)]
+    called = next((m for m in reversed(marks) if isinstance(m, Named)), Named())
+    return Parameter(name, kind, default, texts[-1] if texts else "", called)
+
+
+@cache
+def _groups(function: Callable[..., Any]) -> dict[str, Any]:
+    """Parameters that are groups of options, each with its class."""
+    hints = get_type_hints(function, include_extras=True)
+    return {name: hints[name] for name in inspect.signature(function).parameters if is_dataclass(hints.get(name))}
+
+
+def _fields_of(group: Any) -> list[tuple[str, Any, Any]]:
+    """Name, annotation and default of each option of a group."""
+    hints = get_type_hints(group, include_extras=True)
+    return [(f.name, hints[f.name], REQUIRED if f.default is MISSING else f.default) for f in fields(group)]
 
 
 def _marks(hint: Any) -> list[Any]:

@@ -20,7 +20,7 @@ def number(where: str, text: str) -> float:
 
 
 @dataclass(frozen=True)
-class Channels(Kind):
+class ByNumber(Kind):
     """Signals by name, or how many of the last ones: ``2`` or ``a,b``."""
 
     @property

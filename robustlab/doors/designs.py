@@ -2,38 +2,87 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.design_kinds import Channels, Diagonal, Disturbance, Goals, Weight
+from robustlab.doors.design_kinds import ByNumber, Diagonal, Disturbance, Goals, Weight
 from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
-from robustlab.doors.words import Band, Design, Effort, Model, SampleTime, Seed, Sign, TimeLimit
+from robustlab.doors.words import Band, Design, Model, SampleTime, Search, Seed, Sign, Signals
 from robustlab.errors import InputError, UsageError
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model.", Named(key="of")]
 Of = Annotated[Model, Named(key="of")]
 K = Annotated[Any, Thing(("controller", "any"), model=True), "File with the controller."]
-Measurements = Annotated[
-    Any, Channels(), "Measured outputs by name, or how many of the last; a tracking problem knows its own."
-]
-Controls = Annotated[
-    Any, Channels(), "Control inputs by name, or how many of the last; a tracking problem knows its own."
-]
-Disturbances = Annotated[
-    list[str] | None,
-    Names(),
-    "With names: the inputs w; all that are no controls where left out.",
-    Named(option="--disturbance-inputs"),
-]
-Performance = Annotated[
-    list[str] | None,
-    Names(),
-    "With names: the outputs z; all outputs where left out.",
-    Named(option="--performance-outputs"),
-]
+Channel = Annotated[Any, ByNumber()]
+Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
+Controls = Annotated[Channel, "Control inputs by name, or how many of the last; a tracking problem knows its own."]
+
+
+@dataclass(frozen=True)
+class LoopChannels:
+    """Which inputs and outputs of a plant its controller is connected to."""
+
+    measurements: Measured = None
+    controls: Controls = None
+
+    def around(self, system: Any, K: Any, where: str, nominal: bool = False) -> Any:
+        """The generalised plant of a controller: with as many channels at the end as it has where none are named."""
+        from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+
+        if (self.measurements is None) != (self.controls is None):
+            raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
+        if self.measurements is not None or isinstance(system, TrackingProblem):
+            return Channels(self.measurements, self.controls).posed(system, where, nominal)
+        return Channels(K.n_inputs, K.n_outputs).posed(system, where, nominal)
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Which inputs and outputs of a system a design takes."""
+
+    measurements: Measured = None
+    controls: Controls = None
+    disturbances: Annotated[
+        list[str] | None,
+        Names(),
+        "With names: the inputs w; all that are no controls where left out.",
+        Named(option="--disturbance-inputs"),
+    ] = None
+    performance: Annotated[
+        list[str] | None,
+        Names(),
+        "With names: the outputs z; all outputs where left out.",
+        Named(option="--performance-outputs"),
+    ] = None
+
+    def posed(self, system: Any, where: str, nominal: bool = False) -> Any:
+        """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
+        from robustlab.synthesis.problem.partition import as_generalized_plant
+        from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+
+        measurements, controls = self.measurements, self.controls
+        if isinstance(system, TrackingProblem):
+            if measurements is not None or controls is not None:
+                raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
+            return system.nominal if nominal else system.plant
+        if nominal and isinstance(system, rl.UncertainModel):
+            system = system.nominal
+        named = [isinstance(side, list) for side in (measurements, controls)]
+        if measurements is None or controls is None or any(named) != all(named):
+            expected = "--measurements and --controls: names, or how many of the last outputs and inputs"
+            raise UsageError(where, "channels are not given", expected)
+        if all(named):
+            return rl.generalized_plant(system, measurements, controls, self.disturbances, self.performance)
+        if self.disturbances or self.performance:
+            raise UsageError(
+                where, "disturbance inputs or performance outputs", "measurements and controls by name, too"
+            )
+        return as_generalized_plant(system, measurements, controls, where)
+
+
 Nominal = Annotated[
     bool, Flag(), "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
 ]
@@ -48,42 +97,9 @@ Structure = Annotated[
 ]
 Starts = Annotated[int, Whole(0, 1000), "Number of random starts."]
 Order = Annotated[int | None, Whole(0, 1000)]
-UsedInputs = Annotated[list[str] | None, Names("inputs"), "Control inputs of the model to use; all if left out."]
-UsedOutputs = Annotated[list[str] | None, Names("outputs"), "Outputs of the model to control; all if left out."]
 
 
-def _posed(
-    system: Any,
-    measurements: Any,
-    controls: Any,
-    disturbances: list[str] | None = None,
-    performance: list[str] | None = None,
-    nominal: bool = False,
-    where: str = "design",
-) -> Any:
-    """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
-    from robustlab.synthesis.problem.partition import as_generalized_plant
-    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
-
-    if isinstance(system, TrackingProblem):
-        if measurements is not None or controls is not None:
-            raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
-        return system.nominal if nominal else system.plant
-    if nominal and isinstance(system, rl.UncertainModel):
-        system = system.nominal
-    named = [isinstance(side, list) for side in (measurements, controls)]
-    if measurements is None or controls is None or any(named) != all(named):
-        expected = "--measurements and --controls: names, or how many of the last outputs and inputs"
-        raise UsageError(where, "channels are not given", expected)
-    if all(named):
-        return rl.generalized_plant(system, measurements, controls, disturbances, performance)
-    if disturbances or performance:
-        raise UsageError(where, "disturbance inputs or performance outputs", "measurements and controls by name, too")
-    return as_generalized_plant(system, measurements, controls, where)
-
-
-def _used(model: Any, inputs: list[str] | None, outputs: list[str] | None) -> Any:
-    return model if inputs is None and outputs is None else model.select(inputs, outputs)
+UNSAID, AS_CONTROLLER, USUAL, ALL_SIGNALS = Channels(), LoopChannels(), Search(), Signals()
 
 
 def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
@@ -101,14 +117,10 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 @door("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def hinf(
     system: Plant,
-    measurements: Measurements = None,
-    controls: Controls = None,
-    disturbances: Disturbances = None,
-    performance: Performance = None,
+    channels: Channels = UNSAID,
     nominal: Annotated[Nominal, Named(in_step=True)] = False,
     gamma_rel: GammaRel = 1.05,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -118,21 +130,17 @@ def hinf(
 
     Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
-    P = _posed(system, measurements, controls, disturbances, performance, nominal, "hinf")
-    found = rl.hinf(P, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=progress)
+    P = channels.posed(system, "hinf", nominal)
+    found = rl.hinf(P, gamma_rel=gamma_rel, progress=progress, **search.options)
     return _design(found, system, drawn=drawn)
 
 
 @door("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
-    measurements: Measurements = None,
-    controls: Controls = None,
-    disturbances: Disturbances = None,
-    performance: Performance = None,
+    channels: Channels = UNSAID,
     nominal: Annotated[Nominal, Named(in_step=True)] = False,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -142,17 +150,14 @@ def h2(
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
-    P = _posed(system, measurements, controls, disturbances, performance, nominal, "h2")
-    return _design(rl.h2(P, effort=effort, time_limit=time_limit, progress=progress), system, drawn=drawn)
+    P = channels.posed(system, "h2", nominal)
+    return _design(rl.h2(P, progress=progress, **search.options), system, drawn=drawn)
 
 
 @door("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
-    measurements: Measurements = None,
-    controls: Controls = None,
-    disturbances: Disturbances = None,
-    performance: Performance = None,
+    channels: Channels = UNSAID,
     blocks: Annotated[
         str | None,
         Kind(),
@@ -170,8 +175,7 @@ def dk(
         Number(least=0, below=1),
         "Loss of level allowed for a controller of lower order, then for one with slower poles.",
     ] = 0.01,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
     progress: Any = None,
     drawn: bool = False,
@@ -186,12 +190,12 @@ def dk(
     from robustlab.synthesis.laws.controller_structures import structure_in_words
 
     rows = None if blocks is None else _rows(blocks)
-    P = _posed(system, measurements, controls, disturbances, performance, where="dk")
+    P = channels.posed(system, "dk")
     options: dict[str, Any] = {"starts": starts, "seed": seed} if structure is not None else {}
     found = rl.dk(
         P, rows, K0=start, structure=None if structure is None else structure_in_words(structure, P), direct=direct,
-        mixed=mixed, max_order=max_order, order_rel=order_rel, effort=effort, time_limit=time_limit,
-        progress=progress, **options,
+        mixed=mixed, max_order=max_order, order_rel=order_rel, progress=progress, **search.options,
+        **options,
     )  # fmt: skip
     return _design(found, system, proved=False, drawn=drawn)
 
@@ -221,15 +225,11 @@ def _rows(text: str) -> list[list[int]]:
 def fixed_structure(
     system: Plant,
     structure: Structure = "static",
-    measurements: Measurements = None,
-    controls: Controls = None,
-    disturbances: Disturbances = None,
-    performance: Performance = None,
+    channels: Channels = UNSAID,
     nominal: Nominal = False,
     objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
     starts: Starts = 3,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
     progress: Any = None,
     drawn: bool = False,
@@ -243,10 +243,10 @@ def fixed_structure(
     """
     from robustlab.synthesis.laws.controller_structures import structure_in_words
 
-    P = _posed(system, measurements, controls, disturbances, performance, nominal, "fixed")
+    P = channels.posed(system, "fixed", nominal)
     found = rl.fixed_structure(
-        P, structure_in_words(structure, P), objective=objective, starts=starts, seed=seed, effort=effort,
-        time_limit=time_limit, progress=progress,
+        P, structure_in_words(structure, P), objective=objective, starts=starts, seed=seed, progress=progress,
+        **search.options,
     )  # fmt: skip
     return _design(found, system, nominal and objective == "hinf", drawn)
 
@@ -272,11 +272,9 @@ def mixsyn(
         'On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".',
         Named(key="W3"),
     ] = None,
-    inputs: UsedInputs = None,
-    outputs: UsedOutputs = None,
+    signals: Signals = ALL_SIGNALS,
     gamma_rel: GammaRel = 1.05,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     progress: Any = None,
 ) -> Any:
     """Mixed-sensitivity controller u = K (r - y) of a plant: makes the norm of [W1 S; W2 K S; W3 T] small, verified.
@@ -290,11 +288,11 @@ def mixsyn(
 
     if w1 is None and w2 is None and w3 is None:
         raise UsageError("mixsyn", "no weight", "at least one of W1, W2, W3")
-    model = _used(system, inputs, outputs)
+    model = signals.of(system)
     kept = drop_unconnected(model)
     gone = [name for name in model.state_names if name not in kept.state_names]
     notes = (f"left out, for no chosen input or output touches them: states {', '.join(gone)}",) if gone else ()
-    found = rl.mixsyn(kept, w1, w2, w3, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=progress)
+    found = rl.mixsyn(kept, w1, w2, w3, gamma_rel=gamma_rel, progress=progress, **search.options)
     return InLoop(found, "", notes)
 
 
@@ -314,8 +312,7 @@ def ncf(
         "Behind the plant: a number, or a model.",
         Named(key="W2"),
     ] = None,
-    inputs: UsedInputs = None,
-    outputs: UsedOutputs = None,
+    signals: Signals = ALL_SIGNALS,
     factor: Annotated[float, Number(above=1, most=100), "Back-off from the smallest gamma, above 1."] = 1.1,
     reference_model: Annotated[
         Model | None, "Two degrees of freedom, u = K [r; y]: what the outputs are to do."
@@ -334,7 +331,7 @@ def ncf(
     options: dict[str, Any] = {"factor": factor}
     if reference_model is not None:
         options |= {"reference_model": reference_model, "rho": rho, "outputs": follow}
-    return rl.ncf(_used(system, inputs, outputs), w1, w2, **options)
+    return rl.ncf(signals.of(system), w1, w2, **options)
 
 
 @door("synth lqg", "lqg", result="synthesis.h2.gaussian_regulator.LqgSynthesis", gives="controller", made="controller")
@@ -344,8 +341,7 @@ def lqg(
     r: Annotated[Any, Diagonal(), "Cost of the controls.", Named(key="R")] = 1.0,
     w: Annotated[Any, Diagonal(), "Intensity of the noise on the states.", Named(key="W")] = 1.0,
     v: Annotated[Any, Diagonal(), "Intensity of the noise on the measurements.", Named(key="V")] = 1.0,
-    inputs: UsedInputs = None,
-    outputs: UsedOutputs = None,
+    signals: Signals = ALL_SIGNALS,
     disturbance: Annotated[
         Any, Disturbance(), "constant, the frequency of a sinusoid in rad/s, or a file with a filter."
     ] = None,
@@ -365,7 +361,7 @@ def lqg(
     """
     import numpy as np
 
-    model = _used(system, inputs, outputs)
+    model = signals.of(system)
     sizes = {"q": model.n_states, "r": model.n_inputs, "w": model.n_states, "v": model.n_outputs}
     weights = []
     for (name, size), given in zip(sizes.items(), (q, r, w, v), strict=True):
@@ -407,11 +403,9 @@ def tune(
     bandwidth: Annotated[
         float | None, Number(above=0), "Largest modulus of the loop's poles, in rad/s.", Named(only="step")
     ] = None,
-    inputs: UsedInputs = None,
-    outputs: UsedOutputs = None,
+    signals: Signals = ALL_SIGNALS,
     starts: Starts = 3,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
     progress: Any = None,
 ) -> Any:
@@ -426,7 +420,7 @@ def tune(
     from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-    models = [_used(model, inputs, outputs) for model in (system, *(also or []))]
+    models = [signals.of(model) for model in (system, *(also or []))]
     first = models[0]
     words = structure_in_words(structure, GeneralizedPlant(first, max(first.n_outputs, 1), max(first.n_inputs, 1)))
     known: dict[str, Any] = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
@@ -435,7 +429,7 @@ def tune(
     if unknown:
         raise UsageError("--pole-limit", repr(unknown[0]), f"one of {', '.join(known)}, each =NUMBER")
     limits = [known[name](value) for name, value in given.items() if value is not None]
-    options: dict[str, Any] = {"starts": starts, "seed": seed, "effort": effort, "time_limit": time_limit}
+    options: dict[str, Any] = {"starts": starts, "seed": seed, **search.options}
     return rl.tune(models, words, [*(goals or []), *(hard or []), *limits], progress=progress, **options)
 
 
@@ -521,17 +515,6 @@ def kalman(
 # --- smaller, digital -------------------------------------------------------------------------------------------------
 
 
-def _around(system: Any, K: Any, measurements: Any, controls: Any, nominal: bool, where: str) -> Any:
-    """The generalised plant of a controller: by names, or with as many channels at the end as the controller has."""
-    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
-
-    if (measurements is None) != (controls is None):
-        raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
-    if measurements is None and not isinstance(system, TrackingProblem):
-        measurements, controls = K.n_inputs, K.n_outputs
-    return _posed(system, measurements, controls, nominal=nominal, where=where)
-
-
 @door("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
       gives="controller", made="controller")  # fmt: skip
 def reduce_controller(
@@ -540,10 +523,8 @@ def reduce_controller(
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
     measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
-    measurements: Measurements = None,
-    controls: Controls = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    channels: LoopChannels = AS_CONTROLLER,
+    search: Search = USUAL,
     progress: Any = None,
 ) -> Any:
     """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
@@ -552,10 +533,10 @@ def reduce_controller(
 
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
-    P = _around(plant, controller, measurements, controls, measure != "mu", "reduce-controller")
+    P = channels.around(plant, controller, "reduce-controller", measure != "mu")
     given: Any = measure
     return rl.reduce_controller(
-        P, controller, loss=loss, order=order, measure=given, effort=effort, time_limit=time_limit, progress=progress
+        P, controller, loss=loss, order=order, measure=given, progress=progress, **search.options
     )
 
 
@@ -583,10 +564,8 @@ def discretise(
     prewarp: Annotated[
         float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
     ] = None,
-    measurements: Measurements = None,
-    controls: Controls = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    channels: LoopChannels = AS_CONTROLLER,
+    search: Search = USUAL,
     seed: Seed = 0,
     progress: Any = None,
 ) -> Any:
@@ -603,9 +582,9 @@ def discretise(
 
     from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
 
-    P = _around(plant, controller, measurements, controls, False, "discretise")
+    P = channels.around(plant, controller, "discretise")
     given: Any = method
-    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit}
+    options: dict[str, Any] = {**search.options}
     found = rl.discretise(
         controller, dt, given, plant=_at_rest(P), loss=loss, delay=delay, antialiasing=antialiasing, prewarp=prewarp,
         progress=progress, **options,
@@ -795,8 +774,7 @@ def lpv_gain(
     points: Points = None,
     rates: Rates = None,
     lyapunov: Lyapunov = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
 ) -> Any:
     """Induced L2 gain over all trajectories of measured parameters, proved between the points too.
 
@@ -805,7 +783,7 @@ def lpv_gain(
     Example: robustlab lpv gain lpv.h5 --rate k=0.5
     """
     given: Any = lyapunov
-    return rl.peak_gain(_scheduled(system, points, rates), lyapunov=given, effort=effort, time_limit=time_limit)
+    return rl.peak_gain(_scheduled(system, points, rates), lyapunov=given, **search.options)
 
 
 @door("lpv hinf", "lpv-hinf", result="synthesis.scheduling.scheduled_synthesis.LPVSynthesis", gives="controller",
@@ -817,8 +795,7 @@ def lpv_hinf(
     points: Points = None,
     rates: Rates = None,
     lyapunov: Lyapunov = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     progress: Any = None,
 ) -> Any:
     """Scheduled H-infinity controller u = K(rho) y (positive feedback), its loop verified for all trajectories.
@@ -828,7 +805,7 @@ def lpv_hinf(
     Example: robustlab lpv hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
     given: Any = lyapunov
-    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit, "progress": progress}
+    options: dict[str, Any] = {**search.options, "progress": progress}
     return rl.hinf(_scheduled(system, points, rates), measurements, controls, lyapunov=given, **options)
 
 

@@ -6,20 +6,19 @@ import math
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, closed, door
+from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Numbers, Table, Thing, Whole
 from robustlab.doors.words import (
     Band,
     Controller,
-    Effort,
     Frequency,
-    Inputs,
+    Loop,
     Model,
-    Outputs,
+    Search,
     Seed,
     Sign,
+    Signals,
     System,
-    TimeLimit,
     Uncertain,
 )
 from robustlab.errors import InputError, UsageError
@@ -27,8 +26,7 @@ from robustlab.errors import InputError, UsageError
 AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
 OfSet = Annotated[Uncertain, Named(key="of")]
-Around = Annotated[Controller | None, Named(option="--controller,-k")]
-Feedback = Annotated[Sign, Named(option="--feedback")]
+NO_LOOP, ALL_SIGNALS, USUAL = Loop(), Signals(), Search()
 Tolerance = Annotated[float, Number(above=0), "Relative gap of the bounds that is aimed at; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
 FilterOrder = Annotated[int, Whole(0, 8), "Order of the multipliers' filters.", Named(option="--filter-order")]
@@ -88,13 +86,11 @@ At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase c
 @door("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
 def disk_margin(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
-    controller: Around = None,
+    around: Loop = NO_LOOP,
     at: At = "output",
-    sign: Feedback = None,
     frequency: Frequency = None,
     skew: Skew = 0.0,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
 ) -> Any:
     """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
@@ -103,31 +99,24 @@ def disk_margin(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit, "seed": seed}
-    return rl.disk_margin(plant, controller, at=at, sign=sign, frequency=frequency, skew=skew, **options)
+    options: dict[str, Any] = {**search.options, "seed": seed}
+    given: Any = at
+    K, sign = around.controller, around.sign
+    return rl.disk_margin(plant, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
 
 
 @door("model margins --classical", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
 def classical_margins(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
-    controller: Around = None,
+    around: Loop = NO_LOOP,
     at: At = "output",
-    sign: Feedback = None,
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
-    return rl.classical_margins(plant, controller, at=at, sign=sign)
+    given: Any = at
+    return rl.classical_margins(plant, around.controller, at=given, sign=around.sign)
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------
-
-
-def _kept(system: Any, inputs: list[str] | None, outputs: list[str] | None) -> Any:
-    """The channels that were asked for."""
-    if inputs is None and outputs is None:
-        return system
-    if isinstance(system, rl.UncertainModel):
-        return system.select(inputs, outputs)
-    return system[outputs or [s.name for s in system.outputs], inputs or [s.name for s in system.inputs]]
 
 
 def _grid(system: Any, drawn: bool) -> Any:
@@ -149,13 +138,11 @@ def _checked(found: Any, system: Any, cross_check: bool) -> dict[str, Any]:
 @door("mu", "robust-stability", result="mu_analysis.axis.margin.Margin")
 def robust_stability(
     system: OfSet,
-    controller: Around = None,
-    sign: Feedback = None,
+    around: Loop = NO_LOOP,
     frequency: Frequency = None,
     tolerance: Tolerance | None = None,
     accuracy: Accuracy | None = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
     intervals: Intervals = False,
     certify: Annotated[
@@ -173,14 +160,14 @@ def robust_stability(
     from robustlab.mu_analysis.axis.critical_delta import replay
     from robustlab.mu_analysis.axis.margin import Margin, margin_in_balls
 
-    loop, words = closed(system, controller, sign, "robust stability")
+    loop, words = around.around(system, "robust stability")
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
     if frequency is not None or isinstance(loop, rl.UncertainFrequencyData):
         del options["omega"]
         asked = {"--certify": certify, "--cross-check": cross_check, "--intervals": intervals}
         if refused := next((name for name, given in asked.items() if given), None):
             raise UsageError("mu", f"{refused} at given frequencies", "the margin, or --gain")
-    found = rl.robust_stability(loop, frequency=frequency, effort=effort, time_limit=time_limit, seed=seed, **options)
+    found = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
     beside = _checked(found, loop, cross_check)
     if certify:
         beside["balls"] = margin_in_balls(loop, found)
@@ -195,25 +182,22 @@ def robust_stability(
 @door("mu --gain", "worst-gain", result="mu_analysis.axis.worst_gain.WorstCaseGain")
 def worst_case_gain(
     system: OfSet,
-    controller: Around = None,
-    sign: Feedback = None,
+    around: Loop = NO_LOOP,
     frequency: Frequency = None,
-    inputs: Inputs = None,
-    outputs: Outputs = None,
+    signals: Signals = ALL_SIGNALS,
     tolerance: Tolerance | None = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
     intervals: Intervals = False,
     cross_check: CrossCheck = False,
     drawn: bool = False,
 ) -> Any:
     """Worst-case gain from inputs to outputs."""
-    loop, words = closed(system, controller, sign, "worst-case gain")
-    kept = _kept(loop, inputs, outputs)
+    loop, words = around.around(system, "worst-case gain")
+    kept = signals.of(loop)
     at = frequency is not None or isinstance(kept, rl.UncertainFrequencyData)
     options: dict[str, Any] = {} if at else {
-        "omega": _grid(kept, drawn), "tolerance": tolerance, "effort": effort, "time_limit": time_limit
+        "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
     }  # fmt: skip
     found = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
     return InLoop(found, words, (), _checked(found, kept, cross_check), (found.proved(),) if intervals else ())
@@ -222,24 +206,21 @@ def worst_case_gain(
 @door("mu --performance", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
     system: OfSet,
-    controller: Around = None,
-    sign: Feedback = None,
-    inputs: Inputs = None,
-    outputs: Outputs = None,
+    around: Loop = NO_LOOP,
+    signals: Signals = ALL_SIGNALS,
     tolerance: Tolerance = 0.01,
     accuracy: Accuracy = 3e-5,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
     intervals: Intervals = False,
     drawn: bool = False,
 ) -> Any:
     """Robust performance margin of weighted inputs and outputs."""
-    loop, words = closed(system, controller, sign, "robust performance")
-    kept = _kept(loop, inputs, outputs)
+    loop, words = around.around(system, "robust performance")
+    kept = signals.of(loop)
     found = rl.robust_performance(
-        kept, omega=_grid(kept, drawn), tolerance=tolerance, accuracy=accuracy, effort=effort,
-        time_limit=time_limit, seed=seed,
+        kept, omega=_grid(kept, drawn), tolerance=tolerance, accuracy=accuracy, seed=seed,
+        **search.options,
     )  # fmt: skip
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
 
@@ -248,19 +229,16 @@ def robust_performance(
 def robust_gain(
     system: OfSet,
     level: Annotated[float, Number(above=0), "How much of the set keeps the gain below this level."],
-    controller: Around = None,
-    sign: Feedback = None,
-    inputs: Inputs = None,
-    outputs: Outputs = None,
+    around: Loop = NO_LOOP,
+    signals: Signals = ALL_SIGNALS,
     tolerance: Tolerance = 0.01,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     seed: Seed = 0,
 ) -> Any:
     """How much of the set keeps every member's gain below a level."""
-    loop, words = closed(system, controller, sign, "robust gain")
-    options: dict[str, Any] = {"effort": effort, "time_limit": time_limit, "seed": seed}
-    return InLoop(rl.robust_gain(_kept(loop, inputs, outputs), level, tolerance=tolerance, **options), words)
+    loop, words = around.around(system, "robust gain")
+    options: dict[str, Any] = {**search.options, "seed": seed}
+    return InLoop(rl.robust_gain(signals.of(loop), level, tolerance=tolerance, **options), words)
 
 
 @door(
@@ -268,14 +246,13 @@ def robust_gain(
 )
 def robustness_at(
     system: OfSet,
-    controller: Around = None,
-    sign: Feedback = None,
+    around: Loop = NO_LOOP,
     frequency: Frequency = None,
     what: Annotated[str, Choice(("margin", "gain")), "Stability margin, or largest gain."] = "margin",
     seed: Seed = 0,
 ) -> Any:
     """Margin, or worst-case gain, at given frequencies; nothing is claimed between them."""
-    loop, words = closed(system, controller, sign, "robustness at frequencies")
+    loop, words = around.around(system, "robustness at frequencies")
     asked: Any = rl.robust_stability if what == "margin" else rl.peak_gain
     return InLoop(asked(loop, frequency=frequency, seed=seed), words)
 
@@ -293,13 +270,10 @@ def _natures(nature: dict[str, str] | None, system: Any) -> Any:
 def iqc_gain(
     system: Annotated[System, "Uncertain model, model, or a plant with effects: HDF5 file.", Named(key="of")],
     nature: Nature = None,
-    controller: Around = None,
-    sign: Feedback = None,
-    inputs: Inputs = None,
-    outputs: Outputs = None,
+    around: Loop = NO_LOOP,
+    signals: Signals = ALL_SIGNALS,
     order: FilterOrder = 2,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
     amplitude: Annotated[
         Bounds, "Of a plant with effects: place of an effect -> bound of its signal.", ON_COMMAND
     ] = None,
@@ -314,19 +288,20 @@ def iqc_gain(
     from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 
     if isinstance(system, ExtendedPlant):
-        if controller is None:
+        if around.controller is None:
             raise UsageError("iqc gain", "a plant with effects without --controller", "the loop that it stands in")
-        if nature or inputs:
+        if nature or signals.inputs:
             expected, hint = "none of them", "its effects say what they are"
             raise UsageError("iqc gain", "--nature or --inputs for a plant with effects", expected, hint)
-        return effect_gain(system, controller, outputs, amplitude, stick_speed, sign, order, effort, time_limit)
+        found = (system, around.controller, signals.outputs, amplitude, stick_speed)
+        return effect_gain(*found, around.sign, order, search)
     if amplitude or stick_speed:
         found, expected = f"--amplitude or --stick-speed for a {type(system).__name__}", "a plant with effects"
         raise UsageError("iqc gain", found, expected, "--nature says what a block is")
-    loop, words = closed(system, controller, sign, "iqc gain")
+    loop, words = around.around(system, "iqc gain")
     found = rl.peak_gain(
-        loop, natures=_natures(nature, loop), inputs=inputs, outputs=outputs, order=order, effort=effort,
-        time_limit=time_limit,
+        loop, natures=_natures(nature, loop), inputs=signals.inputs, outputs=signals.outputs, order=order,
+        **search.options,
     )  # fmt: skip
     return InLoop(found, words)
 
@@ -335,15 +310,13 @@ def iqc_gain(
 def iqc_stability(
     system: Annotated[System, "Uncertain model, or model: HDF5 file.", Named(key="of")],
     nature: Nature = None,
-    controller: Around = None,
-    sign: Feedback = None,
+    around: Loop = NO_LOOP,
     order: FilterOrder = 2,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
 ) -> Any:
     """Stability, proved for blocks that are nonlinear, vary with time, or are uncertain."""
-    loop, words = closed(system, controller, sign, "iqc gain")
-    options: dict[str, Any] = {"order": order, "effort": effort, "time_limit": time_limit}
+    loop, words = around.around(system, "iqc gain")
+    options: dict[str, Any] = {"order": order, **search.options}
     return InLoop(rl.robust_stability(loop, natures=_natures(nature, loop), **options), words)
 
 
@@ -360,10 +333,9 @@ def effect_gain(
     stick_speed: Annotated[
         dict[str, float] | None, Table(Number(above=0)), "Joint -> speed below which dry friction is creep."
     ] = None,
-    sign: Feedback = None,
+    sign: Annotated[Sign, Named(option="--feedback")] = None,
     order: FilterOrder = 2,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
 ) -> Any:
     """Worst L2 gain of a loop with the plant's effects as nonlinearities, beside that of constant gains.
 
@@ -376,7 +348,7 @@ def effect_gain(
         sign = closing(base().select(None, outputs), controller, sign, "effects", None).sign
     return rl.peak_gain(
         plant, controller, outputs=outputs, amplitude=amplitude, stick_speed=stick_speed, sign=sign, order=order,
-        effort=effort, time_limit=time_limit,
+        **search.options,
     )  # fmt: skip
 
 
@@ -403,8 +375,7 @@ def anti_windup(
         str | None, Kind(), "C file to write: the controller held, with its gain.", Named(only="command")
     ] = None,
     order: FilterOrder = 2,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL,
 ) -> Any:
     """Static anti-windup gain of least proved L2 gain, beside back-calculation and none.
 
@@ -418,7 +389,7 @@ def anti_windup(
     if (code is None) != (dt is None):
         raise InputError("anti-windup", "one of code and dt", "both, or none")
     pairs = [(limits or {}).get(name, (-1.0, 1.0)) for name in controller.output_names]
-    found = rl.anti_windup(plant, controller, pairs, reach, direct, order=order, effort=effort, time_limit=time_limit)
+    found = rl.anti_windup(plant, controller, pairs, reach, direct, order=order, **search.options)
     words = (
         f"{law(controller.inputs)}, as the controller says"
         if law(controller.inputs)

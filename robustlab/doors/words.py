@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
+from robustlab.doors.declaration import Named, closed
 from robustlab.doors.kinds import Feedback, Flag, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
@@ -31,3 +33,45 @@ Inputs = Annotated[list[str] | None, Names("inputs"), "Inputs to keep; all if le
 Outputs = Annotated[list[str] | None, Names("outputs"), "Outputs to keep; all if left out."]
 SampleTime = Annotated[float, Number(above=0), "Sample time in s."]
 Yes = Annotated[bool, Flag()]
+
+
+@dataclass(frozen=True)
+class Search:
+    """The work that a search or a proof may take, and the guard on its time."""
+
+    effort: Effort = 1.0
+    time_limit: TimeLimit = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """For the functions."""
+        return {"effort": self.effort, "time_limit": self.time_limit}
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Which inputs and outputs of a system are looked at."""
+
+    inputs: Inputs = None
+    outputs: Outputs = None
+
+    def of(self, system: Any) -> Any:
+        """The system between these."""
+        if self.inputs is None and self.outputs is None:
+            return system
+        if hasattr(system, "select"):
+            return system.select(self.inputs, self.outputs)
+        sides = (self.outputs, system.outputs), (self.inputs, system.inputs)
+        return system[tuple(given or [s.name for s in known] for given, known in sides)]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A controller around the system."""
+
+    controller: Annotated[Controller | None, Named(option="--controller,-k")] = None
+    sign: Annotated[Sign, Named(option="--feedback")] = None
+
+    def around(self, system: Any, where: str) -> tuple[Any, str]:
+        """The system with it, and the loop in words."""
+        return closed(system, self.controller, self.sign, where)

@@ -12,8 +12,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.stewart import nut_angles
-from robustlab.recipe.load import load_recipe, recipe_path
-from robustlab.recipe.steps.records import _worst
+from robustlab.identification.comparison.along_motion import _pose
+from robustlab.identification.comparison.comparison_result import Comparison
 
 RECIPE = """
 schema = "robustlab.recipe/1"
@@ -111,19 +111,10 @@ def test_the_pose_of_the_worst_window_is_told():
     gaps = {name: SimpleNamespace(name=name, windowed_rms_percent=float(name[-1] == "4")) for name in outputs}
     windows = SimpleNamespace(start=[0.0, 0.4], stop=[0.4, 0.6], worst=1)
     found = SimpleNamespace(
-        outputs=gaps, windows=dict.fromkeys(outputs, windows), measured=rl.Record(t, {}, outputs, {}, "lift")
-    )
-    worst = _worst(machine, found)
-    assert (worst["output"], worst["start"], worst["stop"]) == ("phi_4", 0.4, 0.6)
-    assert worst["pose"]["tz"] == pytest.approx(machine.geometry.home[2] + 0.005)
-    assert worst["words"][0].startswith("phi_4, 0.4 to 0.6 s, at the pose tx ")
-    assert "pose" not in _worst(rl.plant("servo-axis"), found)
-
-
-def test_the_shipped_recipe_redesigns_for_what_it_named():
-    steps = load_recipe(recipe_path("platform-discover")).recipe.step
-    assert {steps[name].of for name in ("set_after", "referee")} == {"naming"}
-    own = {"do", "title", "of", "loads"}
-    assert steps["task_before"].model_dump(exclude=own) == steps["task_after"].model_dump(exclude=own)
-    assert steps["before"].model_dump(exclude=own) == steps["after"].model_dump(exclude=own)
-    assert steps["set_before"].model_dump(exclude=own) == steps["set_after"].model_dump(exclude=own)
+        outputs=gaps, windows=dict.fromkeys(outputs, windows), measured=rl.Record(t, {}, outputs, {}, "lift"),
+        worst={"output": "phi_4", "start": 0.4, "stop": 0.6},
+    )  # fmt: skip
+    found.pose = _pose(machine, found)
+    assert found.pose["tz"] == pytest.approx(machine.geometry.home[2] + 0.005)
+    assert Comparison._worst_in_words(found).startswith("phi_4, 0.4 to 0.6 s, at the pose tx ")
+    assert _pose(rl.plant("servo-axis"), found) == {}

@@ -18,7 +18,7 @@ from robustlab.errors import InputError, UsageError
 from robustlab.signals import Taken
 from robustlab.statespace import OperatingPoint
 from robustlab.storage.controller_export import c_source
-from robustlab.synthesis.sampled.discretisation import discretise
+from robustlab.synthesis.sampled.sampled_controller import discretise
 from robustlab.synthesis.windup.back_calculation import back_calculation
 
 CC = shutil.which("cc")

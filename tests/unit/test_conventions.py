@@ -11,9 +11,9 @@ import pytest
 import robustlab as rl
 from robustlab.closing import closing, fed_back, wired
 from robustlab.errors import InputError, UnitMismatch
-from robustlab.recipe.steps.design import speaking, tracking_loop
 from robustlab.signals import law
 from robustlab.storage.controller_export import c_source
+from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
 
 PLANT = rl.StateSpaceModel(
     [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=[("u", "V")], outputs=[("q", "m")]
@@ -240,7 +240,7 @@ def test_a_tracking_loop_follows_by_the_sign_that_was_found():
     """The steady state of y is K G / (1 + K G) of the reference: 2 at one, 2 (-1) / (1 - 2)."""
     G = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     for gain in (2.0, -2.0):
-        K, _ = speaking(G, rl.StateSpaceModel([], [], [], [[gain]], inputs=["other"], outputs=["u"]))
+        K, _ = with_law(G, rl.StateSpaceModel([], [], [], [[gain]], inputs=["other"], outputs=["u"]))
         assert tracking_loop(G, K).nominal.dc_gain()[0, 0] == pytest.approx(2.0)
 
 

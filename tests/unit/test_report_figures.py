@@ -7,7 +7,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.mu_analysis import Margin
-from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
 from robustlab.report.figures import axis_label, house_style, logarithmic, new_figure, save_figure
 from robustlab.report.robustness_figures import mu_figure, response_figure, shares_figure, worst_case_figure
 from robustlab.worst_case_analysis.worst_case_search import WorstCase, WorstResponse
@@ -112,14 +111,6 @@ def test_shares_are_ranked_with_the_largest_on_top():
     (axes,) = shares_figure({"a": 0.2, "b": 0.9, "c": -0.1}).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["b", "a", "c"]
     assert [bar.get_width() for bar in axes.patches] == [0.9, 0.2, -0.1]
-
-
-def test_sensitivities_with_and_without_a_weight():
-    omega = np.geomspace(0.1, 10.0, 20)
-    curves = [WeightedResponse("S", omega, 2 * omega), WeightedResponse("T", 1 / omega, None)]
-    first, second = sensitivity_figure(omega, curves, 0.9).axes
-    assert len(first.lines) == 2
-    assert len(second.lines) == 1
 
 
 def test_logarithmic_ticks_are_plain_text(tmp_path):
