@@ -135,15 +135,16 @@ class Synthesis(Design):
 
     def details(self) -> list[Part]:
         """What limits any controller of this plant, and the floors of gamma of a mixed-sensitivity design."""
+        lines = self._limits_of_any_controller()
+        return [Part("What limits any controller of this plant", (), [(line,) for line in lines])]
+
+    def _limits_of_any_controller(self) -> list[str]:
         from robustlab.synthesis.problem.performance_limits import limits_in_words
 
-        lines = limits_in_words(self.plant, getattr(self, "weights", {}))
-        return [Part("What limits any controller of this plant", (), [(line,) for line in lines])]
+        return limits_in_words(self.plant, getattr(self, "weights", {}))
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
-        from robustlab.synthesis.problem.performance_limits import limits_in_words
-
         return {
             "method": self.method,
             "status": self.status,
@@ -154,7 +155,7 @@ class Synthesis(Design):
             "closed_loop_abscissa": self.closed_loop_abscissa,
             "limit": self.limit,
             "reason": self.reason,
-            "limits": limits_in_words(self),
+            "limits": self._limits_of_any_controller(),
             "K": self.K.to_json(),
             "closed_loop": self.closed_loop.to_json(),
         }
