@@ -219,6 +219,7 @@ def answer(
     for remark in dict.fromkeys(text for one in found.values() for text in one.notes):
         note(remark)
     text = "\n".join(f"{part}: {_text(one)}" if part else _text(one) for part, one in found.items())
+    text = text.replace("as the controller says", f"as {given.get('controller')} says")
     json = {part: _json(one) for part, one in found.items()}
     shown = {**(json if len(json) > 1 else json[""]), **({"files": written} if written else {}), **beyond.json}
     emit(words, shown, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])

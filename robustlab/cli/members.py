@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isnan
 from typing import Annotated, Any
@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import table
 from robustlab.cli.options import assignments, names
 from robustlab.errors import InputError, UsageError
 
@@ -111,23 +110,3 @@ def place(at: float, location: str) -> str:
     """`` at t = 0.1 s`` for 0.1 and ``t [s]``; nothing where there is no place."""
     what, _, unit = location.partition(" ")
     return f" at {what} = {at:.6g} {unit.strip('[]')}" if what and not isnan(at) else ""
-
-
-def delta_value(value: Any, sign: str = "") -> str:
-    """A block's value: a number, or the size of a matrix."""
-    if getattr(value, "ndim", 0):
-        return f"{value.shape[0]} x {value.shape[1]} matrix"
-    return f"{value:{sign}.6g}"
-
-
-def stands_for(physical: Mapping[str, tuple[float, str]], name: str, unknown: str = "-") -> str:
-    """The parameter that a block's value stands for, with its unit."""
-    return "{:.6g} {}".format(*physical[name]).rstrip() if name in physical else unknown
-
-
-def delta_lines(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> list[str]:
-    """A Delta as a table, the first SHOWN_BLOCKS of its blocks."""
-    rows = [(name, delta_value(delta[name]), stands_for(physical, name)) for name in list(delta)[:SHOWN_BLOCKS]]
-    lines = [table(rows, ("block", "delta", "stands for"))] if rows else []
-    hidden = len(delta) - len(rows)
-    return [*lines, f"... and {hidden} more blocks (all with --json)"] if hidden else lines

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
-ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE")]
 FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
 GroupOption = Annotated[str | None, typer.Option("--group", help="Group of the file that holds the model.")]
 TransposeOption = Annotated[

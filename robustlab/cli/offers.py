@@ -25,7 +25,6 @@ PLANTS = {  # with a line on each
 }
 NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
-REDUCTIONS = ("truncation", "residualisation", "hankel", "stochastic", "coprime")
 _PLANT_FILES = (".h5", ".mat", ".json", ".py", ".fmu")
 
 

@@ -36,11 +36,6 @@ TimeLimitOption = Annotated[
     ),
 ]
 OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.")]
-DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.")]
-PrewarpOption = Annotated[
-    float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
-]
-BandOption = Annotated[str | None, typer.Option("--band", help="Frequencies in rad/s: the peak between these alone.")]
 RecipeArgument = Annotated[
     str,
     typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
@@ -126,13 +121,6 @@ class OutputOptions:
         require_trust(found.status)
 
 
-def load_model(file: str, transpose: bool = False) -> rl.StateSpaceModel:
-    """The plain model in a file; of a controller its own."""
-    from robustlab.statespace import as_model
-
-    return as_model(rl.load(file, transpose=transpose), file)
-
-
 # --- texts of options ------------------------------------------------------------------------------------------------
 
 
@@ -212,44 +200,6 @@ def _number(option: str, text: str, value: str, unit: str) -> float:
         return amount(f"{option} {text}", value, unit)
     except InputError as error:
         raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
-
-
-def six_numbers(pose: str) -> list[float]:
-    """``"0,0,0.12,0,0,0"`` as a pose."""
-    return _listed_numbers("--pose", pose, 6, "six numbers", "tx,ty,tz,ax,ay,az in m and rad")
-
-
-def band_of(text: str | None) -> tuple[float, float] | None:
-    """``"0.1,10"`` as a band of frequencies; None where left out."""
-    if text is None:
-        return None
-    low, high = _listed_numbers("--band", text, 2, "two numbers", "LOW,HIGH in rad/s")
-    return low, high
-
-
-def _listed_numbers(option: str, text: str, count: int, words: str, expected: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise UsageError(f"{option} {text}", f"not {words}", expected)
-    return numbers
-
-
-def rows_of_blocks(text: str) -> list[list[int]]:
-    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
-    rows: list[list[int]] = []
-    for part in text.split(";"):
-        try:
-            row = [int(number) for number in part.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != 2:
-            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
-            raise UsageError("--blocks", repr(part.strip()), expected)
-        rows.append(row)
-    return rows
 
 
 @dataclass(frozen=True)

@@ -248,11 +248,7 @@ def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
     return {"t": record.t, "record": recorded, "origin": origin, "curves": curves, "rms": rms, "label": label}
 
 
-AmplitudePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
-
 Pose = Annotated[list[float], Field(min_length=6, max_length=6)]
-
-MOST_FACTS = 40
 
 
 @step

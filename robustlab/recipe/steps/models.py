@@ -242,9 +242,3 @@ def _model_facts(model: Any) -> tuple[Fact, ...]:
         Fact("States", ", ".join(model.state_names) or "none"),
         Fact("Poles", f"{poles or 'none'} {'rad/s' if not model.dt else ''}"),
     )
-
-
-def uncertain_numbers(model: Any) -> dict[str, Any]:
-    """Size of an uncertain model, for requirements."""
-    numbers = {"blocks": [b.name for b in model.blocks], "channels": model.delta_shape[0], "states": model.M.n_states}
-    return {**numbers, "sampled": list(model.sampled)} if model.sampled else numbers
