@@ -294,7 +294,7 @@ class Numbers(Kind):
         except InputError as error:
             example = "1,10 or 2Hz" if self.unit == "rad/s" else "1,2.5"
             raise UsageError(
-                option, repr(given), f"numbers{f' in {self.unit}' if self.unit else ''}: {example}"
+                option, repr(given), f"numbers{f' in {self.unit}, or with a unit' if self.unit else ''}: {example}"
             ) from error
         if self.count is None:
             return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -22,6 +23,9 @@ from robustlab.doors.words import (
     Uncertain,
 )
 from robustlab.errors import InputError, UsageError
+
+# Words of a sign, as `robustlab.closing` has them; it is not imported here, for numpy's sake.
+WORDS = {-1: "negative", 1: "positive"}
 
 AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
@@ -101,8 +105,9 @@ def disk_margin(
     """
     options: dict[str, Any] = {**search.options, "seed": seed}
     given: Any = at
-    K, sign = around.controller, around.sign
-    return rl.disk_margin(plant, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
+    loop, K, sign, words = _loop(plant, around)
+    found = rl.disk_margin(loop, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
+    return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
 @door("model margins --classical", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
@@ -113,7 +118,21 @@ def classical_margins(
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
     given: Any = at
-    return rl.classical_margins(plant, around.controller, at=given, sign=around.sign)
+    loop, K, sign, words = _loop(plant, around)
+    found = rl.classical_margins(loop, K, at=given, sign=sign)
+    return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
+
+
+def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
+    """Plant, controller, sign and the loop in words; a sign that nothing says is that of the stable loop."""
+    from robustlab.closing import closing, silenced
+    from robustlab.delays.model import as_delayed
+
+    K = around.controller
+    if isinstance(plant, rl.DelayedModel) or isinstance(K, rl.DelayedModel):
+        plant, K = (None if o is None else as_delayed(getattr(o, "K", o), "margins") for o in (plant, K))
+    found = closing(plant, K, around.sign, "margins", None if K is not None else -1)
+    return found.plant, None if found.K is None else silenced(found.K, "margins"), found.sign, found.said
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------
