@@ -190,7 +190,8 @@ class Choice(Kind):
     def read(self, option: str, given: Any) -> Any:
         """The word, if it is one of them."""
         if given is not None and given not in self.words:
-            raise UsageError(option, repr(given), f"one of {', '.join(self.words)}", did_you_mean(given, self.words))
+            expected = " or ".join(self.words) if len(self.words) == 2 else f"one of {', '.join(self.words)}"
+            raise UsageError(option, repr(given), expected, did_you_mean(given, self.words))
         return given
 
     @property

@@ -22,7 +22,7 @@ from robustlab.doors.words import (
     System,
     Uncertain,
 )
-from robustlab.errors import InputError, UsageError
+from robustlab.errors import UsageError
 
 # Words of a sign, as `robustlab.closing` has them; it is not imported here, for numpy's sake.
 WORDS = {-1: "negative", 1: "positive"}
@@ -42,7 +42,7 @@ ON_COMMAND = Named(only="command")
 Bounds = Annotated[dict[str, float] | None, Table(Number(above=0))]
 Nature = Annotated[
     dict[str, str] | None,
-    Table(Kind(), words="NAME=WORD"),
+    Table(Kind(), words="NAME=WORD:NUMBERS"),
     "Block, or OUTPUT:INPUT between two signals -> what is there: varying[:RATE], saturation, dead-zone[:SIZE:REACH], "
     "friction:LEVEL:SPEED, sector:LOW:HIGH, slope:LOW:HIGH, odd-slope:LOW:HIGH.",
 ]
@@ -404,9 +404,10 @@ def anti_windup(
 
     unknown = [name for name in limits or {} if name not in controller.output_names]
     if unknown:
-        raise InputError("limits", f"no control signal {unknown[0]!r}", f"one of {', '.join(controller.output_names)}")
+        expected = f"one of {', '.join(controller.output_names)}"
+        raise UsageError(f"--saturation {unknown[0]}", "no such control signal", expected)
     if (code is None) != (dt is None):
-        raise InputError("anti-windup", "one of code and dt", "both, or none")
+        raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
     pairs = [(limits or {}).get(name, (-1.0, 1.0)) for name in controller.output_names]
     found = rl.anti_windup(plant, controller, pairs, reach, direct, order=order, **search.options)
     words = (
@@ -418,5 +419,5 @@ def anti_windup(
         held, back = found.sampled(dt)
         saturation = dict(zip(controller.output_names, pairs, strict=True))
         rl.export_controller(code, held, saturation=saturation, anti_windup=back)
-        return InLoop(found, words, (f"written: {code}",))
+        return InLoop(found, words, beside={"written": code})
     return InLoop(found, words)
