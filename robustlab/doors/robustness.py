@@ -117,6 +117,9 @@ def classical_margins(
     at: At = "output",
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
+    if isinstance(plant, rl.UncertainModel):
+        hint = "leave --classical out for its disk margin"
+        raise UsageError("--classical", "an uncertain plant", "one model", hint)
     given: Any = at
     loop, K, sign, words = _loop(plant, around)
     found = rl.classical_margins(loop, K, at=given, sign=sign)
@@ -142,7 +145,8 @@ def _grid(system: Any, drawn: bool) -> Any:
     """Frequencies for the curves of a figure; none where nothing is drawn."""
     from robustlab.linear_analysis.frequency import default_grid
 
-    return default_grid(system.M, 60) if drawn and hasattr(system, "M") and system.M.n_states else None
+    asked = drawn and isinstance(system, rl.UncertainModel) and system.M.n_states
+    return default_grid(system.M, 60) if asked else None
 
 
 def _checked(found: Any, system: Any, cross_check: bool) -> dict[str, Any]:

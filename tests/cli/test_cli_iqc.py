@@ -108,7 +108,7 @@ def test_anti_windup(files, capfd):
     text = capfd.readouterr().out
     assert "2.365 (proved)" in text
     assert "written  k.c" in text
-    assert text.startswith("loop  u = K y; pi.h5 does not say its sign\n")
+    assert text.startswith("loop  u = K y; nothing else is said of it\n")
     assert "L was given" in (files / "k.c").read_text()
     assert rl.load("w.h5").type == "AntiWindup"
 
