@@ -179,6 +179,20 @@ def mixsyn() -> Any:
     return rl.mixsyn(lag(), W1, 0.1)
 
 
+def tracking_loop() -> Any:
+    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, tracking_problem
+
+    asked = tracking_problem(lag(), ["y"], ["y"], W1=rl.performance_weight(1.0, 0.01, 2.0), W2=0.1)
+    design = rl.hinf(asked.plant)
+    return TrackingLoop(asked, design, design.gamma)
+
+
+def critical_response() -> Any:
+    from robustlab.mu_analysis.axis.critical_delta import replay
+
+    return replay(loop(), made("Margin"))
+
+
 # Drawing -> an object that has data for it, where that in `OBJECTS` has none.
 OTHERS = {("Comparison", "harmonics"): periodic_comparison, ("Validation", "delta"): validation_over_frequency}
 
@@ -217,6 +231,7 @@ OBJECTS: dict[str, Any] = {
     "GainAt": lambda: rl.peak_gain(measured_loop()),
     "DiskMarginsAt": lambda: rl.disk_margin(2.0 * rl.delay(0.5) @ lag(), frequency=[0.5, 1.0]),
     "DiskMarginAt": lambda: made("DiskMarginsAt").simultaneous,
+    "CriticalResponse": critical_response,
     "PerformanceMargin": lambda: rl.robust_performance(loop()),
     "SmallGain": lambda: rl.small_gain(rl.unstructured(lag(), 0.2).feedback(2.0)),
     "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
@@ -258,6 +273,7 @@ OBJECTS: dict[str, Any] = {
         lag(), 2.0, reference_model=rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     ),
     "FixedSynthesis": lambda: rl.fixed_structure(problem(), "static", n_meas=1, n_con=1, starts=1),
+    "TrackingLoop": tracking_loop,
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
     "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),

@@ -34,7 +34,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # robustness
     "Margin": {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"},
     "WorstCaseGain": {"gain": "robustness_figures.gain_figure"},
-    "Replay": {"replay": "robustness_figures.replay_figure"},
+    "CriticalResponse": {"replay": "robustness_figures.replay_figure"},
     "MarginAt": {"margin": "robustness_figures.bounds_at"},
     "GainAt": {"gain": "robustness_figures.bounds_at"},
     "DiskMarginAt": {"margin": "robustness_figures.bounds_at"},

@@ -33,7 +33,7 @@ from robustlab.worst_case_analysis.statistics import Influence, ViolationProbabi
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
-    from robustlab.mu_analysis.axis.critical_delta import Replay
+    from robustlab.mu_analysis.axis.critical_delta import CriticalResponse
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
     from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
     from robustlab.worst_case_analysis.worst_case_search import WorstCase
@@ -158,7 +158,7 @@ def shares_figure(shares: Mapping[str, float]) -> Figure:
     return figure
 
 
-def replay_figure(replay: Replay, shown: int = 4) -> Figure:
+def replay_figure(replay: CriticalResponse, shown: int = 4) -> Figure:
     """Free responses of the nominal model, just inside the margin, and at the critical Delta."""
     size = np.abs(replay.critical).max(axis=0)
     columns = np.argsort(-size, kind="stable")[:shown]

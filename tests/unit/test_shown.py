@@ -79,7 +79,7 @@ def test_every_public_result_is_among_the_examples_and_shows_itself(make):
     assert [kind.__name__ for kind in kinds if not issubclass(kind, Shown)] == []
     made = [type(make(name)) for name in NAMES]
     missing = {kind.__name__ for kind in kinds if not any(issubclass(one, kind) for one in made)}
-    assert missing == {"FmuPlant", "FreeRun"}  # tests/dynamics/fmu/test_fmu_co_simulation.py has a unit for them
+    assert missing == {"FreeRun"}  # tests/dynamics/fmu/test_fmu_co_simulation.py has a unit for it
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -462,7 +462,10 @@ def test_a_class_without_facts_of_its_own_counts_what_is_long():
 
 def test_a_margin_was_18_kilobytes_long(make):
     assert len(repr(make("Margin"))) < 400
-    assert re.match(r"Margin \(certified\)\n  margin: 1\.484 \(proved\) \.\. 1\.487 \(attained\)", repr(make("Margin")))
+    assert re.match(
+        r"Margin \(certified\)\n  robust stability margin: 1\.484 \(proved\) \.\. 1\.487 \(attained\)",
+        repr(make("Margin")),
+    )
 
 
 def test_words():

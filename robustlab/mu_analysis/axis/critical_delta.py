@@ -26,20 +26,20 @@ from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.matrix.certificate import delta_norm
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.mu_analysis.matrix.minimum_norm import dual_minimum
-from robustlab.shown import AllFields, Facts, Shown
+from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = ["Replay", "block_sensitivities", "pole_block_sensitivities", "replay"]
+__all__ = ["CriticalResponse", "block_sensitivities", "pole_block_sensitivities", "replay"]
 
 
 INSIDE = 0.95  # share of the critical Delta that is shown as just inside the margin
 
 
 @dataclass(frozen=True, eq=False)
-class Replay(AllFields, Shown):
+class CriticalResponse(AllFields, Shown):
     """Free responses from the critical mode: of the nominal model, just inside the margin, and at the critical Delta.
 
     Attributes
@@ -67,11 +67,11 @@ class Replay(AllFields, Shown):
     period: float
 
     def facts(self) -> Facts:
-        """Nothing: it is to be drawn."""
-        return []
+        """What is to be drawn, in two numbers."""
+        return [("last period over the first", number(self.growth)), ("period", number(self.period, "s"))]
 
 
-def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points: int = 40) -> Replay:
+def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points: int = 40) -> CriticalResponse:
     """Simulate the model from the mode that the critical Delta brings to the stability boundary.
 
     A complex Delta is a number at one frequency; it is replayed as a stable system of the same gain that takes that
@@ -113,7 +113,7 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
     x0 = x0 / size
     response = response / size
     last = np.abs(response[t >= t[-1] - period]).max()
-    return Replay(
+    return CriticalResponse(
         t=t,
         outputs=uncertain.outputs,
         nominal=_free(uncertain.nominal, x0[: uncertain.M.n_states], t),

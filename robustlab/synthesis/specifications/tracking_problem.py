@@ -30,7 +30,7 @@ from robustlab.arrays import Array
 from robustlab.closing import wired
 from robustlab.errors import InputError, did_you_mean
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.shown import Facts, Shown
+from robustlab.shown import Facts, Shown, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -157,8 +157,9 @@ class TrackingLoop(Shown):
     gamma: float | None
 
     def facts(self) -> Facts:
-        """Nothing that the design does not say."""
-        return []
+        """Which design, and what it proves."""
+        proved = "" if self.gamma is None else number(self.gamma)
+        return [("design", type(self.design).__name__), ("gamma of the nominal loop", proved)]
 
 
 def tracking_problem(
