@@ -146,7 +146,7 @@ def run(out: Path) -> None:
 
 
 # Keys below which an answer stood before its result's own JSON took the place.
-AT = ("model.H.", "model.", "set.M.", "set.", "stability.")
+AT = ("model.", "set.", "stability.")
 
 
 def flat(answer: Mapping[str, Any]) -> dict[str, Any]:
