@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from robustlab.doors.kinds import Given, Kind, Thing
-from robustlab.errors import UsageError, did_you_mean
+from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount
 
 
@@ -70,7 +70,10 @@ class Weight(Kind):
             if key not in known:
                 expected = f"one of {', '.join(known)}"
                 raise UsageError(option, f"unknown word {key!r}", expected, did_you_mean(key, known))
-            found[key] = amount(f"{option}: {key}", value, "rad/s" if key == "bandwidth" else "")
+            try:
+                found[key] = amount(f"{option}: {key}", value, "rad/s" if key == "bandwidth" else "")
+            except InputError as error:
+                raise UsageError(error.where, error.found, error.expected) from None
         if "order" in found and found["order"].is_integer():
             found["order"] = int(found["order"])
         if known[0] not in found:
@@ -122,18 +125,15 @@ class Disturbance(Thing):
     gives: tuple[str, ...] = ("model", "any")
     model: bool = True
     number: bool = True
+    words: tuple[str, ...] = ("constant",)
 
     @property
     def metavar(self) -> str | None:
         """A word of its own."""
         return "WEIGHT"
 
-    def load(self, file: str, remark: Any, **reading: Any) -> Any:
-        """The word stays a word."""
-        return file if file == "constant" else super().load(file, remark, **reading)
-
     def field(self) -> Any:
-        """The word, a frequency, or the name of an earlier step."""
+        """The word, or a frequency."""
         from robustlab.doors.vocabulary import Positive
 
         return Literal["constant"] | Positive

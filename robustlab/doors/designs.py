@@ -28,7 +28,7 @@ class LoopChannels:
     measurements: Measured = None
     controls: Controls = None
 
-    def around(self, system: Any, K: Any, where: str, nominal: bool = False) -> Any:
+    def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
         """The generalised plant of a controller: with as many channels at the end as it has where none are named."""
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
@@ -58,8 +58,11 @@ class Channels:
         Named(option="--performance-outputs"),
     ] = None
 
-    def posed(self, system: Any, where: str, nominal: bool = False) -> Any:
-        """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
+    def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
+        """The generalised plant: of a tracking problem its own, else with channels by number or by name.
+
+        ``nominal``: at Delta = 0; None: so of a tracking problem alone.
+        """
         from robustlab.synthesis.problem.partition import as_generalized_plant
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
@@ -67,8 +70,10 @@ class Channels:
         if isinstance(system, TrackingProblem):
             if measurements is not None or controls is not None:
                 raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
-            return system.nominal if nominal else system.plant
-        if nominal and isinstance(system, rl.UncertainModel):
+            return system.plant if nominal is False else system.nominal
+        if nominal:
+            if not isinstance(system, rl.UncertainModel):
+                raise InputError(f"{where}: nominal", f"a {type(system).__name__}", "an uncertain model")
             system = system.nominal
         named = [isinstance(side, list) for side in (measurements, controls)]
         if measurements is None or controls is None or any(named) != all(named):
@@ -85,6 +90,10 @@ class Channels:
 
 Nominal = Annotated[
     bool, Flag(), "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
+]
+# Left out, a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
+NominalProblem = Annotated[
+    bool | None, Flag(), "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
 ]
 GammaRel = Annotated[
     float, Number(least=1, most=10), "Allowed ratio to the smallest gamma; within it the slowest controller wins."
@@ -118,7 +127,7 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 def hinf(
     system: Plant,
     channels: Channels = UNSAID,
-    nominal: Annotated[Nominal, Named(in_step=True)] = False,
+    nominal: NominalProblem = None,
     gamma_rel: GammaRel = 1.05,
     search: Search = USUAL,
     progress: Any = None,
@@ -139,7 +148,7 @@ def hinf(
 def h2(
     system: Plant,
     channels: Channels = UNSAID,
-    nominal: Annotated[Nominal, Named(in_step=True)] = False,
+    nominal: NominalProblem = None,
     search: Search = USUAL,
     progress: Any = None,
     drawn: bool = False,
@@ -227,7 +236,7 @@ def fixed_structure(
     structure: Structure = "static",
     channels: Channels = UNSAID,
     nominal: Nominal = False,
-    objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
+    objective: Annotated[str, Choice(("hinf", "h2"), by_function=True), "The norm that is made small."] = "hinf",
     starts: Starts = 3,
     search: Search = USUAL,
     seed: Seed = 0,
@@ -367,7 +376,7 @@ def lqg(
     for (name, size), given in zip(sizes.items(), (q, r, w, v), strict=True):
         values = np.atleast_1d(np.asarray(given, dtype=float))
         if len(values) not in (1, size):
-            raise InputError(name, f"{len(values)} numbers", f"one, or {size}")
+            raise UsageError(name, f"{len(values)} numbers", f"one, or {size}")
         weights.append(np.diag(np.broadcast_to(values, (size,))))
     options: dict[str, Any] = {"disturbance": disturbance, "at": at, "channels": channels, "regulated": regulated}
     return rl.lqg(model, *weights, disturbance_noise=disturbance_noise, **options)
@@ -378,7 +387,7 @@ def tune(
     system: Of,
     also: Annotated[
         list[Any] | None,
-        Thing(("plant", "model", "uncertain", "any"), model=True, many=True),
+        Thing(("plant", "model", "uncertain", "any"), model=True, many=True, positional=True),
         "Further plants for the same controller.",
     ] = None,
     structure: Structure = "pid",
@@ -522,7 +531,9 @@ def reduce_controller(
     controller: K,
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
-    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
+    measure: Annotated[
+        str, Choice(("hinf", "h2", "mu"), by_function=True), "mu: robust performance, with the plant's Delta."
+    ] = "hinf",
     channels: LoopChannels = AS_CONTROLLER,
     search: Search = USUAL,
     progress: Any = None,
@@ -533,7 +544,7 @@ def reduce_controller(
 
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
-    P = channels.around(plant, controller, "reduce-controller", measure != "mu")
+    P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
     given: Any = measure
     return rl.reduce_controller(
         P, controller, loss=loss, order=order, measure=given, progress=progress, **search.options
@@ -542,7 +553,7 @@ def reduce_controller(
 
 Method = Annotated[
     str,
-    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
+    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"), by_function=True),
     "Formula, or a design for the sampled plant.",
 ]
 
@@ -622,7 +633,7 @@ def reduce_model(
     ] = None,
     method: Annotated[
         str,
-        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
+        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime"), by_function=True),
         "stochastic: relative error; coprime: unstable modes too.",
     ] = "truncation",
     input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
@@ -644,7 +655,7 @@ def reduce_model(
     )  # fmt: skip
 
 
-Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
+Hold = Annotated[str, Choice(("zoh", "foh", "tustin"), by_function=True), "What is held between the samples."]
 RESAMPLED = "synthesis.sampled.resampling.Resampled"
 
 
@@ -653,7 +664,9 @@ def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
     dt: SampleTime,
     method: Annotated[
-        str, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
+        str,
+        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"), by_function=True),
+        "The formula.",
     ] = "tustin",
     prewarp: Annotated[
         float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."

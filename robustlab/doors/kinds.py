@@ -183,13 +183,17 @@ class Flag(Kind):
 
 @dataclass(frozen=True)
 class Choice(Kind):
-    """One of several words."""
+    """One of several words.
+
+    ``by_function``: the function itself refuses another word.
+    """
 
     words: tuple[str, ...]
+    by_function: bool = False
 
     def read(self, option: str, given: Any) -> Any:
         """The word, if it is one of them."""
-        if given is not None and given not in self.words:
+        if given is not None and given not in self.words and not self.by_function:
             expected = " or ".join(self.words) if len(self.words) == 2 else f"one of {', '.join(self.words)}"
             raise UsageError(option, repr(given), expected, did_you_mean(given, self.words))
         return given
@@ -414,6 +418,7 @@ class Thing(Kind):
     ``positional``: a command takes it without an option, though it need not be given.
     ``pair``: the function takes both models of a file that holds two.
     ``discovery``: a discovery, too: that of a step, or the plant in the folder of ``data discover --out``.
+    ``words``: words that stay words, in the place of a name.
     """
 
     gives: tuple[str, ...] = ("any",)
@@ -424,6 +429,7 @@ class Thing(Kind):
     positional: bool = False
     pair: bool = False
     discovery: bool = False
+    words: tuple[str, ...] = ()
 
     reading: ClassVar[str] = "model"  # which of a command's options say how the file is read
 
@@ -451,6 +457,8 @@ class Thing(Kind):
         """
         from robustlab.storage import read
 
+        if file in self.words:
+            return file
         if self.number:
             with suppress(ValueError):
                 return float(file)

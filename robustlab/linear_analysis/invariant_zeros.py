@@ -102,6 +102,7 @@ class Zeros(Shown):
     reason: str = ""
 
     quantities: ClassVar[Mapping[str, Any]] = {
+        "count": "1",
         "values": [{"re": float, "im": float}],
         "kinds": [str],
         "normal_rank": "1",
@@ -109,6 +110,11 @@ class Zeros(Shown):
 
     def __len__(self) -> int:
         return len(self.values)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self)
 
     def headline(self) -> str:
         """How many there are."""

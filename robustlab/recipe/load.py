@@ -219,7 +219,7 @@ def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
         target = getattr(step, name)
         if isinstance(target, list):
             found += [(f"{name}.{i}", item, mark.gives) for i, item in enumerate(target)]
-        elif target is not None:
+        elif isinstance(target, str):  # a number may stand in its place
             found.append((name, target, mark.gives))
     return found
 

@@ -16,6 +16,7 @@ _MODEL = {
 }
 _LOOP = {"loop": "design_figures.loop_picture", "functions": "design_figures.functions_picture"}
 _DISK = {"disk": "result_figures.disk_figure"}
+_MARGIN = {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"}
 
 DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # models
@@ -32,7 +33,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "ReducedModel": {"sigma": "result_figures.reduction_figure", "hankel": "result_figures.hankel_figure"},
     "StructuralTest": {"modes": "result_figures.mode_figure"},
     # robustness
-    "Margin": {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"},
+    **dict.fromkeys(("Margin", "PerformanceMargin"), _MARGIN),
     "WorstCaseGain": {"gain": "robustness_figures.gain_figure"},
     "CriticalResponse": {"replay": "robustness_figures.replay_figure"},
     "MarginAt": {"margin": "robustness_figures.bounds_at"},
@@ -41,7 +42,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "DiskMarginsAt": {"margin": "robustness_figures.bounds_at", **_DISK},
     "MuBounds": {"mu": "result_figures.mu_bars"},
     "SmallGain": {"gain": "result_figures.small_gain_figure"},
-    "DiskBounds": _DISK,
+    **dict.fromkeys(("DiskBounds", "DiskMargins"), _DISK),
     "SampledRobustness": {"mu": "robustness_figures.sampled_figure"},
     "SampledDataNorm": {"history": "result_figures.norm_history"},
     "Cover": {"set": "set_figures.cover_figure"},
@@ -55,10 +56,11 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     },
     "CampaignResult": {"exceedance": "result_figures.campaign_figure", "delta": "result_figures.delta_figure"},
     # designs
-    "Synthesis": _LOOP,
+    **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis", "TwoDegreeSynthesis"), _LOOP),
+    **dict.fromkeys(("LqgSynthesis", "FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
-    "SampledController": {"loop": "design_figures.loop_picture"},
+    **dict.fromkeys(("SampledController", "RobustSampledController"), {"loop": "design_figures.loop_picture"}),
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
     "KalmanFilter": {"pzmap": "result_figures.estimator_figure"},

@@ -30,7 +30,20 @@ def problem(tmp_path):
 def test_hinf_by_number_writes_a_controller_that_holds_its_gamma(problem, tmp_path, capsys):
     out = tmp_path / "k.h5"
     assert (
-        run("hinf", str(problem), "--n-meas", "1", "--n-con", "1", "--gamma-rel", "1", "--out", str(out), "--json") == 0
+        run(
+            "hinf",
+            str(problem),
+            "--measurements",
+            "1",
+            "--controls",
+            "1",
+            "--gamma-rel",
+            "1",
+            "--out",
+            str(out),
+            "--json",
+        )
+        == 0
     )
     result = json.loads(capsys.readouterr().out)
     assert result["schema"] == "robustlab.result/1"
@@ -46,16 +59,16 @@ def test_hinf_by_number_writes_a_controller_that_holds_its_gamma(problem, tmp_pa
 
 @pytest.mark.parametrize("command", [["hinf"], ["h2"], ["dk", "--blocks", "1,0"], ["fixed"]])
 def test_a_time_limit_that_strikes_is_told(problem, capsys, command):
-    channels = ["--n-meas", "1", "--n-con", "1"]
+    channels = ["--measurements", "1", "--controls", "1"]
     assert run(*command, str(problem), *channels, "--time-limit", "1e-9") == 4
     printed = capsys.readouterr()
     assert "not repeatable" in printed.out + printed.err
 
 
 def test_effort_is_a_positive_number(problem, capsys):
-    assert run("hinf", str(problem), "--n-meas", "1", "--n-con", "1", "--effort", "0") == 3
+    assert run("hinf", str(problem), "--measurements", "1", "--controls", "1", "--effort", "0") == 3
     assert "effort is 0" in capsys.readouterr().err
-    assert run("hinf", str(problem), "--n-meas", "1", "--n-con", "1", "--effort", "0.5") == 0
+    assert run("hinf", str(problem), "--measurements", "1", "--controls", "1", "--effort", "0.5") == 0
 
 
 def test_hinf_by_name_and_text(problem, capsys):
@@ -79,7 +92,7 @@ def test_mixsyn_from_specifications_leaves_out_untouched_states_with_a_note(tmp_
 def test_no_stabilising_controller_is_exit_code_4(tmp_path, capsys):
     path = tmp_path / "bad.h5"
     rl.save(path, rl.StateSpaceModel([[1.0]], [[1, 0]], [[1], [1]], np.eye(2)))
-    assert run("hinf", str(path), "--n-meas", "1", "--n-con", "1") == 4
+    assert run("hinf", str(path), "--measurements", "1", "--controls", "1") == 4
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "cannot be moved by the controls" in captured.err
@@ -88,16 +101,16 @@ def test_no_stabilising_controller_is_exit_code_4(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [
-        (["hinf", "P", "--n-meas", "1"], 2, "channels"),
-        (["hinf", "P", "--n-meas", "1", "--n-con", "1", "--controls", "u"], 2, "channels"),
-        (["hinf", "P", "--n-meas", "9", "--n-con", "1"], 3, "n_meas"),
+        (["hinf", "P", "--measurements", "1"], 2, "channels"),
+        (["hinf", "P", "--measurements", "1", "--controls", "1", "--controls", "u"], 2, "channels"),
+        (["hinf", "P", "--measurements", "9", "--controls", "1"], 3, "n_meas"),
         (["hinf", "P", "--measurements", "yy", "--controls", "u"], 3, "did you mean"),
-        (["hinf", "nowhere.h5", "--n-meas", "1", "--n-con", "1"], 3, "nowhere.h5"),
+        (["hinf", "nowhere.h5", "--measurements", "1", "--controls", "1"], 3, "nowhere.h5"),
         (["mixsyn", "P", "--w1", "bandwith=1"], 2, "did you mean bandwidth"),
         (["mixsyn", "P", "--w1", "peak=2"], 2, "bandwidth is missing"),
         (["mixsyn", "P", "--w1", "bandwidth=fast"], 2, "numbers in rad/s"),
         (["mixsyn", "P", "--w1", "bandwidth=-1"], 3, "positive"),
-        (["mixsyn", "P"], 2, "no weight, expected at least one of --w1"),
+        (["mixsyn", "P"], 2, "no weight, expected at least one of W1, W2, W3"),
     ],
 )
 def test_wrong_calls(problem, capsys, arguments, code, text):

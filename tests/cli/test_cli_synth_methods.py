@@ -82,7 +82,9 @@ def test_fixed_static_gain_of_an_unstable_lag_is_the_lqr_gain(tmp_path, capsys):
     path = tmp_path / "p.h5"
     P = rl.StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
     rl.save(path, P)
-    code = run("fixed", path, "--n-meas", 1, "--n-con", 1, "--structure", "static", "--objective", "h2", "--json")
+    code = run(
+        "fixed", path, "--measurements", 1, "--controls", 1, "--structure", "static", "--objective", "h2", "--json"
+    )
     assert code == 0
     found = json.loads(capsys.readouterr().out)
     assert found["order"] == 0
@@ -113,15 +115,26 @@ def test_dk_takes_the_blocks_of_the_uncertain_file_and_its_bound_holds(uncertain
     margin = rl.robust_performance(loop, accuracy=1e-3)
     assert 1 / margin.upper <= found["gamma"] * (1 + 1e-6)
     assert found["gamma"] == pytest.approx(1 / margin.lower, rel=0.05)
-    for name in ("d.svg", "d.png", "d-mu.svg", "d-history.svg"):
+    for name in ("d.svg", "d.png", "d-mu.svg", "d-history.svg", "d-functions.svg"):
         assert (tmp_path / name).stat().st_size > 1000
-    assert captured.err.count("written: ") == 6
+    assert captured.err.count("written: ") == 8
 
 
 def test_blocks_of_a_state_space_file_by_rows(uncertain, tmp_path, capsys):
     plain = tmp_path / "plain.h5"
     rl.save(plain, rl.load(uncertain).M)
-    arguments = ["--n-meas", "1", "--n-con", "1", "--blocks", "-1,0", "--effort", "0.08", "--no-direct", "--json"]
+    arguments = [
+        "--measurements",
+        "1",
+        "--controls",
+        "1",
+        "--blocks",
+        "-1,0",
+        "--effort",
+        "0.08",
+        "--no-direct",
+        "--json",
+    ]
     assert run("dk", plain, *arguments) == 0
     assert len(json.loads(capsys.readouterr().out)["blocks"]) == 2
 
@@ -129,7 +142,7 @@ def test_blocks_of_a_state_space_file_by_rows(uncertain, tmp_path, capsys):
 def test_nominal_leaves_the_perturbation_out(uncertain, capsys):
     gammas = {}
     for extra in ([], ["--nominal"]):
-        arguments = ["--n-meas", "1", "--n-con", "1", "--gamma-rel", "1", "--json"]
+        arguments = ["--measurements", "1", "--controls", "1", "--gamma-rel", "1", "--json"]
         assert run("hinf", uncertain, *arguments, *extra) == 0
         gammas[len(extra)] = json.loads(capsys.readouterr().out)["gamma"]
     assert gammas[1] == pytest.approx(np.sqrt(3) - 1, rel=1e-3)
@@ -147,7 +160,7 @@ def test_figures_of_a_mixed_sensitivity_design(tmp_path, capsys):
 
 
 def test_text_says_why_it_stopped_and_what_limits(lag, capsys):
-    assert run("fixed", lag, "--n-meas", 1, "--n-con", 1, "--structure", "order:1", "--starts", "1") == 0
+    assert run("fixed", lag, "--measurements", 1, "--controls", 1, "--structure", "order:1", "--starts", "1") == 0
     text = capsys.readouterr().out
     for word in ("gamma", "status", "what limits it", "how"):
         assert word in text
@@ -157,22 +170,26 @@ def test_text_says_why_it_stopped_and_what_limits(lag, capsys):
     ("arguments", "code", "text"),
     [
         (["h2", "P"], 2, "channels"),
-        (["dk", "P", "--n-meas", "1", "--n-con", "1", "--blocks", "-1"], 2, "--blocks"),
-        (["dk", "P", "--n-meas", "1", "--n-con", "1", "--blocks", "a,b"], 2, "--blocks"),
-        (["dk", "P", "--n-meas", "1", "--n-con", "1"], 3, "block"),
-        (["dk", "P", "--n-meas", "1", "--n-con", "1", "--blocks", "5,5"], 3, "block"),
-        (["h2", "P", "--n-meas", "1", "--n-con", "1", "--nominal"], 3, "an uncertain model"),
-        (["fixed", "P", "--n-meas", "1", "--n-con", "1", "--structure", "pidd"], 3, "did you mean pid"),
-        (["fixed", "P", "--n-meas", "1", "--n-con", "1", "--structure", "order:x"], 3, "order:3"),
-        (["fixed", "P", "--n-meas", "1", "--n-con", "1", "--structure", "poles:a"], 3, "poles:-1"),
-        (["fixed", "P", "--n-meas", "1", "--n-con", "1", "--structure", "ipd:fat"], 3, "full, diagonal, scalar"),
-        (["fixed", "P", "--n-meas", "1", "--n-con", "1", "--structure", "static:2"], 3, "nothing"),
-        (["fixed", "P", "--n-meas", "1", "--n-con", "1", "--objective", "h3"], 3, "h2"),
+        (["dk", "P", "--measurements", "1", "--controls", "1", "--blocks", "-1"], 2, "--blocks"),
+        (["dk", "P", "--measurements", "1", "--controls", "1", "--blocks", "a,b"], 2, "--blocks"),
+        (["dk", "P", "--measurements", "1", "--controls", "1"], 3, "block"),
+        (["dk", "P", "--measurements", "1", "--controls", "1", "--blocks", "5,5"], 3, "block"),
+        (["h2", "P", "--measurements", "1", "--controls", "1", "--nominal"], 3, "an uncertain model"),
+        (["fixed", "P", "--measurements", "1", "--controls", "1", "--structure", "pidd"], 3, "did you mean pid"),
+        (["fixed", "P", "--measurements", "1", "--controls", "1", "--structure", "order:x"], 3, "order:3"),
+        (["fixed", "P", "--measurements", "1", "--controls", "1", "--structure", "poles:a"], 3, "poles:-1"),
+        (
+            ["fixed", "P", "--measurements", "1", "--controls", "1", "--structure", "ipd:fat"],
+            3,
+            "full, diagonal, scalar",
+        ),
+        (["fixed", "P", "--measurements", "1", "--controls", "1", "--structure", "static:2"], 3, "nothing"),
+        (["fixed", "P", "--measurements", "1", "--controls", "1", "--objective", "h3"], 3, "h2"),
         (["ncf", "P", "--factor", "1"], 3, "above 1"),
         (["ncf", "P", "--w1", "nowhere.h5"], 3, "nowhere.h5"),
         (["ncf", "P", "--outputs", "yy"], 3, "did you mean"),
-        (["h2", "P", "--n-meas", "1", "--n-con", "1", "--out", "nowhere/k.h5"], 5, "no such folder"),
-        (["h2", "P", "--n-meas", "1", "--n-con", "1", "--performance-outputs", "z"], 2, "by name, too"),
+        (["h2", "P", "--measurements", "1", "--controls", "1", "--out", "nowhere/k.h5"], 5, "no such folder"),
+        (["h2", "P", "--measurements", "1", "--controls", "1", "--performance-outputs", "z"], 2, "by name, too"),
         (["h2", "P", "--measurements", "y", "--controls", "u", "--performance-outputs", "zz"], 3, "did you mean z"),
     ],
 )
@@ -187,5 +204,5 @@ def test_a_mode_that_no_controller_reaches_is_exit_code_4(tmp_path, capsys):
     path = tmp_path / "bad.h5"
     rl.save(path, rl.StateSpaceModel([[1.0]], [[1, 0]], [[1], [1]], np.eye(2)))
     for command in ("h2", "fixed"):
-        assert run(command, path, "--n-meas", "1", "--n-con", "1") == 4
+        assert run(command, path, "--measurements", "1", "--controls", "1") == 4
         assert capsys.readouterr().out == ""

@@ -51,7 +51,7 @@ def test_lqg_with_a_constant_disturbance(lag, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "code", "text"),
     [
-        (["--q", "1,2,3"], 2, "--q: 3 numbers"),
+        (["--q", "1,2,3"], 2, "q: 3 numbers"),
         (["--q", "x"], 2, "'x'"),
         (["--disturbance-at", "middle"], 2, "middle"),
         (["--r", "0"], 3, "costs nothing"),

@@ -12,13 +12,15 @@ import pytest
 import typer
 
 import robustlab as rl
-from robustlab.cli.generated import command_of
+from robustlab.cli.generated import _draws, command_of
 from robustlab.doors.declaration import ALL, Door, door, every_door
 from robustlab.doors.kinds import Choice, Names, Number, Numbers, Table, Thing, Whole
 from robustlab.errors import InputError, UsageError
 from robustlab.recipe.keys import keys_of_step
 from robustlab.recipe.steps.contract import KINDS
 from robustlab.recipe.steps.leaves import look_ahead
+from robustlab.report.drawing_table import SETS
+from robustlab.report.drawings import drawings_of
 from robustlab.shown import Shown
 
 DOORS = every_door()
@@ -89,6 +91,13 @@ def test_a_result_says_itself_in_all_readers(declared: Door) -> None:
         assert KINDS[declared.step].leaves == declared.quantities
         for name in kind.quantities:
             assert look_ahead(f"s.{name}", kind.quantities) is not None
+
+
+@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
+def test_a_command_offers_a_figure_of_what_can_be_drawn(declared: Door) -> None:
+    """It asks by name, without the classes: each that is drawn as its base has a row of its own."""
+    drawn = any(drawings_of(kind) or kind.__name__ in SETS for kind in declared.result_classes)
+    assert _draws(declared) == drawn
 
 
 def test_families_declare_doors_without_numerical_libraries() -> None:

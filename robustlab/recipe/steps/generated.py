@@ -99,7 +99,8 @@ class DoorStep(Step):
                     work.keep(beside, name)
             for shown in (result, *found.beside.values()):
                 for name, picture in pictures_of(shown):
-                    work.draw(picture.figure, name, picture.caption)
+                    if shown is not result or name not in found.beside:  # what stands beside it is drawn in its place
+                        work.draw(picture.figure, name, picture.caption)
         first = _first(self.declared)
         of = getattr(self, first) if first else ""
         what = result.headline() or self.declared.title.rstrip(".")
@@ -168,7 +169,9 @@ def _thing(kind: Thing, given: Any, work: Workspace) -> Any:
         return [kind.as_wanted(work.values[name], f"step {name!r}") for name in given]
     if kind.discovery and given in work.discoveries:
         return work.discoveries[given]
-    return kind.as_wanted(work.values[given], f"step {given!r}") if isinstance(given, str) else given
+    if isinstance(given, str) and given not in kind.words:
+        return kind.as_wanted(work.values[given], f"step {given!r}")
+    return given
 
 
 def _class_name(word: str) -> str:
