@@ -215,7 +215,7 @@ def unknown_public_name(name: str, known: Iterable[str]) -> str:
 
 
 def _elsewhere(name: str) -> str:
-    """``MATLAB's wcgain is rl.worst_case_gain``; empty where no program has the name."""
+    """``MATLAB's wcgain is rl.peak_gain(set)``; empty where no program has the name."""
     answers: dict[str, list[str]] = {}
     for program, table in PROGRAMS.items():
         for answer, names in table.items():

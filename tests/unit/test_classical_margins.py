@@ -204,5 +204,5 @@ def test_a_gain_that_only_touches_one_counts():
 
 def test_too_many_states_are_refused_with_a_way_out(monkeypatch):
     monkeypatch.setattr("robustlab.mu_analysis.margins.loop_fraction.MOST_STATES", 2)
-    with pytest.raises(rl.NoTrustworthyNumber, match=r"(?s)a loop of 3 states.*rl.delay_classical_margins"):
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"(?s)a loop of 3 states.*rl\.with_delays\(P\)"):
         rl.classical_margins(THIRD)
