@@ -155,7 +155,10 @@ def loop_fractions(
     """
     n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
     if n + k > MOST_STATES:
-        found, hint = f"a loop of {n + k} states", "rl.reduce_model; or cut the axis: rl.classical_margins(rl.with_delays(P), K)"
+        found, hint = (
+            f"a loop of {n + k} states",
+            "rl.reduce_model; or cut the axis: rl.classical_margins(rl.with_delays(P), K)",
+        )
         raise NoTrustworthyNumber("classical_margins", found, f"at most {MOST_STATES}", hint)
     u, y = np.split(np.arange(m + p), [m])
     M, _ = wired([(P, u, y, 1), (K, y, u, sign)], -np.eye(m + p))
