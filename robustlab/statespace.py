@@ -289,25 +289,19 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         import control
 
         if isinstance(system, control.TransferFunction):
-            if system.ninputs == 1 and system.noutputs == 1:
-                try:
-                    system = control.tf2ss(system)
-                except ValueError as error:  # improper: more zeros than poles
-                    raise InputError("from_control", str(error), "no more zeros than poles") from None
-            else:
+            if system.ninputs != 1 or system.noutputs != 1:
                 hint = "control.ss(tf) makes one"
                 raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace", hint)
+            try:
+                system = control.tf2ss(system)
+            except ValueError as error:  # improper: more zeros than poles
+                raise InputError("from_control", str(error), "no more zeros than poles") from None
         if not isinstance(system, control.StateSpace):
-            raise InputError(
-                "from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction"
-            )
-        if system.dt is True or system.dt is None:
-            if system.dt is True:
-                raise InputError(
-                    "from_control", "dt=True (discrete, sample time unknown)", "dt = 0 or a sample time in s"
-                )
-            if system.nstates:
-                raise InputError("from_control", "dt=None (timebase unspecified)", "dt = 0 or a sample time in s")
+            found = type(system).__name__
+            raise InputError("from_control", found, "a control.StateSpace or control.TransferFunction")
+        if system.dt is True or (system.dt is None and system.nstates):
+            found = "True (discrete, sample time unknown)" if system.dt else "None (timebase unspecified)"
+            raise InputError("from_control", f"dt={found}", "dt = 0 or a sample time in s")
         ins, outs, states = map(list, (system.input_labels, system.output_labels, system.state_labels))
         return cls(system.A, system.B, system.C, system.D, float(system.dt or 0.0), ins, outs, states)
 
@@ -346,11 +340,11 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         """Size, signals with units, poles."""
         abscissa = self.spectral_abscissa()
         kind = "stable" if abscissa < 0 else "on the stability boundary" if abscissa == 0 else "unstable"
-        where = (
-            f"largest modulus {number(1 + abscissa)}" if self.is_discrete else f"rightmost {number(abscissa, '1/s')}"
-        )
+        where, time = f"rightmost {number(abscissa, '1/s')}", "continuous"
+        if self.is_discrete:
+            where, time = f"largest modulus {number(1 + abscissa)}", f"discrete, dt = {self.dt:g} s"
         return [
-            ("time", f"discrete, dt = {self.dt:g} s" if self.is_discrete else "continuous"),
+            ("time", time),
             ("inputs", with_units(self.inputs)),
             ("outputs", with_units(self.outputs)),
             ("states", f"{self.n_states}: {with_units(self.states)}" if self.n_states else "none: a static gain"),
@@ -450,17 +444,10 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
         raise InputError("sum", found, "equal sizes", "write a number c as c * numpy.eye(n), or as a full matrix")
     same_units("sum", [*zip(a.inputs, b.inputs, strict=True), *zip(a.outputs, b.outputs, strict=True)])
     n1, n2 = a.n_states, b.n_states
-    return StateSpaceModel(
-        np.block([[a.A, np.zeros((n1, n2))], [np.zeros((n2, n1)), b.A]]),
-        np.vstack([a.B, b.B]),
-        np.hstack([a.C, sign * b.C]),
-        a.D + sign * b.D,
-        _common_dt((a, b), "sum"),
-        names_of(second, first, a.inputs, b.inputs),
-        names_of(second, first, a.outputs, b.outputs),
-        _states(a, b),
-        where="sum",
-    )
+    A = np.block([[a.A, np.zeros((n1, n2))], [np.zeros((n2, n1)), b.A]])
+    matrices = A, np.vstack([a.B, b.B]), np.hstack([a.C, sign * b.C]), a.D + sign * b.D
+    inputs, outputs = names_of(second, first, a.inputs, b.inputs), names_of(second, first, a.outputs, b.outputs)
+    return StateSpaceModel(*matrices, _common_dt((a, b), "sum"), inputs, outputs, _states(a, b), where="sum")
 
 
 def inverse(model: Any) -> StateSpaceModel:
@@ -482,9 +469,8 @@ def inverse(model: Any) -> StateSpaceModel:
     if g.n_inputs and is_rank_deficient(g.D):
         raise NoTrustworthyNumber("inverse", "D is singular: the inverse is not proper")
     d = np.linalg.inv(g.D)
-    return StateSpaceModel(
-        g.A - g.B @ d @ g.C, g.B @ d, -d @ g.C, d, g.dt, g.outputs, g.inputs, g.states, where="inverse"
-    )
+    matrices = g.A - g.B @ d @ g.C, g.B @ d, -d @ g.C, d
+    return StateSpaceModel(*matrices, g.dt, g.outputs, g.inputs, g.states, where="inverse")
 
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:
@@ -504,11 +490,8 @@ def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceMod
     k = _operand(controller, "feedback")
     dt = _common_dt((g, k), "feedback")
     if k.n_inputs != g.n_outputs or k.n_outputs != g.n_inputs:
-        raise InputError(
-            "feedback",
-            f"controller is {k.n_outputs} x {k.n_inputs}",
-            f"{g.n_inputs} x {g.n_outputs} for a plant of {g.n_outputs} x {g.n_inputs}",
-        )
+        wanted = f"{g.n_inputs} x {g.n_outputs} for a plant of {g.n_outputs} x {g.n_inputs}"
+        raise InputError("feedback", f"controller is {k.n_outputs} x {k.n_inputs}", wanted)
     same_units("feedback", [*zip(g.outputs, k.inputs, strict=True), *zip(k.outputs, g.inputs, strict=True)])
     twice = np.hstack([g.B, g.B]), np.vstack([g.C, g.C]), np.tile(g.D, (2, 2))
     signed = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, dt)
@@ -533,9 +516,8 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     dt = _common_dt((P, K), "lower_lft")
     n_u, n_y = K.n_outputs, K.n_inputs
     if n_u > P.n_inputs or n_y > P.n_outputs:
-        raise InputError(
-            "lower_lft", f"K is {n_u} x {n_y}, P is {P.n_outputs} x {P.n_inputs}", "a K no larger than P transposed"
-        )
+        found = f"K is {n_u} x {n_y}, P is {P.n_outputs} x {P.n_inputs}"
+        raise InputError("lower_lft", found, "a K no larger than P transposed")
     n_w, n_z = P.n_inputs - n_u, P.n_outputs - n_y
     b1, b2 = P.B[:, :n_w], P.B[:, n_w:]
     c1, c2 = P.C[:n_z], P.C[n_z:]
@@ -546,9 +528,8 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
         if d22.any() and K.D.any():
             e = np.eye(n_u) - K.D @ d22
             if np.linalg.cond(e) > 1e12:
-                raise InputError(
-                    "lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop"
-                )
+                found = "I - D_K D22 is singular: the loop is not well posed"
+                raise InputError("lower_lft", found, "a well-posed loop")
             f = np.linalg.solve(e, f)
         n, nk = P.n_states, K.n_states
         u_x, u_k, u_w = f[:, :n], f[:, n : n + nk], f[:, n + nk :]

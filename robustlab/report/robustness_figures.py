@@ -29,7 +29,8 @@ from robustlab.report.figures import (
     zero_line,
 )
 from robustlab.tables import Tabular
-from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
+from robustlab.worst_case_analysis.influence import Influence
+from robustlab.worst_case_analysis.statistics import ViolationProbability
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain

@@ -17,14 +17,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.errors import InputError, told_as
+from robustlab.arrays import is_rank_deficient
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.operators import carried_by_rank
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.signals import Signal, same_units
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
-from robustlab.uncertainty.interconnection import Wiring
+from robustlab.uncertainty.interconnection import Wiring, unique_names
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected
 from robustlab.uncertainty.reduction import reduced
 
@@ -97,6 +98,44 @@ def upper(M: Any, K: Any) -> UncertainModel:
     m, k = as_uncertain(M, "upper"), as_uncertain(K, "upper")
     _check_inside("upper", k, m)
     return star(k, m, len(k.outputs), len(k.inputs))
+
+
+def inverse(system: Any) -> UncertainModel:
+    """The set of the inverses of a square set; inputs and outputs change places.
+
+    Raises InputError: not square; NoTrustworthyNumber: D is singular at Delta = 0: the inverse is not proper there.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.5], [1.0, 1.0]]), [RealScalar("k")])
+    >>> round(float(inverse(gain).evaluate({"k": 1.0}).D[0, 0]), 12)
+    0.666666666667
+    """
+    g = as_uncertain(system, "inverse")
+    n_u, n_y = len(g.inputs), len(g.outputs)
+    if n_u != n_y:
+        raise InputError("inverse", f"{n_y} x {n_u}", "a square model")
+    m, (q, p) = g.M, g.delta_shape
+    d22 = m.D[p:, q:]
+    if n_u and is_rank_deficient(d22):
+        found = "D is singular at Delta = 0 (every block at its nominal value): the inverse is not proper"
+        raise NoTrustworthyNumber("inverse", found)
+    # u = D22^-1 (y - C2 x - D21 w)
+    u_x, u_w, u_y = (np.linalg.solve(d22, part) for part in (-m.C[p:], -m.D[p:, :q], np.eye(n_u)))
+    b2, d12 = m.B[:, q:], m.D[:p, q:]
+    model = StateSpaceModel(
+        m.A + b2 @ u_x,
+        np.hstack([m.B[:, :q] + b2 @ u_w, b2 @ u_y]),
+        np.vstack([m.C[:p] + d12 @ u_x, u_x]),
+        np.block([[m.D[:p, :q] + d12 @ u_w, d12 @ u_y], [u_w, u_y]]),
+        m.dt,
+        unique_names([*m.inputs[:q], *g.outputs]),
+        unique_names([*m.outputs[:p], *g.inputs]),
+        m.states,
+        where="inverse",
+    )
+    return UncertainModel(model, g.blocks)
 
 
 @told_as("beside")

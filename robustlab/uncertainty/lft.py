@@ -17,7 +17,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import is_rank_deficient
 from robustlab.closing import fed_back
 from robustlab.closing import wired as wired_controller
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
@@ -39,7 +38,7 @@ from robustlab.signals import (
 )
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
-from robustlab.uncertainty.interconnection import Part, Wiring, join, unique_names, weighted, wired
+from robustlab.uncertainty.interconnection import Part, Wiring, join, weighted, wired
 from robustlab.uncertainty.reduction import reduced
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
@@ -242,8 +241,9 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return self.select(inputs, outputs)
 
     def inverse(self) -> UncertainModel:
-        """The set of the inverses; see `robustlab.uncertainty.lft.inverse`."""
-        return inverse(self)
+        """The set of the inverses; see `robustlab.uncertainty.algebra.inverse`."""
+        # By its name: it is built on this class.
+        return import_module("robustlab.uncertainty.algebra").inverse(self)
 
     def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
         """The set with a stable weight in the channels of each named block; block names are kept.
@@ -434,15 +434,11 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def details(self) -> list[TablePart]:
         """The blocks with what they stand for, and where they come from."""
         shown = self.blocks[:SHOWN_BLOCKS]
-        rows = [
-            (b.name, type(b).__name__, f"{b.rows} x {b.cols}", b.parameter.words if b.parameter else "-") for b in shown
-        ]
-        same: dict[str, list[str]] = {}
-        for b in shown:
-            if b.origin:
-                same.setdefault(b.origin, []).append(b.name)
+        words = [b.parameter.words if b.parameter else "-" for b in shown]
+        rows = [(b.name, type(b).__name__, f"{b.rows} x {b.cols}", w) for b, w in zip(shown, words, strict=True)]
         more = len(self.blocks) - len(shown)
-        origins = [(f"{', '.join(names)}: {origin}",) for origin, names in same.items()]
+        sources = dict.fromkeys(b.origin for b in shown if b.origin)
+        origins = [(f"{', '.join(b.name for b in shown if b.origin == source)}: {source}",) for source in sources]
         title = f"the first {len(shown)} blocks; {more} more" if more else ""
         return [TablePart(title, ("block", "kind", "size", "stands for"), rows), TablePart("", (), origins)]
 
@@ -461,9 +457,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def _ranges(self) -> str:
         """The blocks, with what they stand for."""
         return listed(
-            f"{b.name} {number(b.parameter.low)} .. {number(b.parameter.high, b.parameter.unit)}"
-            if b.parameter
-            else b.name
+            f"{b.name} {number(r.low)} .. {number(r.high, r.unit)}" if (r := b.parameter) else b.name
             for b in self.blocks
         )
 
@@ -591,44 +585,6 @@ def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> Uncertai
         F=np.hstack([np.eye(n_y), np.zeros((n_y, n_u))]),
     )
     return interconnected([g, h], wiring, g.inputs, g.outputs, "feedback")
-
-
-def inverse(system: Any) -> UncertainModel:
-    """The set of the inverses of a square set; inputs and outputs change places.
-
-    Raises InputError: not square; NoTrustworthyNumber: D is singular at Delta = 0: the inverse is not proper there.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.5], [1.0, 1.0]]), [RealScalar("k")])
-    >>> round(float(inverse(gain).evaluate({"k": 1.0}).D[0, 0]), 12)
-    0.666666666667
-    """
-    g = as_uncertain(system, "inverse")
-    n_u, n_y = len(g.inputs), len(g.outputs)
-    if n_u != n_y:
-        raise InputError("inverse", f"{n_y} x {n_u}", "a square model")
-    m, (q, p) = g.M, g.delta_shape
-    d22 = m.D[p:, q:]
-    if n_u and is_rank_deficient(d22):
-        found = "D is singular at Delta = 0 (every block at its nominal value): the inverse is not proper"
-        raise NoTrustworthyNumber("inverse", found)
-    # u = D22^-1 (y - C2 x - D21 w)
-    u_x, u_w, u_y = (np.linalg.solve(d22, part) for part in (-m.C[p:], -m.D[p:, :q], np.eye(n_u)))
-    b2, d12 = m.B[:, q:], m.D[:p, q:]
-    model = StateSpaceModel(
-        m.A + b2 @ u_x,
-        np.hstack([m.B[:, :q] + b2 @ u_w, b2 @ u_y]),
-        np.vstack([m.C[:p] + d12 @ u_x, u_x]),
-        np.block([[m.D[:p, :q] + d12 @ u_w, d12 @ u_y], [u_w, u_y]]),
-        m.dt,
-        unique_names([*m.inputs[:q], *g.outputs]),
-        unique_names([*m.outputs[:p], *g.inputs]),
-        m.states,
-        where="inverse",
-    )
-    return UncertainModel(model, g.blocks)
 
 
 def interconnected(

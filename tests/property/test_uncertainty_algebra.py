@@ -209,7 +209,7 @@ def test_mixed_operands_and_edge_sizes():
     nothing = UncertainModel(
         StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0))), ()
     )
-    assert lft.inverse(nothing).delta_shape == (0, 0)
+    assert algebra.inverse(nothing).delta_shape == (0, 0)
     assert algebra.stacked(nothing, nothing).outputs == ()
 
 

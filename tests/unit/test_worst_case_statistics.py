@@ -215,7 +215,7 @@ def test_influence_of_a_sum():
 
 def test_influence_without_effect_is_called_noise():
     rng = np.random.default_rng(1)
-    from robustlab.worst_case_analysis.statistics import _between_bins, _noise
+    from robustlab.worst_case_analysis.influence import _between_bins, _noise
 
     found = [_between_bins(rng.random(500), rng.standard_normal(500), 20) for _ in range(600)]
     assert np.mean(np.array(found) > _noise(500, 20)) == pytest.approx(0.05, abs=0.03)
