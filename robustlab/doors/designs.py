@@ -395,7 +395,7 @@ def tune(
         Any,
         Goals(),
         'Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".',
-        Named(option="--goal"),
+        Named(option="--goal", in_step=...),
     ] = None,
     hard: Annotated[Any, Goals(hard=True), 'Must be met: "margin:disk=0.8,at=input".', Named(only="command")] = None,
     pole_limit: Annotated[
@@ -452,7 +452,11 @@ ControlWeights = Annotated[Weights, Table(Number(above=0), "inputs"), "Weights o
 
 
 @door("synth lqr", "lqr", result="synthesis.h2.state_feedback.StateFeedback", gives="controller", made="controller")
-def lqr(system: Of, states: States = None, controls: ControlWeights = None) -> Any:
+def lqr(
+    system: Of,
+    states: Annotated[States, Named(option="--state-weight", key="states", in_step=...)] = None,
+    controls: ControlWeights = None,
+) -> Any:
     """State feedback u = -K x of least quadratic cost; all states are measured.
 
     The controller takes the states, by their names. Exit code 4: no gain could be vouched for.
@@ -474,6 +478,7 @@ def lqi(
         Weights,
         Table(Number(above=0), "outputs"),
         "Outputs that are to follow, with the weights on their integrated errors.",
+        Named(in_step=...),
     ] = None,
     states: States = None,
     controls: ControlWeights = None,
@@ -500,13 +505,13 @@ def kalman(
         Weights,
         Table(Number(least=0)),
         "Intensities of the noise on states, or on inputs, by name.",
-        Named(option="--process-noise", key="process"),
+        Named(option="--process-noise", key="process", in_step=...),
     ] = None,
     measurement: Annotated[
         Weights,
         Table(Number(least=0), "outputs"),
         "Intensities of the noise on each output by name; discrete: variances.",
-        Named(option="--measurement-noise", key="measurement"),
+        Named(option="--measurement-noise", key="measurement", in_step=...),
     ] = None,
 ) -> Any:
     """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.

@@ -60,7 +60,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     **dict.fromkeys(("LqgSynthesis", "FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
-    **dict.fromkeys(("SampledController", "RobustSampledController"), {"loop": "design_figures.loop_picture"}),
+    **{kind: {"loop": "design_figures.loop_picture"} for kind in ("SampledController", "RobustSampledController")},
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
     "KalmanFilter": {"pzmap": "result_figures.estimator_figure"},
