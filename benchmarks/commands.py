@@ -145,6 +145,19 @@ def run(out: Path) -> None:
     out.write_text(json.dumps(found))
 
 
+# Keys below which an answer stood before its result's own JSON took the place.
+AT = ("model.", "set.", "stability.")
+
+
+def flat(answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Every leaf by its path, without what stood above the result."""
+    found: dict[str, Any] = {}
+    for path, value in leaves(answer):
+        prefix = next((at for at in AT if path.startswith(at)), "")
+        found.setdefault(path.removeprefix(prefix), value)
+    return found
+
+
 def leaves(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted path and value of every leaf."""
     if isinstance(value, Mapping):
@@ -171,7 +184,7 @@ def compare(old: Path, new: Path) -> int:
     wrong = 0
     for line, was in before.items():
         now = after.get(line, {"rc": None, "answer": {}, "error": "not run"})
-        a, b = dict(leaves(was["answer"])), dict(leaves(now["answer"]))
+        a, b = flat(was["answer"]), flat(now["answer"])
         changed = [f"{k}: {a[k]} -> {b[k]}" for k in a if k in b and differs(a[k], b[k]) and not isinstance(a[k], str)]
         words = [f"{k}: {a[k]!r} -> {b[k]!r}" for k in a if k in b and isinstance(a[k], str) and a[k] != b[k]]
         gone = sorted({k for k in a if k not in b})

@@ -202,6 +202,7 @@ def answer(
         words, lines=chosen.progress != "", verbose=shared.get("verbose", False), budgets=chosen.progress != "parts"
     ) as report:
         values = _values(chosen, given, shared, files)
+        above = _overruled(values, given)
         if chosen.takes_progress:
             values["progress"] = report.listener if chosen.progress == "parts" else report
         if chosen.takes_drawn:
@@ -219,7 +220,7 @@ def answer(
     for remark in dict.fromkeys(text for one in found.values() for text in one.notes):
         note(remark)
     text = "\n".join(f"{part}: {_text(one)}" if part else _text(one) for part, one in found.items())
-    text = text.replace("as the controller says", f"as {given.get('controller')} says")
+    text = above + text.replace("as the controller says", f"as {given.get('controller')} says")
     json = {part: _json(one) for part, one in found.items()}
     shown = {**(json if len(json) > 1 else json[""]), **({"files": written} if written else {}), **beyond.json}
     emit(words, shown, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
@@ -257,7 +258,10 @@ def _cases(chosen: Door, values: dict[str, Any], files: list[str], out: str | No
 def _text(one: InLoop) -> str:
     """The result's report, the loop before it, behind it what was asked for and what stands beside it."""
     tables = [f"{part.title}\n{text_table(part.rows, part.header)}".lstrip() for part in one.parts if part.rows]
-    beside = [result.report() for result in one.beside.values() if result.facts()]
+    beside = [
+        f"{name}  {found}" if isinstance(found, str) else found.report()
+        for name, found in one.beside.items() if isinstance(found, str) or found.facts()
+    ]  # fmt: skip
     return "\n\n".join([*([f"loop  {one.loop}"] if one.loop else []), one.result.report(), *tables, *beside])
 
 
@@ -265,7 +269,7 @@ def _json(one: InLoop) -> Mapping[str, Any]:
     """What a result is as JSON, of one with time series all but these; what stands beside it by name."""
     result = one.result
     without = {"series": False} if "series" in signature(result.to_json).parameters else {}
-    beside = {name: found for name, found in one.beside.items() if hasattr(found, "to_json")}
+    beside = {name: found for name, found in one.beside.items() if isinstance(found, str) or hasattr(found, "to_json")}
     return {**result.to_json(**without), **beside, **({"loop": one.loop} if one.loop else {})}
 
 
@@ -286,23 +290,23 @@ def _values(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], f
             value = p.kind.read(p.options[0], given[p.name])
         if not _left_out(chosen, p.name, value):
             found[p.name] = value
-    return _overruled(found, given)
+    return found
 
 
-def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """A controller that says another sign than ``--feedback`` says nothing any more, with a note above the number."""
+def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> str:
+    """The note above the number where ``--feedback`` contradicts the controller, which then says nothing any more."""
     sign, K = found.get("sign"), found.get("controller")
     if sign is None or K is None:
-        return found
+        return ""
     from robustlab.closing import SIGNS, as_controller, silenced
     from robustlab.signals import Taken, law
 
     inputs = as_controller(K, "controller").inputs
     if all(s.sign in (0, sign) for s in inputs if isinstance(s, Taken)):
-        return found
+        return ""
+    found["controller"] = silenced(K, "controller")
     word = "negative" if sign < 0 else "positive"
-    note(f"{given['controller']} says {law(inputs)}; --feedback {word} closes {SIGNS[sign]} all the same")
-    return {**found, "controller": silenced(K, "controller")}
+    return f"note: {given['controller']} says {law(inputs)}; --feedback {word} closes {SIGNS[sign]} all the same\n"
 
 
 def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str], found: Mapping[str, Any]) -> Any:

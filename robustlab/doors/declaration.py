@@ -45,7 +45,7 @@ class InLoop(NamedTuple):
     result: Any
     loop: str = ""  # the loop that it is of, in words
     notes: tuple[str, ...] = ()  # what the reader must know
-    beside: Mapping[str, Any] = {}  # name -> further results, of which those that have a status must be trusted, too
+    beside: Mapping[str, Any] = {}  # name -> a word, or a further result; one with a status must be trusted, too
     parts: tuple[Any, ...] = ()  # tables that were asked for, each a `robustlab.shown.Part`
 
 
@@ -226,15 +226,15 @@ def objects(of: Door) -> list[Parameter]:
 def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[Any, str]:
     """A system with a controller around it, and the loop in words; the system itself where there is no controller.
 
-    Raises InputError: a sign without a controller. NoTrustworthyNumber: the nominal loop is not stable.
+    Raises UsageError: a sign without a controller. NoTrustworthyNumber: the nominal loop is not stable.
     """
     from robustlab.closing import fed_back
-    from robustlab.errors import InputError, NoTrustworthyNumber
+    from robustlab.errors import NoTrustworthyNumber, UsageError
     from robustlab.statespace import StateSpaceModel
 
     if controller is None:
         if sign is not None:
-            raise InputError(f"{where}: sign", "without a controller", "a controller to close the loop with")
+            raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
         return system, ""
     around, sign, words = fed_back(system, controller, sign, where, None)
     loop = system.feedback(around, sign)

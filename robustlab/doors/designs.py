@@ -747,7 +747,7 @@ def close_loop(
 # --- scheduling -------------------------------------------------------------------------------------------------------
 
 Scheduled = Annotated[
-    Any, Thing(("uncertain", "any")), "Uncertain model with real parameters, or an LPV model.", Named(key="of")
+    Any, Thing(("uncertain", "model", "any")), "Uncertain model with real parameters, or an LPV model.", Named(key="of")
 ]
 Points = Annotated[
     dict[str, int] | None,
@@ -838,6 +838,8 @@ def lpv_at(
     """
     from robustlab.synthesis.scheduling.scheduled_controller import LPVController
 
+    if not values:
+        raise UsageError("lpv at", "no values", "one of each parameter: NAME=VALUE")
     if not isinstance(system, (rl.LPVModel, LPVController)):
         raise InputError("lpv at", f"a {type(system).__name__}", "an LPV model or a scheduled controller")
     return system.at(values or {})

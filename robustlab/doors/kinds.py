@@ -194,7 +194,8 @@ class Choice(Kind):
     def read(self, option: str, given: Any) -> Any:
         """The word, if it is one of them."""
         if given is not None and given not in self.words and not self.by_function:
-            raise UsageError(option, repr(given), f"one of {', '.join(self.words)}", did_you_mean(given, self.words))
+            expected = " or ".join(self.words) if len(self.words) == 2 else f"one of {', '.join(self.words)}"
+            raise UsageError(option, repr(given), expected, did_you_mean(given, self.words))
         return given
 
     @property
@@ -298,7 +299,7 @@ class Numbers(Kind):
         except InputError as error:
             example = "1,10 or 2Hz" if self.unit == "rad/s" else "1,2.5"
             raise UsageError(
-                option, repr(given), f"numbers{f' in {self.unit}' if self.unit else ''}: {example}"
+                option, repr(given), f"numbers{f' in {self.unit}, or with a unit' if self.unit else ''}: {example}"
             ) from error
         if self.count is None:
             return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -21,7 +22,10 @@ from robustlab.doors.words import (
     System,
     Uncertain,
 )
-from robustlab.errors import InputError, UsageError
+from robustlab.errors import UsageError
+
+# Words of a sign, as `robustlab.closing` has them; it is not imported here, for numpy's sake.
+WORDS = {-1: "negative", 1: "positive"}
 
 AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
@@ -38,7 +42,7 @@ ON_COMMAND = Named(only="command")
 Bounds = Annotated[dict[str, float] | None, Table(Number(above=0))]
 Nature = Annotated[
     dict[str, str] | None,
-    Table(Kind(), words="NAME=WORD"),
+    Table(Kind(), words="NAME=WORD:NUMBERS"),
     "Block, or OUTPUT:INPUT between two signals -> what is there: varying[:RATE], saturation, dead-zone[:SIZE:REACH], "
     "friction:LEVEL:SPEED, sector:LOW:HIGH, slope:LOW:HIGH, odd-slope:LOW:HIGH.",
 ]
@@ -101,8 +105,9 @@ def disk_margin(
     """
     options: dict[str, Any] = {**search.options, "seed": seed}
     given: Any = at
-    K, sign = around.controller, around.sign
-    return rl.disk_margin(plant, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
+    loop, K, sign, words = _loop(plant, around)
+    found = rl.disk_margin(loop, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
+    return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
 @door("model margins --classical", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
@@ -112,8 +117,25 @@ def classical_margins(
     at: At = "output",
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
+    if isinstance(plant, rl.UncertainModel):
+        hint = "leave --classical out for its disk margin"
+        raise UsageError("--classical", "an uncertain plant", "one model", hint)
     given: Any = at
-    return rl.classical_margins(plant, around.controller, at=given, sign=around.sign)
+    loop, K, sign, words = _loop(plant, around)
+    found = rl.classical_margins(loop, K, at=given, sign=sign)
+    return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
+
+
+def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
+    """Plant, controller, sign and the loop in words; a sign that nothing says is that of the stable loop."""
+    from robustlab.closing import closing, silenced
+    from robustlab.delays.model import as_delayed
+
+    K = around.controller
+    if isinstance(plant, rl.DelayedModel) or isinstance(K, rl.DelayedModel):
+        plant, K = (None if o is None else as_delayed(getattr(o, "K", o), "margins") for o in (plant, K))
+    found = closing(plant, K, around.sign, "margins", None if K is not None else -1)
+    return found.plant, None if found.K is None else silenced(found.K, "margins"), found.sign, found.said
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------
@@ -123,7 +145,8 @@ def _grid(system: Any, drawn: bool) -> Any:
     """Frequencies for the curves of a figure; none where nothing is drawn."""
     from robustlab.linear_analysis.frequency import default_grid
 
-    return default_grid(system.M, 60) if drawn and hasattr(system, "M") and system.M.n_states else None
+    asked = drawn and isinstance(system, rl.UncertainModel) and system.M.n_states
+    return default_grid(system.M, 60) if asked else None
 
 
 def _checked(found: Any, system: Any, cross_check: bool) -> dict[str, Any]:
@@ -385,9 +408,10 @@ def anti_windup(
 
     unknown = [name for name in limits or {} if name not in controller.output_names]
     if unknown:
-        raise InputError("limits", f"no control signal {unknown[0]!r}", f"one of {', '.join(controller.output_names)}")
+        expected = f"one of {', '.join(controller.output_names)}"
+        raise UsageError(f"--saturation {unknown[0]}", "no such control signal", expected)
     if (code is None) != (dt is None):
-        raise InputError("anti-windup", "one of code and dt", "both, or none")
+        raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
     pairs = [(limits or {}).get(name, (-1.0, 1.0)) for name in controller.output_names]
     found = rl.anti_windup(plant, controller, pairs, reach, direct, order=order, **search.options)
     words = (
@@ -399,5 +423,5 @@ def anti_windup(
         held, back = found.sampled(dt)
         saturation = dict(zip(controller.output_names, pairs, strict=True))
         rl.export_controller(code, held, saturation=saturation, anti_windup=back)
-        return InLoop(found, words, (f"written: {code}",))
+        return InLoop(found, words, beside={"written": code})
     return InLoop(found, words)

@@ -18,7 +18,9 @@ Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, Parquet, MCAP, CS
 Repeats = Annotated[list[Any] | None, RecordFile(many=True), "Further record with the same input, for the noise floor."]
 Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
 Sign = Annotated[
-    int | None, Feedback(), "negative (u = -K y) or positive; if left out, as the controller says of itself."
+    int | None,
+    Feedback(),
+    "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
 ]
 Effort = Annotated[float, Number(above=0, most=10_000), "Work that the search may take, as a multiple of the usual."]
 TimeLimit = Annotated[

@@ -15,6 +15,7 @@ _MODEL = {
     "pzmap": "model_figures.pole_figure",
 }
 _LOOP = {"loop": "design_figures.loop_picture", "functions": "design_figures.functions_picture"}
+_SAMPLED = {"loop": "design_figures.loop_picture"}
 _DISK = {"disk": "result_figures.disk_figure"}
 _MARGIN = {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"}
 
@@ -60,7 +61,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     **dict.fromkeys(("LqgSynthesis", "FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
-    **{kind: {"loop": "design_figures.loop_picture"} for kind in ("SampledController", "RobustSampledController")},
+    **dict.fromkeys(("SampledController", "RobustSampledController"), _SAMPLED),
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
     "KalmanFilter": {"pzmap": "result_figures.estimator_figure"},

@@ -82,7 +82,7 @@ def test_gap(run):
 
 def test_bad_inputs_and_exit_codes(run):
     assert "nominal closed loop unstable" in run("margins", "unstable.h5", code=4)
-    assert "no such place" in run("margins", "lag.h5", "--at", "here", code=2)
+    assert "one of input, output, both" in run("margins", "lag.h5", "--at", "here", code=2)
     assert "negative or positive" in run("margins", "lag.h5", "--feedback", "minus", code=2)
     assert "1 x 1" in run("margins", "lag.h5", "-k", "K.h5", code=3)
     assert "sample time" in run("gap", "lag.h5", "sampled.h5", code=3)
@@ -95,7 +95,7 @@ def test_the_real_command(tmp_path):
     rl.save(tmp_path / "b.h5", rl.StateSpaceModel([[-0.001]], [[1.0]], [[1.0]], [[0.0]]))
     words = [sys.executable, "-m", "robustlab.cli.main", "model", "gap", "a.h5", "b.h5"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert "nu-gap  0.002" in done.stdout
+    assert "nu-gap         0.002" in done.stdout
 
 
 def test_classical_margins_print_every_crossing(run):

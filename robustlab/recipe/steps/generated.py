@@ -92,7 +92,8 @@ class DoorStep(Step):
         """What the result leaves: its evidence, pictures, numbers and words."""
         result = found.result
         if self.declared.made or self.gives == "nothing":  # a model alone is no evidence: a later step asks and draws
-            work.keep(result)
+            if hasattr(result, "status"):
+                work.keep(result)
             for name, beside in found.beside.items():
                 if hasattr(beside, "status"):
                     work.keep(beside, name)
