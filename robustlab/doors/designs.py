@@ -236,7 +236,7 @@ def fixed_structure(
     structure: Structure = "static",
     channels: Channels = UNSAID,
     nominal: Nominal = False,
-    objective: Annotated[str, Choice(("hinf", "h2"), by_function=True), "The norm that is made small."] = "hinf",
+    objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
     starts: Starts = 3,
     search: Search = USUAL,
     seed: Seed = 0,
@@ -536,9 +536,7 @@ def reduce_controller(
     controller: K,
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
-    measure: Annotated[
-        str, Choice(("hinf", "h2", "mu"), by_function=True), "mu: robust performance, with the plant's Delta."
-    ] = "hinf",
+    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
     channels: LoopChannels = AS_CONTROLLER,
     search: Search = USUAL,
     progress: Any = None,
@@ -558,7 +556,7 @@ def reduce_controller(
 
 Method = Annotated[
     str,
-    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"), by_function=True),
+    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
     "Formula, or a design for the sampled plant.",
 ]
 
@@ -638,7 +636,7 @@ def reduce_model(
     ] = None,
     method: Annotated[
         str,
-        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime"), by_function=True),
+        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
         "stochastic: relative error; coprime: unstable modes too.",
     ] = "truncation",
     input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
@@ -660,7 +658,7 @@ def reduce_model(
     )  # fmt: skip
 
 
-Hold = Annotated[str, Choice(("zoh", "foh", "tustin"), by_function=True), "What is held between the samples."]
+Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
 RESAMPLED = "synthesis.sampled.resampling.Resampled"
 
 
@@ -670,7 +668,7 @@ def discretise_by_formula(
     dt: SampleTime,
     method: Annotated[
         str,
-        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"), by_function=True),
+        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
         "The formula.",
     ] = "tustin",
     prewarp: Annotated[
