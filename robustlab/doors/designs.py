@@ -77,7 +77,7 @@ class Channels:
             system = system.nominal
         named = [isinstance(side, list) for side in (measurements, controls)]
         if measurements is None or controls is None or any(named) != all(named):
-            expected = "--measurements and --controls: names, or how many of the last outputs and inputs"
+            expected = "measurements and controls: names, or how many of the last outputs and inputs"
             raise UsageError(where, "channels are not given", expected)
         if all(named):
             return rl.generalized_plant(system, measurements, controls, self.disturbances, self.performance)
