@@ -237,8 +237,9 @@ def _require(one: InLoop) -> None:
     if hasattr(one.result, "require"):
         one.result.require()
     for result in (one.result, *one.beside.values()):
-        for status in getattr(result, "statuses", [result.status] if hasattr(result, "status") else []):
-            require_trust(status)
+        for status in getattr(result, "statuses", [getattr(result, "status", None)]):
+            if status is not None:
+                require_trust(status)
     if getattr(one.result, "met", None) is False:
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 
@@ -427,7 +428,7 @@ def _given(p: Parameter, alone: bool) -> Given:
     help_text = p.help if not isinstance(p.kind, Choice) else f"{p.help} One of {', '.join(p.kind.words)}.".strip()
     if positional:
         metavar = "FILE..." if isinstance(p.kind, Thing) and p.kind.many else "FILE" if alone else p.name.upper()
-        option: Any = typer.Argument(help=help_text, metavar=metavar, autocompletion=plant_or_file)
+        option: Any = typer.Argument(help=help_text, metavar=metavar, autocompletion=_offer(p.kind))
         default: Any = Given.empty if p.needed else None
         taken = kind if p.needed else kind | None
         return Given(p.name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, option])

@@ -35,7 +35,7 @@ class Named:
     key: str = ""
     # The one door that has the parameter, where the other needs none.
     only: str = ""
-    # Default of a recipe's key, where that is another than the command's.
+    # Default of a recipe's key, where that is another than the command's; ``...``: a recipe must say it.
     in_step: Any = None
 
 

@@ -77,7 +77,7 @@ class Channels:
             system = system.nominal
         named = [isinstance(side, list) for side in (measurements, controls)]
         if measurements is None or controls is None or any(named) != all(named):
-            expected = "--measurements and --controls: names, or how many of the last outputs and inputs"
+            expected = "measurements and controls: names, or how many of the last outputs and inputs"
             raise UsageError(where, "channels are not given", expected)
         if all(named):
             return rl.generalized_plant(system, measurements, controls, self.disturbances, self.performance)
@@ -236,7 +236,7 @@ def fixed_structure(
     structure: Structure = "static",
     channels: Channels = UNSAID,
     nominal: Nominal = False,
-    objective: Annotated[str, Choice(("hinf", "h2"), by_function=True), "The norm that is made small."] = "hinf",
+    objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
     starts: Starts = 3,
     search: Search = USUAL,
     seed: Seed = 0,
@@ -395,7 +395,7 @@ def tune(
         Any,
         Goals(),
         'Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".',
-        Named(option="--goal"),
+        Named(option="--goal", in_step=...),
     ] = None,
     hard: Annotated[Any, Goals(hard=True), 'Must be met: "margin:disk=0.8,at=input".', Named(only="command")] = None,
     pole_limit: Annotated[
@@ -452,7 +452,11 @@ ControlWeights = Annotated[Weights, Table(Number(above=0), "inputs"), "Weights o
 
 
 @door("synth lqr", "lqr", result="synthesis.h2.state_feedback.StateFeedback", gives="controller", made="controller")
-def lqr(system: Of, states: States = None, controls: ControlWeights = None) -> Any:
+def lqr(
+    system: Of,
+    states: Annotated[States, Named(option="--state-weight", key="states", in_step=...)] = None,
+    controls: ControlWeights = None,
+) -> Any:
     """State feedback u = -K x of least quadratic cost; all states are measured.
 
     The controller takes the states, by their names. Exit code 4: no gain could be vouched for.
@@ -474,6 +478,7 @@ def lqi(
         Weights,
         Table(Number(above=0), "outputs"),
         "Outputs that are to follow, with the weights on their integrated errors.",
+        Named(in_step=...),
     ] = None,
     states: States = None,
     controls: ControlWeights = None,
@@ -500,13 +505,13 @@ def kalman(
         Weights,
         Table(Number(least=0)),
         "Intensities of the noise on states, or on inputs, by name.",
-        Named(option="--process-noise", key="process"),
+        Named(option="--process-noise", key="process", in_step=...),
     ] = None,
     measurement: Annotated[
         Weights,
         Table(Number(least=0), "outputs"),
         "Intensities of the noise on each output by name; discrete: variances.",
-        Named(option="--measurement-noise", key="measurement"),
+        Named(option="--measurement-noise", key="measurement", in_step=...),
     ] = None,
 ) -> Any:
     """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
@@ -531,9 +536,7 @@ def reduce_controller(
     controller: K,
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
-    measure: Annotated[
-        str, Choice(("hinf", "h2", "mu"), by_function=True), "mu: robust performance, with the plant's Delta."
-    ] = "hinf",
+    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
     channels: LoopChannels = AS_CONTROLLER,
     search: Search = USUAL,
     progress: Any = None,
@@ -553,7 +556,7 @@ def reduce_controller(
 
 Method = Annotated[
     str,
-    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"), by_function=True),
+    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
     "Formula, or a design for the sampled plant.",
 ]
 
@@ -633,7 +636,7 @@ def reduce_model(
     ] = None,
     method: Annotated[
         str,
-        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime"), by_function=True),
+        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
         "stochastic: relative error; coprime: unstable modes too.",
     ] = "truncation",
     input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
@@ -655,7 +658,7 @@ def reduce_model(
     )  # fmt: skip
 
 
-Hold = Annotated[str, Choice(("zoh", "foh", "tustin"), by_function=True), "What is held between the samples."]
+Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
 RESAMPLED = "synthesis.sampled.resampling.Resampled"
 
 
@@ -665,7 +668,7 @@ def discretise_by_formula(
     dt: SampleTime,
     method: Annotated[
         str,
-        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"), by_function=True),
+        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
         "The formula.",
     ] = "tustin",
     prewarp: Annotated[

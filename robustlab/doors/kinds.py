@@ -183,17 +183,13 @@ class Flag(Kind):
 
 @dataclass(frozen=True)
 class Choice(Kind):
-    """One of several words.
-
-    ``by_function``: the function itself refuses another word.
-    """
+    """One of several words."""
 
     words: tuple[str, ...]
-    by_function: bool = False
 
     def read(self, option: str, given: Any) -> Any:
         """The word, if it is one of them."""
-        if given is not None and given not in self.words and not self.by_function:
+        if given is not None and given not in self.words:
             expected = " or ".join(self.words) if len(self.words) == 2 else f"one of {', '.join(self.words)}"
             raise UsageError(option, repr(given), expected, did_you_mean(given, self.words))
         return given

@@ -127,7 +127,7 @@ def uncertain(
     if without and not hasattr(made, "effects"):
         notes.append(f"without effect on the linear model: {', '.join(sorted(without))}")
     notes += [] if model.blocks else [NOTHING]
-    return InLoop(BuiltModel(model, "parameters", rl.Status.CONVERGED), notes=tuple(notes))
+    return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))
 
 
 @door("uncertain build --expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
@@ -144,7 +144,7 @@ def expressions(
     from robustlab.uncertainty.built import BuiltModel
 
     model = load_parametric(file)
-    found = BuiltModel(model, "parameters", rl.Status.CONVERGED)
+    found = BuiltModel(model, "parameters", None)
     return InLoop(found, notes=() if model.blocks else (NOTHING,))
 
 

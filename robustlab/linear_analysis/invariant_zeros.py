@@ -87,6 +87,8 @@ class Zeros(Shown):
         INACCURATE.
     reason
         Why it is inaccurate; else empty.
+    dt
+        Sample time of the model in s; 0 of a continuous one.
     """
 
     values: ComplexArray
@@ -100,16 +102,23 @@ class Zeros(Shown):
     residuals: Array
     status: Status
     reason: str = ""
+    dt: float = 0.0
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "count": "1",
         "values": [{"re": float, "im": float}],
         "kinds": [str],
         "normal_rank": "1",
+        "not_minimum_phase": "1",
     }
 
     def __len__(self) -> int:
         return len(self.values)
+
+    @property
+    def not_minimum_phase(self) -> int:
+        """How many are on the boundary of stability or beyond."""
+        return int(np.count_nonzero(abs(self.values) >= 1 if self.dt else self.values.real >= 0))
 
     @property
     def count(self) -> int:
@@ -133,6 +142,7 @@ class Zeros(Shown):
         return [
             ("zeros", listed([number(complex(z)) for z in self.values]) or "none"),
             ("kinds", kinds),
+            ("on the boundary or beyond", str(self.not_minimum_phase)),
             ("missed by rounding", listed(missed) if self.status is Status.CONVERGED else ""),
             ("at infinity but for rounding", listed([number(complex(z)) for z in self.near_infinity])),
             ("normal rank", str(self.normal_rank)),
@@ -196,6 +206,7 @@ def zeros(model: Any) -> Zeros:
         residuals,
         Status.INACCURATE if reason else Status.CONVERGED,
         reason,
+        m.dt,
     )
 
 

@@ -23,7 +23,8 @@ class BuiltModel(Shown):
     structure
         What moves together, or what its parts are.
     status
-        CERTIFIED: the set is proved to hold what it was made of. CONVERGED: to an accuracy that was chosen.
+        CERTIFIED: the set is proved to hold what it was made of. CONVERGED: to an accuracy that was chosen. None: it is
+        what its parameters say, and there is nothing to prove.
     residual
         How far its end is from the perturbed model; None where it was not made of two models.
     parts
@@ -34,7 +35,7 @@ class BuiltModel(Shown):
 
     model: UncertainModel
     structure: str
-    status: Status
+    status: Status | None
     residual: EndpointResidual | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

@@ -70,7 +70,7 @@ def test_bash_completes_commands_sub_commands_and_options(tab):
     assert tab("model", "red") == ["reduce"]
     assert tab("run", "first-light", "--pro") == ["--progress"]
     assert set(tab("--")) == {"--version", "--help", "--install-completion", "--show-completion"}
-    assert tab("mu", "x.h5", "--in") == ["--inputs", "--intervals"]
+    assert tab("mu", "x.h5", "--in") == ["--intervals", "--inputs"]
 
 
 @needs_bash

@@ -382,7 +382,9 @@ def test_names_from_a_file_stay_text(tmp_path, monkeypatch, capsys):
     page = (tmp_path / "out/unstable/report.html").read_text(encoding="utf-8")
     assert "<script>" not in page
     assert not set("\x1b\u202e") & set(page + capsys.readouterr().out)
-    assert all(p.parent.name in ("unstable", "figures") for p in (tmp_path / "out").rglob("*") if p.is_file())
+    assert all(
+        p.parent.name in ("unstable", "figures", "evidence") for p in (tmp_path / "out").rglob("*") if p.is_file()
+    )
 
 
 def test_an_output_that_is_a_file_is_exit_code_5(recipe, capsys):

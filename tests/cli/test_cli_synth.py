@@ -108,7 +108,7 @@ def test_no_stabilising_controller_is_exit_code_4(tmp_path, capsys):
         (["hinf", "nowhere.h5", "--measurements", "1", "--controls", "1"], 3, "nowhere.h5"),
         (["mixsyn", "P", "--w1", "bandwith=1"], 2, "did you mean bandwidth"),
         (["mixsyn", "P", "--w1", "peak=2"], 2, "bandwidth is missing"),
-        (["mixsyn", "P", "--w1", "bandwidth=fast"], 2, "numbers in rad/s"),
+        (["mixsyn", "P", "--w1", "bandwidth=fast"], 2, "a number in rad/s"),
         (["mixsyn", "P", "--w1", "bandwidth=-1"], 3, "positive"),
         (["mixsyn", "P"], 2, "no weight, expected at least one of W1, W2, W3"),
     ],

@@ -135,10 +135,10 @@ def test_a_simulated_record_is_called_simulated(tmp_path):
     """By the report of the record, and of what is compared with it; one whose recipe does not say so is measured."""
     head = SMALL[: SMALL.index("[step.wide]")].replace("simulated = true\n", "", 1)
     compare = '[step.gap]\ndo = "compare"\nof = "plain"\nrecord = "held"\n'
-    steps = {s["name"]: s["summary"] for s in run_small(tmp_path, head + compare).data["steps"]}
-    assert "(measured)" in steps["run"]
-    assert "(simulated)" in steps["held"]
-    assert "a simulated record" in steps["gap"]
+    steps = {s["name"]: s for s in run_small(tmp_path, head + compare).data["steps"]}
+    assert "(measured)" in steps["run"]["summary"]
+    assert "(simulated)" in steps["held"]["summary"]
+    assert "Record held is simulated, not measured." in steps["gap"]["notes"]
 
 
 def test_what_grew_is_not_called_so_many_times_smaller():

@@ -72,7 +72,7 @@ def test_norms_of_a_damped_mass(tmp_path, monkeypatch):
     assert values[1] * (1 - 1e-12) <= steps["constant"]["bound"] <= values[1] * (1 + 2e-9)  # attained, proved to 1e-9
     assert steps["constant"]["error"] == pytest.approx(values[1], rel=1e-5)
     assert steps["gap"]["order"] == 0
-    assert steps["gap"]["bound"] is None
+    assert "bound" not in steps["gap"]
     kept = rl.load(tmp_path / "o" / "evidence" / "constant.h5")
     assert kept.data["order"] == 1
 
@@ -80,5 +80,5 @@ def test_norms_of_a_damped_mass(tmp_path, monkeypatch):
 def test_a_reduction_takes_an_order_or_a_tolerance(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "r.toml").write_text(RECIPE.replace("order = 1", "order = 1\ntolerance = 0.1"))
-    with pytest.raises(rl.InputError, match="either order or tolerance"):
+    with pytest.raises(rl.InputError, match=r"order=1, tolerance=0.1, expected one of the two"):
         run(["run", "r.toml", "--out", "o"])

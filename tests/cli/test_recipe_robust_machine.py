@@ -186,7 +186,7 @@ def test_h2_of_a_generalised_plant_from_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[step.k]\ndo = "hinf"\nof = "motor"\n', "measurements or controls is missing"),
+        ('[step.k]\ndo = "hinf"\nof = "motor"\n', "channels are not given, expected measurements and controls"),
         ('[step.k]\ndo = "hinf"\nof = "task"\ncontrols = 1\n', "has its own"),
         ('[step.k]\ndo = "fixed"\nof = "task"\nstructure = "ordr:2"\n', "did you mean order"),
         ('[step.k]\ndo = "dk"\nof = "task"\nstart = "set"\n', "gives uncertain, expected a step that gives controller"),

@@ -61,7 +61,7 @@ def test_names_defaults_and_help_are_those_of_the_declaration(declared: Door) ->
         keys = {key.name: key for key in keys_of_step(declared.step)}
         for p in parameters.values():
             if p.name != "seed" and p.called.only != "command":
-                assert keys[p.key].needed == p.needed
+                assert keys[p.key].needed == (p.needed or p.called.in_step is ...)
                 default = p.default if p.called.in_step is None else p.called.in_step
                 if not p.needed and isinstance(default, (int, float, str)):
                     assert keys[p.key].default == default

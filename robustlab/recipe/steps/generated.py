@@ -92,11 +92,9 @@ class DoorStep(Step):
         """What the result leaves: its evidence, pictures, numbers and words."""
         result = found.result
         if self.declared.made or self.gives == "nothing":  # a model alone is no evidence: a later step asks and draws
-            if hasattr(result, "status"):
-                work.keep(result)
-            for name, beside in found.beside.items():
-                if hasattr(beside, "status"):
-                    work.keep(beside, name)
+            for name, one in (("", result), *found.beside.items()):
+                if getattr(one, "status", None) is not None:
+                    work.keep(one, name)
             for shown in (result, *found.beside.values()):
                 for name, picture in pictures_of(shown):
                     if shown is not result or name not in found.beside:  # what stands beside it is drawn in its place
