@@ -179,6 +179,13 @@ def mixsyn() -> Any:
     return rl.mixsyn(lag(), W1, 0.1)
 
 
+def robust_sampled_controller() -> Any:
+    from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
+
+    judged = {"before": made("PerformanceMargin"), "after": made("SampledRobustness")}
+    return RobustSampledController(**vars(made("SampledController")), **judged)
+
+
 def tracking_loop() -> Any:
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, tracking_problem
 
@@ -285,6 +292,7 @@ OBJECTS: dict[str, Any] = {
     "ReducedModel": lambda: rl.reduce_model((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
     "ReducedController": lambda: rl.reduce_controller(mixsyn().plant, mixsyn().K),
     "SampledController": lambda: rl.discretise(mixsyn(), dt=0.01),
+    "RobustSampledController": robust_sampled_controller,
     "SampledDataNorm": lambda: rl.sampled_data_norm(problem(), digital()),
     "SampledRobustness": lambda: rl.sampled_robustness(first_order(), digital()),
     "Comparison": comparison,

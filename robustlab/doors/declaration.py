@@ -93,6 +93,7 @@ class Door:
     foretell: str | Callable[[Any, Any], Any] | None = None
     own: bool = False  # the command does more, and is made where its group stands
     progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts": and the work is counted
+    check: Callable[..., None] | None = None  # of some parameters, by their names: refuses what does not go together
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -130,8 +131,15 @@ class Door:
         """What was made, of a result."""
         return getattr(result, self.made) if self.made else result
 
+    def checked(self, values: Mapping[str, Any]) -> None:
+        """Refuse values that do not go together. Raises InputError, UsageError."""
+        if self.check is not None:
+            given = {p.name: p.default for p in self.parameters} | dict(values)
+            self.check(**{name: given[name] for name in inspect.signature(self.check).parameters})
+
     def __call__(self, **values: Any) -> InLoop:
         """The result with what stands beside it; values of a group's fields are handed on as the group."""
+        self.checked(values)
         for name, group in _groups(self.function).items():
             own = [f.name for f in fields(group) if f.name in values]
             values[name] = group(**{field: values.pop(field) for field in own})
@@ -149,6 +157,7 @@ def door(
     foretell: str | Callable[[Any, Any], Any] | None = None,
     own: bool = False,
     progress: str = "",
+    check: Callable[..., None] | None = None,
 ) -> Callable[[F], F]:
     """Decorator: the function is what a command and a step of recipes do.
 
@@ -156,7 +165,7 @@ def door(
     ``result``: ``module.Class`` of what it returns, or several with commas.
     ``gives``: what later steps get, ``made`` the attribute that it is.
     ``foretell``: see `Door`.
-    ``own``, ``progress``: see `Door`.
+    ``own``, ``progress``, ``check``: see `Door`.
     """
 
     def declared(function: F) -> F:
@@ -164,7 +173,19 @@ def door(
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
         found = Door(
-            function, command, step, gives, made, result, paragraphs[0], rest, example, foretell, own, progress
+            function,
+            command,
+            step,
+            gives,
+            made,
+            result,
+            paragraphs[0],
+            rest,
+            example,
+            foretell,
+            own,
+            progress,
+            check,
         )
         if command:
             COMMANDS[command] = found

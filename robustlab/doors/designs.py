@@ -263,7 +263,13 @@ def fixed_structure(
 # --- plain models -----------------------------------------------------------------------------------------------------
 
 
-@door("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
+def _some_weight(w1: Any, w2: Any, w3: Any) -> None:
+    if w1 is None and w2 is None and w3 is None:
+        raise UsageError("mixsyn", "no weight", "at least one of W1, W2, W3")
+
+
+@door("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller",
+      check=_some_weight)  # fmt: skip
 def mixsyn(
     system: Of,
     w1: Annotated[
@@ -295,8 +301,6 @@ def mixsyn(
     """
     from robustlab.linear_analysis.structural import drop_unconnected
 
-    if w1 is None and w2 is None and w3 is None:
-        raise UsageError("mixsyn", "no weight", "at least one of W1, W2, W3")
     model = signals.of(system)
     kept = drop_unconnected(model)
     gone = [name for name in model.state_names if name not in kept.state_names]
@@ -623,8 +627,13 @@ def _at_rest(plant: Any) -> Any:
     return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
 
 
+def _one_measure(order: int | None, tolerance: float | None) -> None:
+    if (order is None) == (tolerance is None):
+        raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
+
+
 @door("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
-      made="model", foretell="of")  # fmt: skip
+      made="model", foretell="of", check=_one_measure)  # fmt: skip
 def reduce_model(
     system: Of,
     order: Annotated[Order, "States of the result."] = None,

@@ -309,8 +309,13 @@ def behind_input(found: Any, name: str, weight: Any, block: str) -> Any:
     return found @ rl.unstructured(through, weight @ column.T, "input-multiplicative", W1=column, name=block)
 
 
+def _delay_or_lag(delay: float | None, lag: float | None) -> None:
+    if (delay is None) == (lag is None):
+        raise UsageError("neglected", "delay and lag" if lag is not None else "neither", "one of them")
+
+
 @door("uncertain neglected", "neglected-weight", result="delays.neglected.NeglectedWeight", gives="model",
-      made="weight")  # fmt: skip
+      made="weight", check=_delay_or_lag)  # fmt: skip
 def neglected(
     delay: Annotated[float | None, Number("s", above=0), "Longest delay in s that is left out."] = None,
     lag: Annotated[float | None, Number("s", above=0), "Longest time constant in s that is left out."] = None,
@@ -322,6 +327,4 @@ def neglected(
     """
     from robustlab.delays.neglected import neglected_weight
 
-    if (delay is None) == (lag is None):
-        raise UsageError("neglected", "delay and lag" if lag is not None else "neither", "one of them")
     return neglected_weight(delay, lag, weight_order)

@@ -209,7 +209,8 @@ def test_integrators_need_a_loop_for_a_gain():
     closed = rl.cover(models, "elements", loop=lambda g: g.feedback(1.0))
     assert closed.conservatism.ratio == pytest.approx(1.0, abs=0.01)
     assert "ratio at most" in closed.summary()
-    assert "each model inside" in closed.summary()
+    assert "largest delta that a model needs" in closed.summary()
+    assert "largest miss" in closed.summary()
 
 
 def test_a_set_without_spread():

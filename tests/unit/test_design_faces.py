@@ -20,7 +20,8 @@ KINDS = [
 def test_what_is_declared_is_there(kind):
     found = shown_objects.made(kind)
     numbers = plain(found.numbers())
-    assert set(numbers) == set(found.quantities)
+    unset = {name for name in found.quantities if getattr(found, name, "") is None}  # a filter that is not there
+    assert set(numbers) == set(found.quantities) - unset
     if isinstance(found, Design):
         assert found.headline()
         assert numbers["gamma"] == plain(found.gamma)
