@@ -10,4 +10,4 @@ app = typer.Typer(
     help="Gain scheduling: LPV models, their induced gain, scheduled controllers.", no_args_is_help=True,
     add_completion=False,
 )  # fmt: skip
-add_commands(app, "lpv", "designs")
+add_commands(app, "lpv", "scheduling")

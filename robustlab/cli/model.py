@@ -121,7 +121,7 @@ def convert(
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
-add_commands(app, "model", "analysis", "designs", "models", "robustness")
+add_commands(app, "model", "analysis", "digital", "models", "robustness")
 app.command("plot")(plot_model)
 app.command("response")(frequency_response)
 

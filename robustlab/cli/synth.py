@@ -9,4 +9,4 @@ from robustlab.cli.generated import add_commands
 app = typer.Typer(
     help="Design a controller and verify it in the loop rebuilt from it.", no_args_is_help=True, add_completion=False
 )
-add_commands(app, "synth", "designs")
+add_commands(app, "synth", "designs", "digital")

@@ -282,4 +282,4 @@ def every_door() -> list[Door]:
 
 
 # The modules of doors.
-ALL = ("analysis", "data", "designs", "members", "models", "robustness", "sets")
+ALL = ("analysis", "data", "designs", "digital", "scheduling", "members", "models", "robustness", "sets")

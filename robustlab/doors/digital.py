@@ -1,0 +1,252 @@
+"""Doors of what becomes of a design: smaller, digital, a loop; the same of models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import robustlab as rl
+from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
+from robustlab.doors.kinds import Choice, Number, Thing
+from robustlab.doors.words import Band, SampleTime, Search, Seed, Sign
+from robustlab.errors import InputError, UsageError
+
+
+@dataclass(frozen=True)
+class LoopChannels:
+    """Which inputs and outputs of a plant its controller is connected to."""
+
+    measurements: Measured = None
+    controls: Controls = None
+
+    def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
+        """The generalised plant of a controller: with as many channels at the end as it has where none are named."""
+        from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+
+        if (self.measurements is None) != (self.controls is None):
+            raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
+        if self.measurements is not None or isinstance(system, TrackingProblem):
+            return Channels(self.measurements, self.controls).posed(system, where, nominal)
+        return Channels(K.n_inputs, K.n_outputs).posed(system, where, nominal)
+
+
+AS_CONTROLLER, USUAL = LoopChannels(), Search()
+
+
+@door("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
+      gives="controller", made="controller")  # fmt: skip
+def reduce_controller(
+    plant: Plant,
+    controller: K,
+    loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
+    order: Annotated[Order, "States of the result, whatever it loses."] = None,
+    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
+    channels: LoopChannels = AS_CONTROLLER,
+    search: Search = USUAL,
+    progress: Any = None,
+) -> Any:
+    """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
+
+    Exit code 4: no controller of the order wanted could be vouched for.
+
+    Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
+    """
+    P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
+    given: Any = measure
+    return rl.reduce_controller(
+        P, controller, loss=loss, order=order, measure=given, progress=progress, **search.options
+    )
+
+
+Method = Annotated[
+    str,
+    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
+    "Formula, or a design for the sampled plant.",
+]
+
+
+@door("synth discretise", "discretise", result="synthesis.sampled.sampled_robustness.RobustSampledController",
+      gives="controller", made="controller")  # fmt: skip
+def discretise(
+    plant: Annotated[
+        Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
+    ],
+    controller: Annotated[K, Named(key="of")],
+    dt: SampleTime,
+    method: Method = "auto",
+    loss: Annotated[
+        float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
+    ] = 0.1,
+    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
+    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None,
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
+    ] = None,
+    channels: LoopChannels = AS_CONTROLLER,
+    search: Search = USUAL,
+    seed: Seed = 0,
+    progress: Any = None,
+) -> Any:
+    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and what it loses.
+
+    Of an uncertain plant the norm is that of the nominal loop, and mu of robust performance is proved for the sampled
+    loop as well, beside that of the continuous one.
+
+    Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
+
+    Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
+    """
+    import math
+
+    from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
+
+    P = channels.around(plant, controller, "discretise")
+    given: Any = method
+    options: dict[str, Any] = {**search.options}
+    found = rl.discretise(
+        controller, dt, given, plant=_at_rest(P), loss=loss, delay=delay, antialiasing=antialiasing, prewarp=prewarp,
+        progress=progress, **options,
+    )  # fmt: skip
+    if not P.blocks:
+        return found
+    options["seed"] = seed
+    loop = rl.UncertainModel(P.model, P.blocks).close(controller)
+    before = rl.robust_performance(loop, accuracy=1e-3, tolerance=math.inf, **options)
+    judged = {"delay": delay, "antialiasing": antialiasing, "progress": progress}
+    after = rl.sampled_robustness(P, found.K, **judged, **options)
+    status = max((found.status, before.status, after.status), key=list(rl.Status).index)
+    robust = RobustSampledController(**{**vars(found), "status": status}, before=before, after=after)
+    return InLoop(robust, "", (), {"robustness": after})
+
+
+def _at_rest(plant: Any) -> Any:
+    """The generalised plant at Delta = 0."""
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+    nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
+    return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
+
+
+def _one_measure(order: int | None, tolerance: float | None) -> None:
+    if (order is None) == (tolerance is None):
+        raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
+
+
+@door("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+      made="model", foretell="of", check=_one_measure)  # fmt: skip
+def reduce_model(
+    system: Of,
+    order: Annotated[Order, "States of the result."] = None,
+    tolerance: Annotated[
+        float | None,
+        Number(above=0),
+        "In place of the order: largest error, as it is told.",
+        Named(option="--max-error"),
+    ] = None,
+    method: Annotated[
+        str,
+        Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
+        "stochastic: relative error; coprime: unstable modes too.",
+    ] = "truncation",
+    input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
+    output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
+    band: Band = None,
+    floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
+) -> Any:
+    """A model of lower order, with its certified error beside what theory promises.
+
+    Modes that are not stable are kept, or reduced too with the method coprime.
+    Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
+
+    Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
+    """
+    given: Any = method
+    return rl.reduce_model(
+        system, order, tolerance=tolerance, method=given, band=band, floor=floor, input_weight=input_weight,
+        output_weight=output_weight,
+    )  # fmt: skip
+
+
+Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
+RESAMPLED = "synthesis.sampled.resampling.Resampled"
+
+
+@door("model discretise", result="statespace.StateSpaceModel", gives="model")
+def discretise_by_formula(
+    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
+    dt: SampleTime,
+    method: Annotated[
+        str,
+        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
+        "The formula.",
+    ] = "tustin",
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
+    ] = None,
+) -> Any:
+    """A discrete model of a continuous one, by formula.
+
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
+    What a loop loses by it is what "synth discretise" computes.
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.sampled.discretisation import merged_modes
+
+    late = isinstance(system, rl.DelayedModel)
+    model: Any = system if late else as_model(system, "model discretise")
+    given: Any = method
+    found = rl.discretise(model, dt, given, prewarp=prewarp)
+    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
+
+
+@door("model d2c", result=RESAMPLED, gives="model", made="model")
+def d2c(system: Of, method: Hold = "zoh") -> Any:
+    """A continuous model of a discrete one, with the error with which discretising gives it back.
+
+    Exit code 4: there is none (a pole on the negative real axis), or digits were lost.
+
+    Example: robustlab model d2c sampled.h5 --out plant.h5
+    """
+    given: Any = method
+    return rl.d2c(system, given)
+
+
+@door("model d2d", result=RESAMPLED, gives="model", made="model")
+def d2d(system: Of, dt: SampleTime, method: Hold = "zoh") -> Any:
+    """A discrete model with another sample time; a whole multiple needs no continuous model on the way.
+
+    Exit code 4: there is none, or digits were lost.
+
+    Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
+    """
+    given: Any = method
+    return rl.d2d(system, dt, given)
+
+
+def _foretold_loop(step: Any, ahead: Any) -> Any:
+    """References in; the outputs and the control signals out."""
+    inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
+    if inputs is None or outputs is None:
+        return ahead[None]
+    references = {f"{name}_ref": unit for name, unit in outputs.items()}
+    return replace(ahead[None], inputs=references, outputs={**outputs, **inputs})
+
+
+@door("model close", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
+      made="model", foretell=_foretold_loop)  # fmt: skip
+def close_loop(
+    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
+    controller: Annotated[Any, Thing(("controller", "any")), "File with the controller."],
+    sign: Annotated[Sign, Named(option="--feedback")] = None,
+) -> Any:
+    """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out.
+
+    Example: robustlab model close motor.h5 k.h5 --out loop.h5
+    """
+    from robustlab.synthesis.specifications.tracking_loop import close_loop as closed
+
+    given: Any = sign
+    return closed(system, controller, given)
