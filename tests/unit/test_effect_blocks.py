@@ -64,7 +64,8 @@ def test_every_block_has_an_origin_and_keeps_it_in_a_file(tmp_path):
     assert again.blocks == made.model.blocks
     centred = again.centred()  # they stay through the algebra, too
     assert {b.name: b.origin for b in centred.blocks} == made.origins
-    assert "input noise q: quantisation: at most 5e-05 m" in made.summary()
+    assert dict(made.facts())["input noise q: quantisation"].startswith("at most 5e-05 m, ")
+    assert all(origin in made.report() for origin in made.origins.values())
 
 
 def test_loads_and_noise_act_where_they_should():
