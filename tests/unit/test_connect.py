@@ -158,7 +158,7 @@ def test_files_are_connected_by_the_command(tmp_path):
     assert (member.A[0, 0], member.B[0, 0]) == pytest.approx((-2 - 4.5, 4.5))
     refused = run("--sum", "e = r - x", "--inputs", "r", "--outputs", "y")
     assert refused.returncode == 3
-    assert refused.stderr.splitlines()[0].endswith(
+    assert refused.stderr.splitlines()[2].endswith(
         "connect: sum 'e = r - x': input 'x': nobody feeds it, expected an output or a sum of this name, or it among "
         "inputs="
     )
