@@ -82,7 +82,7 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "worst_case_gain": (lambda m: rl.peak_gain(real(m)), "peak_gain", False),
     "worst_case": (lambda m: rl.worst_case(real(m), "hinf"), "worst_case", False),
     "disk_margin": (lambda m: rl.disk_margin(m, K), "disk_margin", True),
-    "disk_margin of a set": (lambda m: rl.disk_margin(real(m), K), "worst_case_disk_margin", False),
+    "disk_margin of a set": (lambda m: rl.disk_margin(real(m), K), "disk_margin", False),
     "small_gain": (lambda m: rl.small_gain(uncertain(m, rl.FullBlock("k", 1, 1))), "small_gain", True),
     "gap": (lambda m: rl.gap(m, Model(m.A, m.B, 1.1 * m.C, m.D, m.dt)), "gap", True),
     "nu_gap": (lambda m: rl.nu_gap(m, Model(m.A, m.B, 1.1 * m.C, m.D, m.dt)), "nu_gap", True),
@@ -307,7 +307,7 @@ ENTANGLED = Model(np.diag([1.0, -1.0]), [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]])
     ("call", "name"),
     [
         (lambda: rl.disk_margin(UNSTABLE), "disk_margin"),
-        (lambda: rl.disk_margin(SET), "worst_case_disk_margin"),
+        (lambda: rl.disk_margin(SET), "disk_margin"),
         (lambda: rl.robust_performance(SET), "robust_performance"),
         (lambda: rl.peak_gain(SET), "peak_gain"),
         (lambda: rl.coprime_margin(ENTANGLED, K), "coprime_margin"),

@@ -194,8 +194,8 @@ class DiskMargins(DiskBounds):
         return cls(**shared, simultaneous=simultaneous, channels=channels, at=at, loop=loop, **evidence)
 
     def facts(self) -> Facts:
-        """The margin of all loops at once with what it allows, and the loop."""
-        return [*self._bounds(), ("loop", self.loop), ("at", AT[self.at]), *(("note", note) for note in self.notes)]
+        """The loop, then the margin of all loops at once with what it allows."""
+        return [("loop", self.loop), ("at", AT[self.at]), *self._bounds(), *(("note", note) for note in self.notes)]
 
     def details(self) -> list[Part]:
         """Each loop alone beside all at once, and the factors that destabilise."""
