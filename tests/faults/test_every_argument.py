@@ -217,7 +217,7 @@ LONG = {
 
 
 # Designs and searches of a tenth of a second and more, some fifty times each argument.
-SLOW = {"anti_windup", "fixed_structure", ("robust_stability", "natures"), ("disk_margin", "uncertain")}
+SLOW = {"anti_windup", "fixed_structure", "robust_stability of natures", "disk_margin of a set"}
 
 
 @pytest.mark.filterwarnings("error")
