@@ -144,7 +144,7 @@ def _parsed(
         answer(words, chosen, {p.name: given[p.name] for p in chosen.parameters if p.name in given}, shared, more)
 
     offers.sort(key=lambda p: p.default is not Given.empty)
-    command.__signature__ = Signature(offers)  # pyright: ignore[reportAttributeAccessIssue]
+    command.__signature__ = Signature(offers)
     command.__annotations__ = {p.name: p.annotation for p in offers}
     command.__name__ = words.replace(" ", "_").replace("-", "_")
     command.__doc__ = "\n\n".join(

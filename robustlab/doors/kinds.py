@@ -201,7 +201,7 @@ class Choice(Kind):
 
     def field(self) -> Any:
         """One of the words."""
-        return Literal[self.words]  # pyright: ignore[reportInvalidTypeForm]
+        return Literal[self.words]
 
 
 @dataclass(frozen=True)
@@ -309,8 +309,8 @@ class Numbers(Kind):
 
         number = Annotated[float, Field(ge=0)] if self.unit == "rad/s" else float
         if self.count is None:
-            return list[number]  # pyright: ignore[reportInvalidTypeForm]
-        return Annotated[list[number], Field(min_length=self.count, max_length=self.count)]  # pyright: ignore[reportInvalidTypeForm]
+            return list[number]
+        return Annotated[list[number], Field(min_length=self.count, max_length=self.count)]
 
     def of_field(self, given: Any) -> Any:
         """A tuple where their count is known."""
@@ -380,7 +380,7 @@ class Table(Kind):
         """A table of such values."""
         from robustlab.doors import vocabulary
 
-        taken = dict[str, self.value.field()]  # pyright: ignore[reportInvalidTypeForm]
+        taken = dict[str, self.value.field()]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
 
     def of_field(self, given: Any) -> Any:

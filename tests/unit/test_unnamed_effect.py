@@ -126,7 +126,7 @@ def test_map_is_constant_outside_and_its_tables_give_the_force():
     far = {name: np.zeros(2) for name in x} | {"speed": np.array([1.1 * top, 50 * top])}
     force = found.force(far)
     assert force[0] == force[1]
-    grid, value = found.tables()["speed speed"]
+    grid, value = found.curves()["speed speed"]
     assert grid.flags.c_contiguous
     assert value.shape == grid.shape
     assert np.interp(0.5 * top, grid[len(grid) // 2 :], value[len(grid) // 2 :]) == pytest.approx(

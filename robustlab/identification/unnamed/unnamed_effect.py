@@ -150,7 +150,7 @@ class UnnamedForce(Evidence):
     speed: str | None  # name of the coordinate whose sign dry components take, or None
     gain: float  # Held-out share of the variance (of the mean square, with the constant) that the map removes, 0..1
 
-    def tables(self) -> dict[str, tuple[Array, Array]]:
+    def curves(self) -> dict[str, tuple[Array, Array]]:
         """``"kind coordinate" -> (grid, value)``, contiguous arrays for a compiled kernel."""
         return {f"{c.kind} {c.coordinate}": (c.grid, c.value) for c in self.components}
 

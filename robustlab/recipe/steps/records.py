@@ -170,32 +170,32 @@ class Naming(DoorStep):
         whole = {"gap_before": "before", "gap_refitted": "refitted", "gap_after": "after"}
         return f"{step}.free_run.{whole[name]}" if name in whole else None
 
-    def outcome(self, answered: InLoop, work: Workspace) -> Outcome:
+    def outcome(self, found: InLoop, work: Workspace) -> Outcome:
         from robustlab.report.discovery import facts, story
 
-        found = answered.result
-        if found.interrupted:
+        named = found.result
+        if named.interrupted:
             raise KeyboardInterrupt  # a recipe that is stopped stays stopped: later steps would take the part for all
-        told = super().outcome(answered, work)
-        work.discoveries[work.step] = found
-        notes = [*(f.message for f in found.findings), *told.notes]
-        status = found.status
-        if not status.trustworthy and found.verdict in self.accept:
+        told = super().outcome(found, work)
+        work.discoveries[work.step] = named
+        notes = [*(f.message for f in named.findings), *told.notes]
+        status = named.status
+        if not status.trustworthy and named.verdict in self.accept:
             status = rl.Status.CONVERGED
-            notes.append(f"The verdict {found.verdict!r} is one that this recipe takes for an answer.")
-        if found.model is not None:
+            notes.append(f"The verdict {named.verdict!r} is one that this recipe takes for an answer.")
+        if named.model is not None:
             file = f"{work.step}-plant.h5"
-            rl.save(work.folder / file, found.model, work.provenance())
+            rl.save(work.folder / file, named.model, work.provenance())
             work.files.append(file)
             notes.append(f"The updated plant is in {file}.")
-        if found.next_experiment is not None:
+        if named.next_experiment is not None:
             file = f"{work.step}-next-experiment.csv"
-            found.next_experiment.save(work.folder / file)
+            named.next_experiment.save(work.folder / file)
             work.files.append(file)
             notes.append(f"The signal of the next experiment is in {file}.")
         return replace(
-            told, summary=f"{found.headline()}.", status=status, notes=tuple(notes), text=found.summary(details=True),
-            facts=tuple(Fact(*line) for line in facts(found)), story=tuple(Fact(*part) for part in story(found)),
+            told, summary=f"{named.headline()}.", status=status, notes=tuple(notes), text=named.summary(details=True),
+            facts=tuple(Fact(*line) for line in facts(named)), story=tuple(Fact(*part) for part in story(named)),
         )  # fmt: skip
 
 

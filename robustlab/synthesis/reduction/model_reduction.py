@@ -87,7 +87,9 @@ def hankel_singular_values(model: Any) -> Array:
 
 
 @overload
-def reduce_model(model: UncertainModel, *, tolerance: float | None = None) -> Reduction: ...
+def reduce_model(  # pyright: ignore[reportOverlappingOverload]
+    model: UncertainModel, *, tolerance: float | None = None
+) -> Reduction: ...
 @overload
 def reduce_model(
     model: Any,
