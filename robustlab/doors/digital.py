@@ -116,7 +116,8 @@ def discretise(
     judged = {"delay": delay, "antialiasing": antialiasing, "progress": progress}
     after = rl.sampled_robustness(P, found.K, **judged, **options)
     status = max((found.status, before.status, after.status), key=list(rl.Status).index)
-    robust = RobustSampledController(**{**vars(found), "status": status}, before=before, after=after)
+    parts: dict[str, Any] = {**vars(found), "status": status}
+    robust = RobustSampledController(**parts, before=before, after=after)
     return InLoop(robust, "", (), {"robustness": after})
 
 

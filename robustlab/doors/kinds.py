@@ -443,7 +443,7 @@ class Thing(Kind):
         from robustlab.doors.vocabulary import RefersTo
 
         name = Annotated[str, RefersTo(self.gives)]
-        taken: Any = list[name] if self.many else name  # pyright: ignore[reportInvalidTypeForm]
+        taken: Any = list[name] if self.many else name
         return float | taken if self.number else taken
 
     def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:

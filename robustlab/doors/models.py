@@ -243,7 +243,8 @@ def delay(
     Example: robustlab model delay motor.h5 --input-delay u=0.01 --out late.h5
     """
     model, sides = with_lengths(system, inputs, outputs)
-    found: Any = rl.with_delays(model, *sides)
+    at_inputs, at_outputs = sides
+    found: Any = rl.with_delays(model, at_inputs, at_outputs)
     if pade is None:
         return found
     if not isinstance(found, rl.DelayedModel):

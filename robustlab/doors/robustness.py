@@ -185,12 +185,12 @@ def robust_stability(
 
     loop, words = around.around(system, "robust stability")
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
-    if frequency is not None or isinstance(loop, rl.UncertainFrequencyData):
+    if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
         del options["omega"]
         asked = {"--certify": certify, "--cross-check": cross_check, "--intervals": intervals}
         if refused := next((name for name, given in asked.items() if given), None):
             raise UsageError("mu", f"{refused} at given frequencies", "the margin, or --gain")
-    found = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
+    found: Any = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
     beside = _checked(found, loop, cross_check)
     if certify:
         beside["balls"] = margin_in_balls(loop, found)
@@ -222,7 +222,7 @@ def worst_case_gain(
     options: dict[str, Any] = {} if at else {
         "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
     }  # fmt: skip
-    found = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
+    found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
     return InLoop(found, words, (), _checked(found, kept, cross_check), (found.proved(),) if intervals else ())
 
 

@@ -77,7 +77,7 @@ def mu_figure(margin: Margin) -> Figure:
 def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
     """Both bounds at given frequencies, of all loops at once: points, for nothing is known between them."""
     whole: Any = getattr(found, "simultaneous", found)
-    gain = isinstance(whole, PeakGain)
+    gain = isinstance(found, PeakGain)
     label = "worst-case gain" if gain else "stability margin" if whole is found else "disk margin, all loops at once"
     return _bounds_at(whole, label, "gain" if gain else "margin")
 

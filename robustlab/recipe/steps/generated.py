@@ -158,7 +158,7 @@ def step_of(word: str, declared: Door) -> type[DoorStep]:
         if p.name == "seed":
             keys["seed"] = (p.kind.field() | None, Field(None, description="The recipe's seed where left out."))
             continue
-        kind = p.kind.field()
+        kind: Any = p.kind.field()
         default = ... if p.needed else p.default if p.called.in_step is None else p.called.in_step
         if p.needed and isinstance(p.kind, Thing) and p.kind.many:
             kind = Annotated[kind, Field(min_length=1)]
