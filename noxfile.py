@@ -8,21 +8,21 @@ nox.options.sessions = ["lint", "types", "tests"]
 
 # Unit tests that need nothing but what the package itself needs, from models and files to bounds, norms and synthesis.
 CORE = [
-    f"tests/unit/test_{name}.py"
+    f"tests/unit/{name}.py"
     for name in (
-        "statespace_model",
-        "uncertainty_blocks",
-        "storage_interchange",
-        "recipe_load",
-        "dynamics_plants",
-        "norms_hinf",
-        "mu_matrix",
-        "synthesis_hinf",
-        "worst_case_metrics",
-        "report_html",
+        "linear_analysis/test_statespace_model",
+        "uncertainty/test_uncertainty_blocks",
+        "storage/test_storage_interchange",
+        "recipe/test_recipe_load",
+        "dynamics/test_dynamics_plants",
+        "norms/test_norms_hinf",
+        "mu_analysis/test_mu_matrix",
+        "synthesis/test_synthesis_hinf",
+        "worst_case_analysis/test_worst_case_metrics",
+        "report/test_report_html",
     )
 ]
-METRICS = "tests/unit/test_worst_case_metrics.py"
+METRICS = "tests/unit/worst_case_analysis/test_worst_case_metrics.py"
 
 
 @nox.session

@@ -1,0 +1,90 @@
+"""docs/conventions.md: the code runs and its numbers are right; each convention, built the wrong way, is told."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError, UnitMismatch
+
+PAGE = Path(__file__).parents[3] / "docs/conventions.md"
+G = rl.StateSpaceModel(
+    [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=["u"], outputs=[("q", "rad")]
+)
+
+
+def test_the_page_runs_and_prints_what_it_says(capsys):
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL):
+        exec(block, names)
+    out = capsys.readouterr().out.splitlines()
+    comments = re.findall(r"^print\(.*\)  # (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert len(out) == len(comments)
+    for printed, comment in zip(out, comments, strict=True):
+        number = re.match(r"0\.\d+", comment)
+        if number:
+            assert float(printed) == pytest.approx(float(number[0]), abs=0.5 * 10.0 ** -(len(number[0]) - 2))
+        else:
+            assert comment.startswith(printed)
+
+
+def test_a_gain_of_states_is_no_controller_by_itself():
+    found = rl.lqr(G, np.eye(2), [[1.0]])
+    with pytest.raises(InputError, match="StateFeedback") as told:
+        rl.disk_margin(G, found)
+    assert "u = -K x" in told.value.hint
+    states = rl.StateSpaceModel(G.A, G.B, np.eye(2), np.zeros((2, 1)))
+    margin = rl.disk_margin(states, found.K, at="input").simultaneous
+    assert margin.lower >= 1.0 - 1e-9  # Kalman's inequality: |1 + L| >= 1, a disk of gains from 1/2 up with skew 1
+    positive = -found.K
+    with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
+        rl.disk_margin(states, 3 * positive, at="input")
+
+
+def test_blocks_the_wrong_way_round_are_told():
+    with pytest.raises(InputError, match=r"expected \(3, 2\)") as told:
+        rl.mu(np.ones((2, 3)), [[2, 3]])
+    assert "transposed shape" in told.value.hint
+
+
+def test_degrees_and_radians_do_not_meet():
+    degrees = rl.StateSpaceModel([], [], [], [[1.0]], inputs=[("q", "deg")], outputs=["u"])
+    for close in (lambda: rl.disk_margin(G, degrees), lambda: rl.UncertainModel(G, []).feedback(degrees)):
+        with pytest.raises(UnitMismatch, match=r"q \[rad\] meets q \[deg\]"):
+            close()
+
+
+def test_sample_times_do_not_meet():
+    digital = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    for close in (
+        lambda: rl.disk_margin(G, digital),
+        lambda: rl.UncertainModel(G, []).feedback(digital),
+        lambda: rl.generalized_plant(G, ["q"], ["u"], disturbances=[]).close(digital),
+    ):
+        with pytest.raises(InputError, match="sample time"):
+            close()
+
+
+def test_the_break_point_is_named():
+    two = rl.StateSpaceModel(-np.eye(2), np.eye(2), [[1, 2], [0, 1]], np.zeros((2, 2)), outputs=["p", "q"])
+    gain = rl.StateSpaceModel([], [], [], [[1, 0], [0, 4]])
+    at_output, at_input = (rl.disk_margin(two, gain, at=at) for at in ("output", "input"))
+    assert (at_output.at, list(at_output.channels)) == ("output", ["p", "q"])
+    assert (at_input.at, list(at_input.channels)) == ("input", ["u1", "u2"])
+    # The two orders of the product are the two places.
+    assert rl.disk_margin(two @ gain).simultaneous.lower == pytest.approx(at_output.simultaneous.lower, rel=1e-3)
+    assert rl.disk_margin(gain @ two).simultaneous.lower == pytest.approx(at_input.simultaneous.lower, rel=1e-3)
+
+
+def test_phases_are_radians_here_and_degrees_in_python_control():
+    import control
+
+    L = 4.0 * rl.StateSpaceModel([[0, 1], [0, -1]], [[0], [1]], [[1, 0]], [[0]])
+    _, degrees, _, _ = control.margin(L.to_control())
+    found = rl.classical_margins(L).channels["y1"]
+    assert found.phase_margin == pytest.approx(np.radians(degrees), rel=1e-6)
+    assert "degrees" in found.summary()

@@ -1,0 +1,210 @@
+"""The thesis' numbers: rows R within the fair tolerances, the others at the values of an independent model."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.thesis import numbers as thesis_numbers
+from robustlab.thesis.numbers import PublishedNumber, published_numbers
+from robustlab.thesis.runs import sine_run
+
+
+@pytest.fixture(scope="module")
+def found():
+    return published_numbers()
+
+
+def ours(found, key):
+    return found.rows[key].ours
+
+
+def test_every_item_has_a_row(found):
+    assert {int(key.partition("-")[0]) for key in found.rows} == set(range(1, 30))
+    assert list(found.rows) == [row.key for row in found.rows.values()]
+
+
+def test_rows_r_agree(found):
+    assert found.disagreeing == []
+    for row in found.with_status("R"):
+        assert row.agrees is True
+        assert row.tolerance is not None
+    assert {int(row.key.partition("-")[0]) for row in found.with_status("R")} == {
+        *range(1, 7), *range(8, 13), 21, 22, 23,
+    }  # fmt: skip
+
+
+def test_a_fit_is_no_reproduction(found):
+    """The platform's mass and p_up were chosen so that these rows agree."""
+    fits = found.with_status("F")
+    assert [row.key for row in fits] == ["7", "20"]
+    for row in fits:
+        assert row.agrees is True
+        assert "chosen so that this row agrees" in row.why
+        assert row not in found.with_status("R")
+
+
+def test_the_readme_counts_the_rows(found):
+    readme = " ".join((Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8").split())
+    r, f, p, n = (len(found.with_status(status)) for status in "RFPN")
+    assert f"{len(found.rows)} rows of chapters 6-11" in readme
+    assert f"{r} are reproduced, {f} are fits and not counted as such" in readme
+    assert f"{p} are so in part or under a reading that is stated, {n} are not reproducible" in readme
+
+
+def test_what_is_not_reproduced_has_a_reason(found):
+    for row in (*found.with_status("P"), *found.with_status("N"), *found.with_status("F")):
+        assert row.why, row.key
+
+
+def test_all_six_bearing_points_are_judged(found):
+    """Printed: m2 = (16,33; 175,4). Independent: all at 176.11 mm, m2 5.52 degrees from b2, which is at 79.16."""
+    geometry = rl.plant("stewart-platform").geometry
+    angle = np.radians(79.16 + 5.52)
+    np.testing.assert_allclose(
+        1e3 * geometry.bearing[1, :2], 176.11 * np.array([np.cos(angle), np.sin(angle)]), atol=0.02
+    )
+    assert ours(found, "3") == pytest.approx(175.4 - 1e3 * geometry.bearing[1, 1], abs=1e-9)
+    reference = thesis_numbers._bearing_table()
+    np.testing.assert_allclose(reference[1:3], [[16.33, 175.4], [-16.33, 175.4]])
+    for k in range(6):
+        assert np.hypot(*reference[k]) == pytest.approx(np.hypot(16.33, 175.4), rel=1e-12)
+        assert np.abs(reference[k] - 1e3 * geometry.bearing[k, :2]).max() < 0.06
+
+
+def test_chapter_11_by_closed_forms(found):
+    """Steady speed 1 / (Kb Km + R Kf); a link that a given torque drives moves by 1 / 1.1."""
+    k2, r, kf = 0.052**2, 2.07, 4.8e-5
+    for key, factor in (("27-second", 1.35), ("27-less-second", 0.65)):
+        ratio = (k2 + r * kf) / (k2 + factor * r * kf)
+        assert ours(found, key) == pytest.approx(100 * (1.125 * ratio - 1), abs=1e-6)
+    assert ours(found, "28-first") == pytest.approx(100 * (1.11 / 1.1 - 1), abs=1e-6)
+    assert ours(found, "28-second") == pytest.approx(100 * (1.125 / 1.1 - 1), abs=1e-6)
+    both = 1.125 / 1.1 * (k2 + r * kf) / (k2 + 1.35 * r * kf)
+    assert ours(found, "28-both-second") == pytest.approx(100 * (both - 1), abs=1e-6)
+    # The voltage, instead: inertia does not change the speed that the back-EMF sets.
+    assert ours(found, "28-volts-second") == pytest.approx(12.5, abs=1e-6)
+
+
+def test_chapter_11_against_the_printed_figures(found):
+    for key in ("27-first", "27-second", "28-first", "28-second", "28-both-first"):
+        assert found.rows[key].agrees is True
+        assert found.rows[key].status == "P"
+        assert "reading" in found.rows[key].why
+    # both directions of Kf: with less friction the gap grows
+    assert ours(found, "27-first") < 11 < ours(found, "27-less-first")
+    assert ours(found, "27-second") < 12.5 < ours(found, "27-less-second")
+    # covered in angle, and not quite in steady speed
+    assert ours(found, "28-both-first") < 0 < ours(found, "28-both-second") < 1.1
+
+
+def test_ends_of_a_case_are_those_of_its_element_wise_set(found):
+    for case in found.cases:
+        t, u = case.excitation()
+        between = rl.elementwise(*case.with_gravity(), "single")
+        nominal = rl.simulate(between.nominal, t, u, hold="foh")["phi_1"]
+        for end, change in zip((1.0, -1.0), case.changes(), strict=True):
+            member = between.evaluate({b.name: end for b in between.blocks})
+            gap = rl.simulate(member, t, u, hold="foh")["phi_1"] - nominal
+            assert 100 * np.abs(gap).max() / np.abs(nominal).max() == pytest.approx(abs(change), rel=1e-8)
+            assert np.sign(gap[np.abs(gap).argmax()]) == np.sign(change)
+
+
+def test_the_worst_delta_is_said(found):
+    for key, case, worst in zip(("15", "16", "17", "18"), found.cases, ("+I", "-I", "-I", "-I"), strict=True):
+        row = found.rows[f"{key}-worst"]
+        assert row.agrees is True
+        assert f"worst Δ = {worst}" in row.why
+        assert f"the thesis has {worst}" in row.why
+        assert ours(found, key) == case.largest_percent
+
+
+def test_poles_of_the_open_loop_are_those_of_the_page(found):
+    page = (Path(__file__).parents[3] / "docs/stewart.md").read_text(encoding="utf-8")
+    poles = np.linalg.eigvals(found.cases[0].nominal.A)
+    assert f"{poles.real.max():.2f} /s" in page
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "tolerance"),
+    [  # from a model written apart from ours
+        ("4-max", 188.06, 6e-3),
+        ("4-min", 160.71, 6e-3),
+        ("7", 0.87012e-3, 1.2e-8),
+        ("11", 788.85, 6e-3),
+        ("13-20Hz", 0.14096, 1e-5),
+        ("13-1mNm", 0.14215, 1e-5),
+        ("14-angle", 0.18, 0.02),
+        ("14-rate", 0.33, 0.02),
+        ("14-angle-1mNm", 0.85, 0.01),
+        ("14-rate-1mNm", 2.37, 0.01),
+        ("15-gain", 1.044, 1e-3),
+        ("16", 0.0122, 1e-4),
+        ("17", 0.0486, 1e-4),
+        ("18", 2.529, 1e-3),
+        ("19", 0.0577, 1e-4),
+        ("20", 0.200, 5e-4),
+        ("21", 0.799, 1e-3),
+        ("22", 0.0087, 2e-4),
+        ("22-signs", 0.0111, 2e-4),
+        ("23", 20.8, 0.05),
+        ("23-signs", 26.5, 0.05),
+        ("27-first", 9.64, 6e-3),
+        ("27-second", 11.1, 0.03),
+        ("28-first", 0.91, 2e-3),
+        ("28-second", 2.27, 3e-3),
+        ("28-both-first", -0.3, 0.04),
+        ("28-volts-first", 11 - 0.003, 2e-3),
+        ("29-friction", 6.2e-6, 5e-8),
+        ("29-current", 0.719, 5e-4),
+    ],
+)
+def test_against_an_independent_model(found, key, value, tolerance):
+    assert ours(found, key) == pytest.approx(value, abs=tolerance)
+
+
+def test_friction_that_the_data_sheet_needs(found):
+    """Closed form of the no-load speed, 42 Km / (Kb Km + R Kf) = 788.5 rad/s."""
+    kf = 4.8e-5 * (1 + ours(found, "11-need") / 100)
+    assert 42 * 0.052 / (0.052**2 + 2.07 * kf) == pytest.approx(788.5, rel=1e-12)
+
+
+def test_poles_bracket_the_published_limits(found):
+    assert 2000 < ours(found, "25") < 2200
+    assert 1400 < ours(found, "25-rotor") < 1500
+
+
+def test_case_2c_is_a_closed_form(found):
+    case = found.cases[3]
+    assert case.gain_percent == pytest.approx(100 * (1 / 1.025 - 1), rel=1e-9)
+    assert case.released == pytest.approx(-0.025 * 0.8701e-3, rel=1e-4)
+
+
+def test_a_small_sine_is_linear():
+    run = sine_run(rl.plant("stewart-platform"), 1e-5, 20.0, 0.05, 2001)
+    _, angle, rate = run.percent()
+    assert max(np.abs(angle).max(), np.abs(rate).max()) < 1e-3
+    assert math.isinf(run.when_height(0.1407))
+
+
+def test_a_row_that_is_off_is_found():
+    def row(ours, bound="equal", tolerance=0.1):
+        return PublishedNumber("1", "q", "w", 1.0, ours, "", "R", tolerance, "", bound)
+
+    assert row(1.05).agrees is True
+    assert row(1.2).agrees is row(0.8).agrees is False
+    assert row(0.2, "at most").agrees is row(9.0, "at least").agrees is True
+    assert row(1.2, "at most").agrees is row(0.8, "at least").agrees is False
+    assert row(None).agrees is None
+    assert row(math.nan).agrees is False
+
+
+def test_table_has_every_row_and_reason(found):
+    text = found.table()
+    for row in found.rows.values():
+        assert f"\n{row.key} " in text
+        assert row.why in text

@@ -1,0 +1,284 @@
+"""Uncertain models of nonlinear plants at a trim, against linear models of the plant rebuilt and trimmed anew."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import complex_step_plant as plants
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import hinf_norm
+
+MODELS = Path(__file__).parents[3] / "models" / "plants"
+
+
+def off(left, right) -> float:
+    worst = 0.0
+    for name in "ABCD":
+        a, b = getattr(left, name), getattr(right, name)
+        row = np.abs(b).max(axis=1, keepdims=True)
+        worst = max(worst, float((np.abs(a - b) / np.where(row > 0, row, 1.0)).max()))
+    return worst
+
+
+def rebuilt(plant, uncertain, delta, **where):
+    """The plant with other parameters at its own rest, as its author wrote that down."""
+    other = plant.with_parameters(**{name: value for name, (value, _) in uncertain.physical(delta).items()})
+    return rl.linearise(other, at=other.equilibrium(**where))
+
+
+def drawn(uncertain, seed, corner=False):
+    rng = np.random.default_rng(seed)
+    known = [b for b in uncertain.blocks if b.parameter is not None]
+    values = rng.choice([-1.0, 1.0], len(known)) if corner else rng.uniform(-1, 1, len(known))
+    return {b.name: float(v) for b, v in zip(known, values, strict=True)}
+
+
+@pytest.mark.parametrize(
+    ("name", "held"),
+    [
+        ("cart_pole", "held: x, v, a, w; what follows: F"),
+        ("arm", "held: q1, q2, w1, w2; what follows: i, t1, u2"),
+    ],
+)
+def test_mechanisms_are_exact(name, held):
+    plant = getattr(plants, name)()
+    uncertain = plant.uncertain()
+    assert uncertain.sampled == ()
+    assert uncertain.remarks == ()
+    assert [b.name for b in uncertain.blocks] == list(plant.parameters)
+    assert all(b.origin.startswith("exact: ") and b.origin.endswith(held) for b in uncertain.blocks)
+    for seed in range(12):
+        delta = drawn(uncertain, seed, corner=seed % 2 == 0)
+        assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta)) < 1e-11
+
+
+def test_repetitions_of_an_affine_form_are_ranks():
+    """The mass of the pole stands in a 2 x 2 matrix m [1 l; l l^2] and in m g l: rank 2; all else is one number."""
+    plant = plants.cart_pole().with_parameters(l=(0.5, 0.0))
+    repeats = {b.name: b.repeats for b in plant.uncertain().blocks}
+    assert repeats == {"M": 1, "m": 2, "J": 1, "b": 1, "d": 1}
+    assert "repeated as often as its rank asks" in plant.uncertain().blocks[0].origin
+
+
+def test_where_no_input_can_hold_the_states_the_input_is_held():
+    """By hand: h1' = -c^2 g/(q A) h1 + q/A: at a held inflow rational in all parameters."""
+    plant = plants.tank()
+    uncertain = plant.uncertain()
+    assert all(b.origin.endswith("held: q; what follows: h1, h2") for b in uncertain.blocks)
+    assert uncertain.sampled == ()
+    inflow = float(plant.equilibrium().u[0])
+    for seed in range(6):
+        delta = drawn(uncertain, seed)
+        p = {name: value for name, (value, _) in uncertain.physical(delta).items()}
+        s1, s2 = plants.G * p["c"] ** 2 / inflow, plants.G * p["e"] ** 2 / inflow
+        member = uncertain.evaluate(delta)
+        np.testing.assert_allclose(member.A, [[-s1 / p["A"], 0], [s1 / p["B"], -s2 / p["B"]]], rtol=1e-11, atol=1e-15)
+        np.testing.assert_allclose(member.B, [[1 / p["A"]], [0]], rtol=1e-12)
+
+
+def test_what_is_held_may_be_chosen():
+    plant = plants.tank().with_parameters(A=(0.1, 0.0), B=(0.2, 0.0), c=(1e-3, 0.0))
+    uncertain = plant.uncertain(hold=["h1"])
+    delta = {"e": 0.7}
+    assert uncertain.blocks[0].origin.endswith("held: h1; what follows: h2, q")
+    assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta)) < 1e-11  # rest() holds h1, too
+    by_level = plant.uncertain(hold=["h2"])
+    assert off(by_level.evaluate(delta), rebuilt(plant, by_level, delta)) > 1e-3
+
+
+class TestSampled:
+    plant = plants.rotor()
+    uncertain = plant.uncertain()
+
+    def test_it_says_so(self):
+        # slope of the thrust at rest: 8 k s / m with s = sqrt(m g / 4 k)
+        assert self.uncertain.sampled == ("m", "k", "remainder")
+        origins = {b.name: b.origin for b in self.uncertain.blocks}
+        assert origins["T"].startswith("exact: the descriptor form is affine in it")
+        assert origins["remainder"].startswith("sampled: proved on the hull of 265 linear models only; 264 fresh ones")
+        assert origins["m"].endswith("held: z, v; what follows: s, u")
+
+    def test_it_goes_where_the_model_goes(self, tmp_path):
+        rl.save(tmp_path / "set.h5", self.uncertain)
+        again = rl.load(tmp_path / "set.h5")
+        assert again.sampled == self.uncertain.sampled
+        loop = again.feedback(rl.StateSpaceModel([], [], [], [[-1.0]]), sign=1)
+        assert loop.remarks == self.uncertain.remarks
+        assert again.to_json()["sampled"] == ["m", "k", "remainder"]
+
+    @pytest.mark.parametrize("seed", [101, 102, 103, 104, 105, 106])
+    def test_fresh_models_are_members(self, seed):
+        """The only entry that differs: A[1, 2] of the member, rank one in the remainder."""
+        delta = drawn(self.uncertain, seed, corner=seed % 2 == 0)
+        wanted = rebuilt(self.plant, self.uncertain, delta)
+        first = self.uncertain.evaluate({**delta, "remainder": [[0.0]]})
+        full = self.uncertain.evaluate({**delta, "remainder": [[1.0]]})
+        value = (wanted.A[1, 2] - first.A[1, 2]) / (full.A[1, 2] - first.A[1, 2])
+        assert abs(value) <= 1
+        assert off(self.uncertain.evaluate({**delta, "remainder": [[value]]}), wanted) < 1e-11
+
+    def test_results_say_it(self):
+        plain = self.plant.with_parameters(T=(0.05, 0.0))
+        lead = rl.StateSpaceModel([[-60.0]], [[1.0]], [[60.0 * 57.0 * 300]], [[-60.0 * 300]])
+        loop = plain.uncertain().close(lead)
+        assert loop.nominal.spectral_abscissa() < 0
+        found = rl.robust_stability(loop)
+        assert any("for samples only (blocks m, k, remainder)" in text for text in found.notes)
+
+
+def test_margin_is_where_the_true_plant_loses_stability():
+    """The proved margin of the set against poles of the nonlinear plant's own linear models, rebuilt and trimmed."""
+    plant = plants.cart_pole()
+    uncertain = plant.uncertain()
+    state = np.array([[-1.0, -2.4, -38.0, -9.0]])  # u = -K x, all states seen
+    seen = rl.UncertainModel(*with_states(uncertain))
+    loop = seen.close(rl.StateSpaceModel([], [], [], -state))
+    assert loop.nominal.spectral_abscissa() < 0
+    found = rl.robust_stability(loop)
+    assert found.status.trustworthy
+    assert found.lower > 1
+
+    def abscissa(delta):
+        model = rebuilt(plant, uncertain, delta)
+        return float(np.linalg.eigvals(model.A - model.B @ state).real.max())
+
+    critical = {name: float(np.real(v)) for name, v in found.delta.items()}
+    assert (
+        abscissa({n: 0.99 * v for n, v in critical.items()}) < 0 < abscissa({n: 1.01 * v for n, v in critical.items()})
+    )
+    worst = max(abscissa(drawn(uncertain, seed, corner=True)) for seed in range(64))
+    assert worst < 0
+
+
+def with_states(uncertain):
+    """M with all states as outputs."""
+    m, p = uncertain.M, uncertain.delta_shape[1]
+    c = np.vstack([m.C[:p], np.eye(m.n_states)])
+    d = np.vstack([m.D[:p], np.zeros((m.n_states, m.n_inputs))])
+    return rl.StateSpaceModel(m.A, m.B, c, d), uncertain.blocks
+
+
+def test_worst_gain_is_that_of_the_corners():
+    plant = plants.tank()
+    uncertain = plant.uncertain()
+    found = rl.peak_gain(uncertain)
+    gains = []
+    for signs in np.array(np.meshgrid(*[[-1.0, 1.0]] * 4)).reshape(4, -1).T:
+        delta = dict(zip([b.name for b in uncertain.blocks], signs.tolist(), strict=True))
+        other = plant.with_parameters(**{n: v for n, (v, _) in uncertain.physical(delta).items()})
+        x = np.array([(plant.equilibrium().u[0] / other.values[k]) ** 2 / (2 * plants.G) for k in ("c", "e")])
+        gains.append(hinf_norm(rl.linearise(other, at=(x, plant.equilibrium().u))).upper)
+    assert found.lower <= max(gains) * (1 + 1e-6)
+    assert max(gains) <= found.upper * (1 + 1e-9)
+    assert found.upper <= 1.001 * max(gains)
+
+
+def test_samples_and_a_search():
+    uncertain = plants.tank().uncertain()
+    members = rl.sample(uncertain, 5, seed=3)
+    assert len(members) == 5
+    found = rl.worst_case(uncertain, "hinf", n=32)
+    assert found.status.trustworthy
+    assert found.value <= rl.peak_gain(uncertain).upper * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("slope", "exact"),
+    [
+        (lambda c: 1 + c + c**2 - c**3, True),
+        (lambda c: 1 / c, True),  # a free row is multiplied by c
+        (lambda c: 1 / (3 + c), True),  # or divided by what stands in it
+        (lambda c: 1 + 1e-7 * np.sin(3 * c), False),
+        (np.sqrt, False),
+        (lambda c: abs(c - 1.02), False),
+        (lambda c: np.exp(0.1 * c), False),
+    ],
+)
+def test_polynomials_are_told_from_others(slope, exact):
+    plant = plants.made(
+        "lag", {"c": (1.0, 0.1)}, "q", "h", "h", lambda x, u, f, p: [slope(p["c"]) * (u[0] - 2 * x[0])],
+        lambda x, u, p: [x[0]], lambda p: (np.array([0.5]), np.array([1.0])),
+    )  # fmt: skip
+    uncertain = plant.uncertain()
+    assert (uncertain.sampled == ()) is exact
+    for value in (0.9, 0.97, 1.1):
+        known = {"c": (value - 1) / 0.1}
+        if exact:
+            np.testing.assert_allclose(uncertain.evaluate(known).A, [[-2 * slope(value)]], rtol=1e-12)
+
+
+def test_json_is_plain():
+    data = json.loads(json.dumps([b.to_json() for b in plants.rotor().uncertain().blocks]))
+    assert [row["origin"].split(":")[0] for row in data] == ["sampled", "sampled", "exact", "sampled"]
+
+
+class TestBadInput:
+    def test_no_rest(self):
+        with pytest.raises(NoTrustworthyNumber) as caught:
+            plants.tank().uncertain(hold=["h1", "h2"])
+        assert "no rest with what is held: h2 moves (c = 0.0009)" in str(caught.value)
+        assert "hold other states or inputs" in (caught.value.hint or "")
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            ({"hold": ["h3"]}, "no state or input 'h3'"),
+            ({"ranges": {"z": (1, 2)}}, "no such parameter"),
+            ({"ranges": {"c": (2e-3, 3e-3)}}, "finite low < nominal < high"),
+            ({"at": rl.plant("stewart-platform").equilibrium()}, "a trim of stewart-platform"),
+        ],
+    )
+    def test_refused(self, options, words):
+        with pytest.raises(InputError, match=words):
+            plants.tank().uncertain(**options)
+
+    def test_a_plant_without_local_models(self):
+        class Bare(plants.ComplexStepPlant):
+            def local_models(self, x, u, values=None):
+                return super(plants.ComplexStepPlant, self).local_models(x, u, values)
+
+        given = plants.tank()
+        bare = Bare(*(getattr(given, f) for f in given.__dataclass_fields__))
+        with pytest.raises(InputError, match="without models along a motion"):
+            bare.uncertain()
+
+    def test_a_box_without_linear_models(self):
+        def rates(x, u, f, p):
+            return [u[0] - x[0] if p["c"] <= 1.1 else np.nan]
+
+        bad = plants.made(
+            "bad", {"c": (1.0, 0.2)}, "q", "h", "h", rates, lambda x, u, p: [x[0]],
+            lambda p: (np.array([0.5]), np.array([0.5])),
+        )  # fmt: skip
+        with pytest.raises(NoTrustworthyNumber, match=r"no finite linear model with what is held \(c = 1.2\)"):
+            bad.uncertain()
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "at", "held"),
+    [
+        ("cart_pole", {"l": 0.1}, {"theta": 0.0}, {"theta": 0.0}),
+        ("cart_pole", {"l": 0.1, "g": 0.01}, {"theta": np.pi}, {"theta": np.pi}),
+        ("two_link_arm", {"c_2": 0.1, "l_1": 0.05}, {"q_1": 0.4, "q_2": 0.7}, {"q_1": 0.4, "q_2": 0.7}),
+        ("water_tank", {}, {"level": 6.0}, {"u": None}),
+    ],
+)
+def test_plant_files_are_exact(name, more, at, held):
+    """Against the plant's own trim and linear model with other parameters, at what was held."""
+    pytest.importorskip("casadi")
+    plant = rl.plant(f"{MODELS / name}.py:{name}")
+    plant = plant.with_parameters(**{key: (plant.values[key], share) for key, share in more.items()})
+    trim = plant.equilibrium(**at)
+    uncertain = plant.uncertain(at=trim)
+    assert uncertain.sampled == ()
+    held = {key: float(trim.u[0]) if value is None else value for key, value in held.items()}
+    for seed in range(6):
+        delta = drawn(uncertain, seed, corner=seed % 2 == 0)
+        other = plant.with_parameters(**{key: value for key, (value, _) in uncertain.physical(delta).items()})
+        again = other.equilibrium(**held, **({"start": (trim.x, trim.u)} if name == "water_tank" else {}))
+        assert off(uncertain.evaluate(delta), rl.linearise(other, at=again)) < 1e-9
