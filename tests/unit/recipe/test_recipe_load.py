@@ -215,7 +215,7 @@ def found(recipe, path, kind="load", more="", changes=()):
 
 
 def test_a_model_is_looked_for_beside_the_recipe_and_in_the_folder_above(project):
-    assert found(project, "models/m.h5") == project.parents[2] / "models/m.h5"
+    assert found(project, "models/m.h5") == project.parents[1] / "models/m.h5"
     (project.parent / "models").mkdir()
     (project.parent / "models/m.h5").write_bytes(b"nearer")
     assert found(project, "models/m.h5") == project.parent / "models/m.h5"
@@ -223,24 +223,24 @@ def test_a_model_is_looked_for_beside_the_recipe_and_in_the_folder_above(project
 
 @pytest.mark.parametrize("path", ["../../secret.h5", "{tmp}/secret.h5"])
 def test_a_model_outside_the_recipe_folder_is_refused(project, path):
-    path = path.format(tmp=project.parents[3])
+    path = path.format(tmp=project.parents[2])
     with pytest.raises(InputError, match="leaves the recipe folder") as caught:
         found(project, path)
     assert str(caught.value).startswith(f'r.toml: step.m.path = "{path}" leaves the recipe folder')
 
 
 def test_a_link_out_of_the_recipe_folder_is_refused(project):
-    (project.parent / "m.h5").symlink_to(project.parents[3] / "secret.h5")
+    (project.parent / "m.h5").symlink_to(project.parents[2] / "secret.h5")
     with pytest.raises(InputError, match="leaves the recipe folder"):
         found(project, "m.h5")
 
 
 def test_what_the_user_types_may_lie_anywhere(project):
-    assert found(project, "x.h5", changes=["m.path=../secret.h5"]) == project.parents[3] / "secret.h5"
+    assert found(project, "x.h5", changes=["m.path=../secret.h5"]) == project.parents[2] / "secret.h5"
 
 
 def test_a_record_may_lie_anywhere_and_an_absent_one_says_what_it_is(project):
-    assert found(project, "../../secret.h5", kind="record") == project.parents[3] / "secret.h5"
+    assert found(project, "../../secret.h5", kind="record") == project.parents[2] / "secret.h5"
     with pytest.raises(InputError) as caught:
         found(project, "gone.h5", kind="record", more='about = "Measured by A. Nonymous 2019."\n')
     text = str(caught.value)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, logm, solve_continuous_are, solve_continuous_lyapunov
 from slicot_examples import model_of_ab09ad
-from unit.test_model_reduction import difference_on_grid, stable_model
+from unit.synthesis.test_model_reduction import difference_on_grid, stable_model
 
 import robustlab as rl
 from robustlab.result import Status
