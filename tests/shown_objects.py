@@ -123,7 +123,7 @@ def measured_loop() -> rl.UncertainFrequencyData:
 
 @cache
 def discovery() -> Any:
-    from unit.test_discovery_report import unknown
+    from unit.identification.test_discovery_report import unknown
 
     return unknown()
 
