@@ -13,7 +13,6 @@ import typer
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
-from robustlab.shown import text_table as table  # noqa: F401  until every command reads its result's own face
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

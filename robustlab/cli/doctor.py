@@ -16,10 +16,11 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, table
+from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption, grouped
 from robustlab.cli.progress import Display, ProgressOptions
 from robustlab.errors import EnvironmentFault, RobustlabError
+from robustlab.shown import text_table as table
 
 
 @dataclass(frozen=True)

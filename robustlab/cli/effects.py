@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import typer
 
-from robustlab.cli.console import emit, table
+from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
+from robustlab.shown import text_table as table
 
 app = typer.Typer(help="List the effects that a model may lack.", no_args_is_help=True, add_completion=False)
 

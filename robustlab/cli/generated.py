@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from inspect import Parameter as Given
 from inspect import Signature, signature
@@ -115,8 +115,10 @@ def _parsed(
             offered[name] = replace(p, default=None, kind=kind)
     words_of = [option.partition("=")[2] for option in doors if "=" in option]
     if words_of:  # "--kind=h2": the value of an option chooses, the first where none is given
-        option = next(iter(doors)).partition("=")[0]
-        offered[_field(option)] = Parameter(_field(option), Choice(tuple(words_of)), words_of[0], "Which is asked for.")
+        chooser = next(iter(doors)).partition("=")[0]
+        offered[_field(chooser)] = Parameter(
+            _field(chooser), Choice(tuple(words_of)), words_of[0], "Which is asked for."
+        )
     by_option = {option: name for name, p in offered.items() for option in p.options}
     choosing = {} if words_of else {option: by_option.get(option, _field(option)) for option in doors if option}
     files = [p for p in offered.values() if isinstance(p.kind, Thing) and p.needed]
@@ -126,16 +128,16 @@ def _parsed(
         for o, name in choosing.items()
         if o not in by_option
     ]
-    things = [p for p in offered.values() if isinstance(p.kind, Thing)]
-    reading = dict.fromkeys(p.kind.reading for p in things if p.kind.reading != "model" or not p.called.option)
-    if any(p.kind.settings for p in things):
+    things = [(p.kind, p.called.option) for p in offered.values() if isinstance(p.kind, Thing)]
+    reading = dict.fromkeys(kind.reading for kind, option in things if kind.reading != "model" or not option)
+    if any(kind.settings for kind, _ in things):
         reading["plant"] = None
     written = private if private is not None else (OUT, *([DRAWN] if any(_draws(d) for d in doors.values()) else []))
     told = [VERBOSE] if any(d.takes_progress and not d.progress for d in doors.values()) else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *told, AS_JSON, PROGRESS]
     offers += [
-        Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
-        for name, kind, option, default in own
+        Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, offered_as])
+        for name, taken, offered_as, default in own
     ]
 
     def command(**given: Any) -> None:
@@ -342,7 +344,7 @@ def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
     return kind.load(name, note, **reading)
 
 
-def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: Mapping[str, str]) -> str:
+def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:
     """What was asked for beside the files: names of plants, and the options that are not as by default, as typed."""
     words = []
     for p in chosen.parameters:

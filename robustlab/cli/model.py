@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, table
+from robustlab.cli.console import emit, note
 from robustlab.cli.generated import add_commands
 from robustlab.cli.members import named
 from robustlab.cli.options import (
@@ -18,6 +18,7 @@ from robustlab.cli.options import (
 )
 from robustlab.cli.plots import frequency_response, plot_model
 from robustlab.errors import UsageError
+from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded

@@ -17,9 +17,10 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust, table
+from robustlab.cli.console import emit, note, require_trust
 from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
+from robustlab.shown import text_table as table
 from robustlab.units import amount, same_unit, share
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, result_alone, table
+from robustlab.cli.console import emit, note, result_alone
 from robustlab.cli.members import named
 from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption, assignments
@@ -16,6 +16,7 @@ from robustlab.doors import reading
 from robustlab.doors.kinds import Machine
 from robustlab.doors.reading import made_of, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
+from robustlab.shown import text_table as table
 
 app = typer.Typer(
     help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False

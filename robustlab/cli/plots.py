@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, figure_place, note, save_drawing, table
+from robustlab.cli.console import FIGURE, emit, figure_place, note, save_drawing
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import (
     JsonOption,
@@ -25,6 +25,7 @@ from robustlab.cli.options import (
 from robustlab.cli.plant import plant_or_model
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError, did_you_mean
+from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,11 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit, table
+from robustlab.cli.console import emit
 from robustlab.cli.offers import plant_or_file
 from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError, did_you_mean
+from robustlab.shown import text_table as table
 
 app = typer.Typer(
     help="Check a recipe, list the kinds of steps, start a new one.", no_args_is_help=True, add_completion=False

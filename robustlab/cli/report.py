@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from robustlab.cli.console import emit, table
+from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
+from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from robustlab.report.run_comparison import Change, RunComparison

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robustlab.cli.console import emit, note, result_alone, table
+from robustlab.cli.console import emit, note, result_alone
 from robustlab.cli.offers import recipe_or_file
 from robustlab.cli.options import ChangesOption, JsonOption, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError
+from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from robustlab.recipe.run import RunResult

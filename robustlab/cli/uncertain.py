@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, note, require_trust, save_figures, table
+from robustlab.cli.console import FIGURE, emit, note, require_trust, save_figures
 from robustlab.cli.generated import add_commands
 from robustlab.cli.members import ResponseOptions, UncertainArgument, load_uncertain, named
 from robustlab.cli.options import JsonOption, SeedOption, grouped
 from robustlab.cli.progress import ProgressOptions
 from robustlab.errors import UsageError
+from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

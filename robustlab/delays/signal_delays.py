@@ -57,7 +57,8 @@ def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSp
     given: Any = [tau] * n if np.ndim(tau) == 0 else tau
     lengths = real_array("tau", given, 1, "delay")
     gain = StateSpaceModel([], [], [], np.eye(len(lengths)), dt)
-    return with_delays(gain, inputs=dict(enumerate(lengths.tolist())))
+    found: Any = with_delays(gain, inputs=dict(enumerate(lengths.tolist())))  # numbers, not ranges: no set
+    return found
 
 
 @told_as("with_delays")

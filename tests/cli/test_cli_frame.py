@@ -8,11 +8,11 @@ from importlib import import_module
 
 import pytest
 
-from robustlab.cli.console import table
 from robustlab.cli.ending import main_guard
 from robustlab.cli.groups import GROUPS
 from robustlab.cli.main import help_text, run
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
+from robustlab.shown import text_table as table
 
 HEAVY = ["numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic", "slycot", "clarabel", "jinja2"]
 

@@ -38,7 +38,7 @@ def entry(*signatures):
 
 try:
     from scipy.integrate._ivp import dop853_coefficients as table
-    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D  # noqa: F401 - C is for the kernels
+    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D  # noqa: F401  # pyright: ignore[reportUnusedImport]
 except ImportError as error:
     raise EnvironmentFault(
         "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"

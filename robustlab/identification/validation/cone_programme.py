@@ -62,7 +62,8 @@ def solved_cones(
     cones: list[Cone] = []
     for part in rows:
         count = part.matrix.shape[0]
-        cones += [(part.cone, part.height)] * (count // part.height) if part.height else [(part.cone, count)]
+        whole: Cone = (part.cone, part.height or count)
+        cones += [whole] * (count // part.height if part.height else 1)
     each = 50 + tuning.iteration_work * A.nnz
     most = min(max(budget.left / each, tuning.fewest_iterations), tuning.most_iterations)
     seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
