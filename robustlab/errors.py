@@ -91,15 +91,16 @@ class RobustlabError(Exception):
     @property
     def line(self) -> str:
         """The one line ``WHERE: FOUND, expected EXPECTED``, safe to print on a terminal."""
-        text = f"{self.where}: {self.found}"
+        where = self.where.removeprefix(": ")
+        text = f"{where}: {self.found}"
         if self.expected:
             text += f", expected {self.expected}"
         return _shown(text)
 
     def retold(self, name: str) -> None:
-        """Put the name of the function that was called in the place of a step's that it took; see `told_as`."""
+        """Put the called function's name before an argument, or in the place of a step's that it took; see `told_as`."""
         head, colon, rest = self.where.partition(":")
-        if head in _STEPS and head != name:
+        if (not head or head in _STEPS) and head != name:
             self.where = f"{name}{colon}{rest}"
             self.args = (self.line,)
 
@@ -209,6 +210,7 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorator of a function that is built on others: its errors begin with its own name, whoever raised them.
 
     The user called ``disk_margin``; that it takes a `small_gain` test on its way is nothing that they could look up.
+    What such functions share says ``": K"`` of an argument K, whoever called: the name is put before it.
     What is no step of ours, a file or a signal for example, stays as it is. Arguments that are no numbers, mappings,
     functions or names where the signature says so are refused, whatever the function would make of them.
 
@@ -216,13 +218,14 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     --------
     >>> @told_as("outer")
     ... def outer(level: float = 1.0):
-    ...     raise InputError("care: R", "singular", "an invertible R")
-    >>> for level in (1.0, "one"):
+    ...     raise InputError("care: R" if level else ": level", "singular", "an invertible R")
+    >>> for level in (1.0, 0.0, "one"):
     ...     try:
     ...         outer(level)
     ...     except InputError as error:
     ...         print(error)
     outer: R: singular, expected an invertible R
+    outer: level: singular, expected an invertible R
     outer: level: 'one', expected a number
     """
     _STEPS.add(name)
