@@ -98,7 +98,7 @@ class RobustlabError(Exception):
         return _shown(text)
 
     def retold(self, name: str) -> None:
-        """Put the called function's name before an argument, or in the place of a step's that it took; see `told_as`."""
+        """Put the called function's name before an argument, or in the place of a step's; see `told_as`."""
         head, colon, rest = self.where.partition(":")
         if (not head or head in _STEPS) and head != name:
             self.where = f"{name}{colon}{rest}"
