@@ -346,7 +346,7 @@ class Table(Kind):
                 if isinstance(self.value, Kind) and type(self.value) is Kind
                 else text.rpartition("=")
             )
-            if not (name and equals and value):
+            if not (name and equals) or (not value and not isinstance(self.value, Share)):  # a share says what it is
                 raise UsageError(f"{option} {text}", "no name and value", self.words)
             if name in found:
                 raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
@@ -485,9 +485,10 @@ class Thing(Kind):
         if self.model:
             return rl.linearise(found) if isinstance(found, Plant) else as_model(found, where)
         if self.gives[0] == "plant" and set(self.gives) <= {"plant", "any"} and not isinstance(found, Plant):
-            raise InputError(where, f"holds a {type(found).__name__}", "a plant", "robustlab plant list")
-        wanted = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
-        if wanted and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
+            wanted = "a discovery, or a plant" if self.discovery else "a plant"
+            raise InputError(where, f"holds a {type(found).__name__}", wanted, "robustlab plant list")
+        of_sets = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
+        if of_sets and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
             held = f"holds a {type(found).__name__}"
             raise InputError(where, held, "an uncertain model", "robustlab uncertain build --help")
         return found

@@ -94,7 +94,15 @@ def linearise(
     if outputs is not None:
         model = drop_unconnected(model.select(outputs=outputs))
     missing = plant.left_out(point, amplitude or {}, pade) if isinstance(plant, SteppedPlant) else ()
-    return InLoop(model, notes=left_out(missing))
+    return InLoop(model, notes=left_out(missing), beside=_place(at, pose))
+
+
+def _place(at: Any, pose: Any) -> dict[str, str]:
+    """Where a model was made, in words."""
+    if isinstance(at, dict) and at:
+        return {"rest": ", ".join(f"{name} = {value:g}" for name, value in at.items())}
+    given = pose if pose is not None else at
+    return {"pose": ", ".join(f"{value:g}" for value in given)} if given is not None else {}
 
 
 def left_out(missing: Any) -> tuple[str, ...]:

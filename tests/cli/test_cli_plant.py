@@ -193,7 +193,7 @@ def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(fo
     (folder / "slope.toml").write_text(NONLINEAR)
     code, out, err = told(capsys, "run", "slope.toml", "--json", "--out", "out")
     assert code == 0, err
-    assert "at F = 0" in json.loads(out)["steps"][1]["summary"]
+    assert ["Rest", "F = 0"] in [[fact["label"], fact["value"]] for fact in json.loads(out)["steps"][1]["facts"]]
     kept = rl.load("out/axis.h5")
     assert kept.parameters["m"].value == 10.0
     assert kept.provenance.inputs["axis: slope.py"] == digest("slope.py")
@@ -258,7 +258,7 @@ def test_what_a_file_prints_does_not_stand_in_the_result(folder):
 def test_in_this_process_too(folder, capsys):
     stdout = sys.stdout
     code, out, err = told(capsys, "model", "build", "noisy.py:axis", "--out", "m.h5", "--json")
-    assert (code, json.loads(out)["plant"]) == (0, "noisy.py:axis")
+    assert (code, json.loads(out)["inputs"]) == (0, [["u", "V"]])
     assert "A" in err
     assert sys.stdout is stdout
 

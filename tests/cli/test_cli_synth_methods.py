@@ -162,7 +162,7 @@ def test_figures_of_a_mixed_sensitivity_design(tmp_path, capsys):
 def test_text_says_why_it_stopped_and_what_limits(lag, capsys):
     assert run("fixed", lag, "--measurements", 1, "--controls", 1, "--structure", "order:1", "--starts", "1") == 0
     text = capsys.readouterr().out
-    for word in ("gamma", "FixedSynthesis (certified)", "what limits it", "how"):
+    for word in ("gamma", "FixedSynthesis (certified)", "What limits any controller", "how"):
         assert word in text
 
 

@@ -198,15 +198,15 @@ def test_a_discovery_becomes_a_set_with_the_origin_of_every_block(run):
     )
     result = run(DISCOVER + later + conditions)
     assert [q["why_not"] or q["value"] for q in result.data["requirements"] if not q["met"]] == []
-    table = {f["label"]: f for f in entry(result, "damped")["facts"]}
-    assert "describing" not in table["coulomb-friction@v"]["value"]
-    assert "amplitudes 0.05 to 0.5 m/s" in table["coulomb-friction@v"]["source"]
+    told = entry(result, "damped")["text"]
+    assert "coulomb-friction@v  RealScalar  1 x 1  50.4203 .. 514.389 N/(m/s)" in told
+    assert "amplitudes 0.05 to 0.5 m/s" in told
     assert "harmonic balance" in entry(result, "damped")["notes"][0]
     assert [f["stem"] for f in entry(result, "damped")["figures"]] == ["damped-blocks"]
     assert rl.load(result.folder / "evidence" / "set.h5").status is rl.Status.CONVERGED
 
 
 def test_what_is_no_plant_has_no_blocks(run):
-    with pytest.raises(InputError, match="a discover step, or a plant"):
+    with pytest.raises(InputError, match="step 'back': holds a Record, expected a discovery, or a plant"):
         run('[step.saved]\ndo = "save"\nof = "train"\nfile = "r.h5"\n[step.back]\ndo = "load"\nsaved = "saved"\n'
             '[step.set]\ndo = "uncertain-from"\nof = "back"\n')  # fmt: skip

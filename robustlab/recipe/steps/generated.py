@@ -118,7 +118,8 @@ class DoorStep(Step):
         value = self.declared.made_of(result) if self.gives != "nothing" else None
         simulated = [f"Record {name} is simulated, not measured." for name in self._records() if name in work.simulated]
         notes = (*found.notes, *getattr(result, "notes", ()), *simulated)
-        facts = (*([Fact("Loop", found.loop)] if found.loop else []), *facts_of(result))
+        words = {"loop": found.loop, **{name: one for name, one in found.beside.items() if isinstance(one, str)}}
+        facts = (*(Fact(name.capitalize(), word) for name, word in words.items() if word), *facts_of(result))
         # A text of the class's own says all; else the facts are said already.
         text = result.tables() if type(result).summary is Shown.summary else result.report()
         numbers = {name: value for name, value in result.numbers().items() if value is not None}
