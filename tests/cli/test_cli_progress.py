@@ -115,7 +115,10 @@ def robustlab(capsys, monkeypatch, tmp_path):
 
 
 def test_a_search_tells_the_work_it_may_take_at_most(robustlab):
-    pair = [rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "1")], outputs=[("y", "1")]) for a in (-1.0, -1.2)]
+    pair = [
+        rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "1")], outputs=[("y", "1")])
+        for a in (-1.0, -1.2)
+    ]
     rl.save("set.h5", rl.elementwise(*pair))
     out, err = robustlab("mu", "set.h5", "--progress", "json", "--json")
     assert json.loads(out)["command"] == "mu"
