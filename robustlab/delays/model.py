@@ -387,6 +387,11 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         """H and delays as plain types."""
         return {"H": self.H, "delays": self.delays}
 
+    def headline(self) -> str:
+        """Its size."""
+        states = f"{self.H.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        return f"model with {len(self.delays)} exact delays, {states}"
+
     def facts(self) -> Facts:
         """Signals with units, states, delays."""
         return [

@@ -229,7 +229,10 @@ def connect(
     return rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums)
 
 
-@door("model delay", "with-delays", result="delays.model.DelayedModel", gives="any", foretell="of")
+DELAYED = "delays.model.DelayedModel, statespace.StateSpaceModel"  # a discrete model, or a Pade approximation
+
+
+@door("model delay", "with-delays", result=DELAYED, gives="any", foretell="of")
 def delay(
     system: PlantOrModel,
     inputs: Annotated[

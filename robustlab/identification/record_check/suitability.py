@@ -81,7 +81,9 @@ class RecordCheck(Evidence):
     quantities: ClassVar[Mapping[str, Any]] = {
         "record": {"n": "1", "duration": "s", "dt": "s", "is_uniform": bool},
         "remarks": [str],
-        "channels": {"*": dict.fromkeys(("least", "greatest", "rms"), float)},
+        "channels": {
+            "*": {**dict.fromkeys(("name", "side", "unit"), str), **dict.fromkeys(("least", "greatest", "rms"), float)}
+        },
     }
 
     @property

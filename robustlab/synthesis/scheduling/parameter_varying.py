@@ -387,6 +387,11 @@ class LPVModel(Behaviour, Shown, Traced):
         word = "proved" if self.known == PROVED else "seen at samples only"
         return f"within {size} of the interpolation, entry by entry ({word})"
 
+    def headline(self) -> str:
+        """Its size."""
+        models = f"{int(np.prod(self.grid))} models, {self.n_states} states"
+        return f"model scheduled by {', '.join(p.name for p in self.parameters)}: {models}"
+
     def facts(self) -> Facts:
         """Parameters, signals, what is known between the points."""
         kind = "polytopic" if self.is_polytopic else "gridded"
