@@ -1,4 +1,4 @@
-"""docs/analysis.md and the README's second example: the code runs, and what is printed beside it is right."""
+"""docs/analysis.md: the code runs, and what is printed beside it is right."""
 
 from __future__ import annotations
 
@@ -60,12 +60,6 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
     printed = capsys.readouterr().out
     for number in ("1.48371", "1.48686", "5.8554", "5.8560", "0.36913", "22.12", "1.943", "[1.628 1.64 ]"):
         assert number in printed
-
-
-def test_the_second_example_of_the_readme(capsys):
-    (second,) = blocks_of("README.md")[1:]
-    exec(second, {"rl": rl})
-    assert capsys.readouterr().out.startswith("certified")
 
 
 def test_links_lead_somewhere():
