@@ -37,6 +37,7 @@ def run(
             "--out", "-o", help="Folder to write.  [default: out/NAME, and one of its own for other settings]"
         ),
     ] = None,
+    png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG beside the SVG, too.")] = False,
     progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
@@ -79,7 +80,7 @@ def run(
             display.step(len(begun) - 1, f"[{len(begun)}/{count}] {name} ({kind})")
 
         try:
-            result = run_recipe(loaded, folder, begin, latest=not out)
+            result = run_recipe(loaded, folder, begin, latest=not out, png=png)
         except BaseException:
             with suppress(InputError):  # none was written
                 if ending_of(read_result(folder, isolate=False))["how"] != "finished":

@@ -170,6 +170,7 @@ def run_recipe(
     out: str | Path,
     report: Callable[[str, str], None] = lambda _name, _kind: None,
     latest: bool = False,
+    png: bool = False,
 ) -> RunResult:
     """Run a recipe and write its results into ``out``.
 
@@ -179,6 +180,7 @@ def run_recipe(
     ``out``: the folder; files in it that are no result of an earlier run stay.
     ``report``: called with name and kind of each step before it runs.
     ``latest``: the link ``latest`` beside the folder is to point to it.
+    ``png``: figures are drawn as PNG beside the SVG, too.
     Raises InputError, EnvironmentFault: the recipe or a step cannot be done as it is; all that is known before the
     first step is told at once. (A step that is done, but ends without a trustworthy number, is no error: the run goes
     on with the steps that do not need it, and says so.).
@@ -189,6 +191,7 @@ def run_recipe(
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
     with _workplace(target, out) as folder:
         workspace = Workspace(folder, {}, loaded.recipe.seed, target.with_name(f".{target.name}-unfinished"))
+        workspace.png = png
         steps: list[dict[str, Any]] = []
         _announce(loaded, workspace, target)
         if latest:

@@ -1,4 +1,4 @@
-"""House style of all figures, and how they are saved: deterministic SVG for the report, PNG for everything else.
+"""House style of all figures, and how they are saved: deterministic SVG for the report, PNG where one is asked for.
 
 Figures are made with `new_figure` (no pyplot: no global state, no window system) and saved with `save_figure`.
 """
@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
@@ -204,44 +202,37 @@ def _power_of_ten(value: float) -> str:
     return f"10{digits}" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·10{digits}"
 
 
-def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
-    """Write ``name.svg`` and ``name.png`` into ``folder``; the same figure gives the same bytes.
+def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True) -> tuple[Path, ...]:
+    """Write ``name.svg``, and ``name.png``, into ``folder``; the same figure gives the same bytes.
 
-    The SVG carries its curves as numbers, see `robustlab.report.svg`.
-
-    Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
+    The SVG is drawn by `robustlab.report.vector` and carries its curves as numbers, see `robustlab.report.curves`; the
+    PNG is drawn by matplotlib. Each file is written beside its final name first and then renamed, so that a reader
+    never sees half of one.
 
     Raises EnvironmentFault: the folder cannot be made, or a file not written.
 
     Returns
     -------
     tuple of Path
-        The SVG and the PNG.
+        The SVG, and the PNG where one was asked for.
     """
     from robustlab.errors import EnvironmentFault
     from robustlab.files.atomic import atomic_write
+    from robustlab.report.curves import with_curves
+    from robustlab.report.vector import svg_of
 
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EnvironmentFault(str(folder), f"the folder cannot be made ({error.strerror})") from error
-    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
+    svg, raster = folder / f"{name}.svg", folder / f"{name}.png"
     with house_style(), warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; the caption in the report has it in full.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        FigureCanvasSVG(figure)
-        atomic_write(svg, lambda path: _write_svg(figure, path))
-        FigureCanvasAgg(figure)
-        atomic_write(
-            png, lambda path: figure.savefig(path, format="png", dpi=PNG_DPI, metadata={"Software": "robustlab"})
-        )
-    return svg, png
-
-
-def _write_svg(figure: Figure, path: Path) -> None:
-    from robustlab.report.svg import compact, with_curves
-
-    text = StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
-    path.write_text(with_curves(compact(text.getvalue()), figure), encoding="utf-8")
+        if png:  # first, for it is laid out by matplotlib
+            FigureCanvasAgg(figure)
+            metadata = {"Software": "robustlab"}
+            atomic_write(raster, lambda path: figure.savefig(path, format="png", dpi=PNG_DPI, metadata=metadata))
+        atomic_write(svg, lambda path: path.write_text(with_curves(svg_of(figure), figure), encoding="utf-8"))
+    return (svg, raster) if png else (svg,)

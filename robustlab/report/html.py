@@ -29,7 +29,7 @@ from xml.etree import ElementTree as ET
 from markupsafe import Markup
 
 from robustlab.errors import InputError, plain_text
-from robustlab.report.svg import split
+from robustlab.report.curves import split
 from robustlab.result import Status
 
 if TYPE_CHECKING:

@@ -101,12 +101,16 @@ def test_a_run_with_all_requirements_met(recipe, capsys):
         "junit.xml",
         "set.h5",
         "figures/cover-omega.svg",
-        "figures/cover-omega.png",
     }
     assert set(result(folder)["files"]) == written
     assert {p.name for p in recipe.joinpath("out").iterdir()} == {"small", "latest"}
     assert (recipe / "out/latest").resolve() == folder
     assert rl.load(folder / "set.h5").blocks[0].name == "Kf"
+
+
+def test_figures_as_png_where_they_are_asked_for(recipe):
+    assert robustlab("run", "small.toml", "--png") == 0
+    assert {p.name for p in (recipe / "out/small/figures").iterdir()} == {"cover-omega.svg", "cover-omega.png"}
 
 
 def test_the_numbers_are_those_of_the_library(recipe):

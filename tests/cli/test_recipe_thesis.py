@@ -41,7 +41,7 @@ def test_thesis_meets_its_requirements(tmp_path):
     drawn |= {f"numbers-case-{case}" for case in ("1", "2a", "2b", "2c")} | {"numbers-condition"}
     assert set(captions) == drawn
     for stem in captions:
-        assert (result.folder / f"figures/{stem}.png").stat().st_size > 10_000
+        assert (result.folder / f"figures/{stem}.svg").stat().st_size > 5_000
     assert "worst Δ = +I" in captions["numbers-case-1"]
     assert all("worst Δ = -I" in captions[f"numbers-case-{case}"] for case in ("2a", "2b", "2c"))
     assert "figures 8.1, 8.2" in captions[f"numbers-height-{sines[0]}"]

@@ -125,6 +125,7 @@ class Workspace:
     simulated: set[str] = field(default_factory=set)  # names of the steps whose records are simulated, not measured
     step: str = ""  # name of the step that runs now
     ahead: Ahead = field(default_factory=lambda: Ahead({}))  # what was known before the first step
+    png: bool = False  # whether figures are drawn as PNG, too
 
     def uncertain(self, name: str) -> rl.UncertainModel:
         """The uncertain model that an earlier step gave; a loaded file may hold something else."""
@@ -151,14 +152,14 @@ class Workspace:
         return Provenance.now(f"recipe step {self.step}", self.inputs, self.seed)
 
     def draw(self, figure: Figure, name: str, caption: str) -> None:
-        """Save a figure of the present step as SVG and PNG."""
+        """Save a figure of the present step."""
         from robustlab.report.figures import save_figure
 
         # A signal's name is data from outside; the name of a file is not.
         stem = re.sub(r"[^A-Za-z0-9_-]", "_", f"{self.step}-{name}")[:80]
         taken = [known for known, _ in self.figures.get(self.step, [])]
         stem = f"{stem}-{len(taken) + 1}" if stem in taken else stem
-        for path in save_figure(figure, self.folder / "figures", stem):
+        for path in save_figure(figure, self.folder / "figures", stem, self.png):
             self.files.append(f"figures/{path.name}")
         self.figures.setdefault(self.step, []).append((stem, caption))
 

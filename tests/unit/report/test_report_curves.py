@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from robustlab.report.curves import curves_of, split
 from robustlab.report.figures import new_figure, save_figure, zero_line
-from robustlab.report.svg import curves_of, split
 
 
 def panel_of(figure):

@@ -1,23 +1,16 @@
-"""A smaller drawing is the same picture: what is left out lies on what is drawn."""
+"""The SVG drawn by us is the picture that the axes describe; what is left out lies on what is drawn."""
 
 from __future__ import annotations
 
 import re
-from io import StringIO
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
-from robustlab.report.figures import house_style, new_figure
-from robustlab.report.svg import COLUMN, HREF, OFF, SVG, compact, corners_of, thinned
-
-
-def raw(figure) -> str:
-    text = StringIO()
-    with house_style():
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()
+from robustlab.report import vector
+from robustlab.report.figures import house_style, legend_below, logarithmic, new_figure
+from robustlab.report.vector import COLUMN, OFF, corners_of, svg_of, thinned
 
 
 def distance(points, line) -> float:
@@ -59,41 +52,157 @@ def test_corners_lie_within_the_tolerance():
     assert len(chosen) < 120
 
 
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(autouse=True)
+def ours_alone(monkeypatch):
+    def never(_figure):
+        raise AssertionError("drawn by matplotlib")
+
+    monkeypatch.setattr(vector, "_of_matplotlib", never)
+
+
+def drawn(figure) -> ET.Element:
+    with house_style():
+        return ET.fromstring(svg_of(figure))
+
+
+def texts(root) -> set[str]:
+    return {"".join(element.itertext()) for element in root.iter(f"{SVG}text")}
+
+
+def corners(path: str) -> np.ndarray:
+    """The points of a path of relative lines."""
+    start, _, steps = path.removeprefix("M").partition("l")
+    numbers = [re.findall(r"-?(?:\d+\.?\d*|\.\d+)", part) for part in (start, steps)]
+    return np.cumsum(np.concatenate([np.array(found, dtype=float).reshape(-1, 2) for found in numbers]), axis=0)
+
+
+def test_a_curve_lies_where_the_axes_say():
+    """On the straight line between the corners of the panel, whose places the ticks tell; logarithmic, too."""
+    figure, (axes,) = new_figure()
+    axes.plot([1.0, 10.0, 100.0], [0.0, 5.0, 10.0], color="#123456")
+    axes.set(xlim=(1.0, 1000.0), ylim=(0.0, 20.0))
+    logarithmic(axes.xaxis)
+    root = drawn(figure)
+    (line,) = [e for e in root.iter(f"{SVG}path") if e.get("stroke") == "#123456"]
+    box = root.find(f".//{SVG}clipPath/{SVG}rect")
+    x, y, width, height = (float(box.get(side)) for side in ("x", "y", "width", "height"))
+    expected = [(x + width * k / 3, y + height * (1 - 0.25 * k)) for k in (0, 1, 2)]
+    assert corners(line.get("d")) == pytest.approx(np.array(expected), abs=0.03)
+    ticks = {e.text: float(e.get("x")) for e in root.iter(f"{SVG}text") if e.get("text-anchor") == "middle"}
+    assert [ticks[t] for t in ("1", "10", "100")] == pytest.approx([x, x + width / 3, x + 2 * width / 3], abs=0.01)
+
+
 def test_the_drawing_is_small_well_formed_and_keeps_its_texts():
     figure, (axes, other) = new_figure(1, 2)
     axes.plot(np.linspace(0, 1, 9000), np.random.default_rng(0).normal(size=9000), label="noise <b> & 5 %")
     axes.fill_between([0.0, 1.0], [0.0, 1.0], [2.0, 3.0])
     other.plot(np.zeros(400), np.zeros(400), "o")
-    axes.set(xlabel="time [s]", ylabel="error [µm]")
+    axes.set(xlabel="time [s]", ylabel="error [µm]", title="two\nlines")
     axes.legend()
-    whole = raw(figure)
-    small = compact(whole)
-    assert len(small) < 0.25 * len(whole)
-    root = ET.fromstring(small)
-    texts = {element.text for element in root.iter(f"{SVG}text")}
-    assert {"time [s]", "error [µm]", "noise <b> & 5 %"} <= texts
+    with house_style():
+        whole = svg_of(figure)
+    assert len(whole) < 30_000
+    root = ET.fromstring(whole)
+    assert {"time [s]", "error [µm]", "noise <b> & 5 %", "twolines"} <= texts(root)
     names = [element.attrib["id"] for element in root.iter() if "id" in element.attrib]
     assert len(names) == len(set(names))
-    assert {found[2:-1] for found in re.findall(r"(?:\"|\()#[a-z0-9]+[)\"]", small)} == set(names)
+    assert set(re.findall(r"url\(#([a-z0-9]+)\)", whole)) == set(names)
 
 
 def test_markers_that_cover_one_another_are_drawn_once_and_others_all():
     figure, (axes,) = new_figure()
     axes.plot([0.2] * 300 + [0.4, 0.6], [0.5] * 302, "o", color="#D55E00")
-    root = ET.fromstring(compact(raw(figure)))
-    (round_,) = [e.get("id") for e in root.iter(f"{SVG}path") if "C" in e.get("d", "")]  # ticks have straight lines
-    assert sum(e.get(HREF) == f"#{round_}" for e in root.iter(f"{SVG}use")) == 3
+    (dots,) = [e for e in drawn(figure).iter(f"{SVG}path") if e.get("stroke") == "#d55e00"]
+    assert dots.get("d").count("h0") == 3
+
+
+@pytest.mark.parametrize("kind", ["o", ".", "s", "D", "d", "^", "v", "x", "+", "|", "*"])
+@pytest.mark.parametrize("face", ["#D55E00", "none"])
+def test_every_marker_is_drawn(kind, face):
+    figure, (axes,) = new_figure()
+    axes.plot([0.2, 0.4], [0.5, 0.6], kind, color="#D55E00", mfc=face, mew=1.5)
+    assert "#d55e00" in ET.tostring(drawn(figure), encoding="unicode")
+
+
+def test_what_is_not_finite_is_a_gap():
+    figure, (axes,) = new_figure()
+    axes.plot([0, 1, 2, 3, 4], [0, 1, np.nan, 1, 0], color="#123456")
+    (line,) = [e for e in drawn(figure).iter(f"{SVG}path") if e.get("stroke") == "#123456"]
+    assert line.get("d").count("M") == 2
 
 
 def test_a_hatched_bar_keeps_its_hatching():
     figure, (axes,) = new_figure()
     axes.bar([0], [1], hatch="//")
-    root = ET.fromstring(compact(raw(figure)))
+    root = drawn(figure)
     (pattern,) = root.iter(f"{SVG}pattern")
     assert f"url(#{pattern.get('id')})" in ET.tostring(root, encoding="unicode")
+
+
+def test_nothing_stands_outside_of_the_picture_or_on_one_another():
+    """Labels, ticks, titles and a legend of four columns: each text within the figure, panels beside one another."""
+    figure, panels = new_figure(2, 3, sharex="col")
+    for k, axes in enumerate(panels):
+        for j in range(3):
+            axes.plot([0, 1e-6], [0, 1234567.0 * 10**k], label=f"a curve with a long name, number {j}")
+        axes.set(xlabel="time [s]", ylabel=f"force {k} [N]", title=f"panel {k}")
+    legend_below(figure, panels)
+    root = drawn(figure)
+    width, height = (float(v) for v in root.get("viewBox").split()[2:])
+    for element in root.iter(f"{SVG}text"):
+        assert 0 <= float(element.get("x")) <= width
+        assert 0 <= float(element.get("y")) <= height
+    boxes = [
+        [float(r.get(s)) for s in ("x", "y", "width", "height")] for r in root.iterfind(f".//{SVG}clipPath/{SVG}rect")
+    ]
+    assert len(boxes) == 6
+    assert all(w > 60 and h > 60 for _, _, w, h in boxes)
+    for k in (0, 1, 3, 4):
+        assert boxes[k][0] + boxes[k][2] + 20 < boxes[k + 1][0]
+    assert all(boxes[k][1] + boxes[k][3] + 10 < boxes[k + 3][1] for k in range(3))
+
+
+@pytest.mark.parametrize("place", ["best", "upper left", "lower right", "center", "lower center"])
+def test_a_legend_stands_where_it_is_asked_for(place):
+    figure, (axes,) = new_figure()
+    axes.plot([0, 1], [0, 1], label="rising")
+    axes.legend(loc=place)
+    root = drawn(figure)
+    (entry,) = [e for e in root.iter(f"{SVG}text") if e.text == "rising"]
+    box = root.find(f".//{SVG}clipPath/{SVG}rect")
+    x, y, width, height = (float(box.get(side)) for side in ("x", "y", "width", "height"))
+    across, down = (float(entry.get("x")) - x) / width, (float(entry.get("y")) - y) / height
+    assert 0 < across < 1
+    assert 0 < down < 1
+    assert {"best": across < 0.5 and down < 0.5, "upper left": across < 0.3 and down < 0.3}.get(place, True)
+    assert {"lower right": across > 0.7 and down > 0.7, "center": 0.3 < down < 0.7}.get(place, True)
+
+
+def test_an_empty_figure_is_a_picture():
+    figure, (axes,) = new_figure()
+    root = drawn(figure)
+    assert root.find(f".//{SVG}clipPath") is not None
+    axes.legend([], [])
+    axes.plot([], [], label="nothing")
+    axes.fill_between([], [], [])
+    axes.legend()
+    assert "nothing" in texts(drawn(figure))
+
+
+def test_a_picture_in_a_picture_is_drawn_by_matplotlib(monkeypatch):
+    monkeypatch.setattr(vector, "_of_matplotlib", lambda _figure: "by matplotlib")
+    figure, (axes,) = new_figure()
+    axes.imshow(np.eye(2))
+    assert svg_of(figure) == "by matplotlib"
+    figure, (axes,) = new_figure()
+    axes.annotate("there", (0.5, 0.5), (0.1, 0.1), arrowprops={"arrowstyle": "->"})
+    assert svg_of(figure) == "by matplotlib"
 
 
 def test_the_same_drawing_gives_the_same_characters():
     figure, (axes,) = new_figure()
     axes.plot([0, 1], [1, 0])
-    assert compact(raw(figure)) == compact(raw(figure))
+    assert svg_of(figure) == svg_of(figure)

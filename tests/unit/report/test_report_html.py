@@ -18,9 +18,9 @@ from check_report import ID, Tags
 
 from robustlab.errors import InputError
 from robustlab.recipe.run import read_result
+from robustlab.report.curves import split
 from robustlab.report.figures import new_figure, save_figure
 from robustlab.report.html import found_in_words, in_words, render, verdict
-from robustlab.report.svg import split
 
 REQUIREMENT = {
     "text": "fast enough",
