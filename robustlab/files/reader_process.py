@@ -1,9 +1,8 @@
-"""The child process that reads untrusted files: ``python -m robustlab.files.reader_process``.
+"""The child process that reads untrusted files: forked by `robustlab.files.reader_server`, or a fresh interpreter.
 
-`robustlab.files.isolation` starts it with one argument, a JSON table: kind (``hdf5``, ``matlab5``, ``parquet``,
-``mcap``, ``table``, ``json``, ``toml``), the limits, what messages call the file, and its path, or the number of bytes
-of the document that follow on stdin. It answers on stdout with a tree, a document or an error; a crash or a hang is
-seen by the parent.
+It is told a JSON table: kind (``hdf5``, ``matlab5``, ``parquet``, ``mcap``, ``table``, ``json``, ``toml``), the limits,
+what messages call the file, and its path, or the number of bytes of the document that follow on stdin. It answers on
+stdout with a tree, a document or an error; a crash or a hang is seen by the parent.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, BinaryIO
 
 from robustlab.errors import InputError
 from robustlab.files.isolation import send_document, send_error, send_tree
@@ -71,18 +70,16 @@ def _more_time(limits: Limits) -> Callable[[int], None]:
     return allow
 
 
-def main(argument: str) -> int:
-    """Read one file and send it."""
-    request = json.loads(argument)
+def answered(request: dict[str, Any], answer: BinaryIO, given: bytes | None = None) -> int:
+    """Read one file and send it; the exit code. ``given``: the document; None: it is on stdin."""
     kind, shown, limits = request["kind"], request["shown"], Limits(**request["limits"])
     size = request["size"] if "size" in request else os.stat(request["path"]).st_size  # noqa: PTH116
     _limit_resources(kind, limits, size)
-    answer = sys.stdout.buffer
     try:
         if kind in ("json", "toml"):
             from robustlab.files.document import parse_document
 
-            send_document(answer, parse_document(kind, sys.stdin.buffer.read(), shown))
+            send_document(answer, parse_document(kind, sys.stdin.buffer.read() if given is None else given, shown))
             return 0
         tree = _tree(kind, request, limits)
     except InputError as error:
@@ -119,4 +116,4 @@ def _tree(kind: str, request: dict[str, Any], limits: Limits) -> Any:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(answered(json.loads(sys.argv[1]), sys.stdout.buffer))

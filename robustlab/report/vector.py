@@ -511,20 +511,30 @@ def thinned(corners: Array) -> Array:
 def corners_of(x: Array, y: Array) -> NDArray[np.intp]:
     """Which points of a line are corners: the others lie within `OFF` of the line through these."""
     points = np.column_stack([x, y])
-    kept = np.zeros(len(points), dtype=bool)
-    kept[[0, -1]] = True
-    open_ = [(0, len(points) - 1)]
-    while open_:
-        first, last = open_.pop()
-        if last - first < 2:
-            continue
-        along, inner = points[last] - points[first], points[first + 1 : last] - points[first]
-        length = float(np.hypot(*along))
+    if len(points) < 3:
+        return np.arange(len(points))
+    ends = np.array([0, len(points) - 1])  # of pieces; those between are cut where a point is too far off
+    open_ = np.array([0])
+    while len(open_):
+        first, last = ends[open_], ends[open_ + 1]
+        counts = last - first - 1
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        inner = np.arange(counts.sum()) + np.repeat(first + 1 - starts, counts)
+        along, away = (
+            np.repeat(points[last] - points[first], counts, axis=0),
+            points[inner] - np.repeat(points[first], counts, axis=0),
+        )
+        square = (along**2).sum(axis=1)
         # The distance from the piece, not from the line that it lies on: a curve may turn back.
-        share = np.clip(inner @ along / length**2, 0, 1) if length else np.zeros(len(inner))
-        off = np.hypot(*(inner - share[:, None] * along).T)
-        furthest = int(off.argmax())
-        if off[furthest] > OFF:
-            kept[first + 1 + furthest] = True
-            open_ += [(first, first + 1 + furthest), (first + 1 + furthest, last)]
-    return np.flatnonzero(kept)
+        share = np.clip((away * along).sum(axis=1) / np.where(square > 0, square, 1.0), 0, 1)
+        off = np.hypot(*(away - share[:, None] * along).T)
+        most = np.maximum.reduceat(off, starts)
+        far = most > OFF
+        peaks = np.flatnonzero(off == np.repeat(most, counts))
+        furthest = inner[peaks[np.searchsorted(peaks, starts)]]  # the first one of each piece
+        new = furthest[far]
+        ends = np.sort(np.concatenate([ends, new]))
+        at = np.searchsorted(ends, new)
+        both = np.concatenate([at - 1, at])
+        open_ = np.sort(both[ends[both + 1] - ends[both] > 1])
+    return ends

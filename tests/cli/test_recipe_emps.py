@@ -13,7 +13,7 @@ from robustlab.recipe.run import run_recipe
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps.h5"
 # Requirements that are not met, by what they judge. The recipes keep the bars, and the texts say what is missed: where
-# one is met one day, README and docs/discover.md (docs/from_data_to_controller.md) are to be put right with this.
+# one is met one day, docs/measured.md, discover.md and from_data_to_controller.md are to be put right with this.
 MISSED = {"naming.effects.coulomb-friction.Fc", "naming.gaps.q.updated"}
 FLAGSHIP_MISSED = {"story.mu.fall_percent", "story.error.ratio"}
 
@@ -37,16 +37,16 @@ def test_the_flagship_keeps_its_bars():
 
 
 def test_the_texts_say_what_is_not_met():
-    readme, discover, story = (
+    measured, discover, story = (
         " ".join((ROOT / name).read_text(encoding="utf-8").split())
-        for name in ("README.md", "docs/discover.md", "docs/from_data_to_controller.md")
+        for name in ("docs/measured.md", "docs/discover.md", "docs/from_data_to_controller.md")
     )
     assert len(MISSED) == 2
     assert "`emps-discover` ends in 1: two of its eleven requirements are not met" in discover
-    assert "so do `emps-discover` and `rack-pinion`, each for two" in readme
+    assert "so do `emps-discover` and `rack-pinion`, each for two" in measured
     assert len(FLAGSHIP_MISSED) == 2
     assert "`flagship-emps` ends in 1: two of its seven requirements are not met" in story
-    assert "It ends in exit code 1 all the same: μ falls by 24 %" in readme
+    assert "It ends in exit code 1 all the same: μ falls by 24 %" in measured
     for name, count in (("emps-discover", 11), ("flagship-emps", 7)):
         assert len(load_recipe(recipe_path(name)).recipe.require) == count
 

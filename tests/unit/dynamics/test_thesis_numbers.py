@@ -48,12 +48,12 @@ def test_a_fit_is_no_reproduction(found):
         assert row not in found.with_status("R")
 
 
-def test_the_readme_counts_the_rows(found):
-    readme = " ".join((Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8").split())
+def test_the_page_of_what_was_measured_counts_the_rows(found):
+    page = " ".join((Path(__file__).parents[3] / "docs" / "measured.md").read_text(encoding="utf-8").split())
     r, f, p, n = (len(found.with_status(status)) for status in "RFPN")
-    assert f"{len(found.rows)} rows of chapters 6-11" in readme
-    assert f"{r} are reproduced, {f} are fits and not counted as such" in readme
-    assert f"{p} are so in part or under a reading that is stated, {n} are not reproducible" in readme
+    assert f"{len(found.rows)} rows of chapters 6-11" in page
+    assert f"{r} are reproduced, {f} are fits and not counted as such" in page
+    assert f"{p} are so in part or under a reading that is stated, {n} are not reproducible" in page
 
 
 def test_what_is_not_reproduced_has_a_reason(found):

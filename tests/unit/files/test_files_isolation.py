@@ -1,15 +1,19 @@
 """The reader process: crashes, hangs, floods and nonsense become findings about the file."""
 
 import os
+import signal
+import subprocess
 import sys
+import threading
 
 import h5py
 import numpy as np
 import pytest
 
 from robustlab.errors import EnvironmentFault, InputError
+from robustlab.files import isolation, reader_server
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.isolation import run_reader
+from robustlab.files.isolation import document_isolated, run_reader
 from robustlab.files.signature import Limits
 
 LIMITS = Limits(seconds=20.0)  # no reader here comes near it
@@ -101,3 +105,112 @@ def test_dtype_table(tmp_path):
     for name, dataset in tree.datasets.items():
         assert dataset.values.dtype == (np.float64 if "f" in name else np.int64)
         np.testing.assert_array_equal(dataset.values, numbers)
+
+
+# --- one server for many files ----------------------------------------------------------------------------------------
+
+FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
+
+
+@pytest.fixture
+def server(monkeypatch):
+    found = reader_server.ReaderServer(isolation._environment)
+    monkeypatch.setattr(isolation, "_SERVER", found)
+    monkeypatch.setattr(isolation, "_fresh", lambda *_: pytest.fail("a fresh interpreter was started"))
+    yield found
+    found.close()
+
+
+def number(text=b"a = 1"):
+    return document_isolated("toml", text, "p.toml", LIMITS)
+
+
+@FORKS
+def test_one_process_serves_many_files_each_in_its_own(server, tmp_path):
+    with h5py.File(tmp_path / "p.h5", "w") as file:
+        file["A"] = np.eye(2)
+    assert number() == {"a": 1}
+    process = server._process
+    for _ in range(5):
+        np.testing.assert_array_equal(read_tree(tmp_path / "p.h5").datasets["A"].values, np.eye(2))
+        assert number(b"b = [1, 2]") == {"b": [1, 2]}
+        with pytest.raises(InputError, match=r"p\.toml"):
+            number(b"b = [1, ")
+    assert server._process is process
+
+
+@FORKS
+@pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGSEGV])
+def test_a_server_that_was_killed_is_started_again(server, way):
+    number()
+    first = server._process
+    first.send_signal(way)
+    first.wait()
+    assert number() == {"a": 1}
+    assert server._process.pid != first.pid
+
+
+@FORKS
+def test_a_server_that_hangs_is_ended_and_the_file_read_by_a_fresh_interpreter(monkeypatch):
+    found = reader_server.ReaderServer(isolation._environment)
+    monkeypatch.setattr(isolation, "_SERVER", found)
+    monkeypatch.setattr(reader_server, "OVERDUE", 0.3)
+    number()
+    stopped = found._process
+    stopped.send_signal(signal.SIGSTOP)
+    assert document_isolated("toml", b"a = 1", "p.toml", Limits(seconds=2.0)) == {"a": 1}
+    assert stopped.wait(10) == -signal.SIGKILL
+
+
+@FORKS
+def test_a_reader_that_crashes_or_hangs_ends_nothing_but_itself(server, monkeypatch):
+    """What happens in a fork: the server is made to crash and to sleep by what it is told to load for a kind."""
+    number()
+    process = server._process
+    script = (
+        "import os, sys, time\nfrom robustlab.files import reader_process, reader_server\n"
+        "def answered(request, stream, given):\n"
+        "    os.kill(os.getpid(), 11) if request['kind'] == 'crash' else time.sleep(60)\n"
+        "reader_process.answered = answered\n"
+        "reader_server.serve(sys.stdin.buffer, sys.stdout.buffer)\n"
+    )
+    command = [sys.executable, "-c", script]
+    environment = isolation._environment()
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as bad:
+        server._process = bad
+        crash = server.ask({"kind": "crash"}, b"", 20.0)
+        assert (crash.status, crash.late) == (-11, False)
+        late = server.ask({"kind": "hang"}, b"", 0.2)
+        assert late.late
+        assert server.ask({"kind": "crash"}, b"", 20.0).status == -11
+        bad.kill()
+    server._process = process
+    assert number() == {"a": 1}
+
+
+@FORKS
+def test_threads_and_forks_share_no_answer(server):
+    found = []
+    work = [threading.Thread(target=lambda k=k: found.append((k, number(b"a = %d" % k)["a"]))) for k in range(12)]
+    for thread in work:
+        thread.start()
+    for thread in work:
+        thread.join()
+    assert len(found) == 12
+    assert all(k == value for k, value in found)
+    start, end = os.pipe()
+    child = os.fork()
+    if child == 0:  # its own server, not its parent's
+        try:
+            os.write(end, str(number(b"a = 7")["a"]).encode())
+        finally:
+            server.close()
+            os._exit(0)
+    assert number(b"a = 8") == {"a": 8}
+    os.waitpid(child, 0)
+    assert os.read(start, 10) == b"7"
+
+
+def test_without_fork_a_fresh_interpreter_reads(monkeypatch):
+    monkeypatch.delattr(os, "fork", raising=False)
+    assert number() == {"a": 1}
