@@ -50,6 +50,20 @@ Exit codes:
 """
 
 
+FIRST_WORDS = """\
+robustlab: uncertain models, proved bounds, verified controllers, model against measurement.
+
+What one can do first:
+  robustlab run first-light               a whole design of a motor, with its report
+  robustlab plant new mymachine           your own plant, in one file
+  robustlab uncertain build --help        what is uncertain about it
+  robustlab data compare --help           how far a model is off a record
+  robustlab recipe new my-project         a commented recipe to start from
+
+robustlab --help lists the commands; robustlab explain WORD says what a word of a result means.
+"""
+
+
 def help_text() -> str:
     """What ``robustlab --help`` prints."""
     width = max(map(len, GROUPS))
@@ -59,9 +73,12 @@ def help_text() -> str:
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command that ``arguments`` name; the exit code."""
-    if not arguments or arguments[0] in ("--help", "-h"):
+    if not arguments:
+        print(FIRST_WORDS, end="")
+        return 2
+    if arguments[0] in ("--help", "-h"):
         print(help_text(), end="")
-        return 0 if arguments else 2
+        return 0
     name, *rest = arguments
     if name == "--version":
         from robustlab.provenance import robustlab_version

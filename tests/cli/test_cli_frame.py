@@ -61,7 +61,7 @@ def test_help_names_every_group_and_fits_a_terminal(capsys):
 
 def test_no_command_is_a_usage_error_that_shows_the_help(capsys):
     assert run([]) == 2
-    assert "Usage: robustlab COMMAND" in capsys.readouterr().out
+    assert "What one can do first:\n  robustlab run first-light" in capsys.readouterr().out
 
 
 def test_an_unknown_command_is_answered_with_the_nearest_one(capsys):
