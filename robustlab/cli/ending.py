@@ -115,6 +115,31 @@ def require_surroundings() -> None:
         raise EnvironmentFault("robustlab", found, f"at least {LEAST_ADDRESS_SPACE >> 20} MiB (ulimit -v)")
 
 
+def keep_compiled_code() -> None:
+    """Where compiled code can be kept nowhere: a folder for this command alone, and a note if it was needed."""
+    from pathlib import Path
+
+    places = Path(__file__).parents[1], Path(os.path.expanduser("~"))  # noqa: PTH111 - without a home it says "~"
+    if os.environ.get("NUMBA_CACHE_DIR") or any(os.access(place, os.W_OK) for place in places):
+        return
+    import atexit
+    import tempfile
+
+    try:
+        os.environ["NUMBA_CACHE_DIR"] = place = tempfile.mkdtemp(prefix="robustlab-")
+    except OSError:  # then it is an error where something is compiled, and says so
+        return
+    atexit.register(_forget, place)
+
+
+def _forget(place: str) -> None:
+    import shutil
+
+    shutil.rmtree(place, ignore_errors=True)
+    if "numba" in sys.modules:
+        _say("note: compiled code cannot be kept here, and is compiled each time: export NUMBA_CACHE_DIR=/some/folder")
+
+
 def main_guard(run: Callable[[], int | None]) -> int:
     """Run a command and turn every way it can end into its exit code."""
     try:

@@ -88,6 +88,7 @@ class Display:
         self.command, self.mode = command, mode
         self._text, self._done, self._total, self._at_most = "", 0.0, float(total or 0), False
         self._part = False
+        self._kept: list[str] = []  # lines that are to stay above the bar
         self._began = self._base = time.monotonic()
         self._from, self._told = 0.0, 0.0
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -102,6 +103,8 @@ class Display:
         self._over.set()
         if self._watch.is_alive():
             self._watch.join()
+        for text in self._kept:
+            note(text)
         if self.mode == "json":
             self._line(ended=True)
 
@@ -112,6 +115,11 @@ class Display:
             note(text)
         elif self.mode == "json":
             self._line()
+
+    def done(self, text: str) -> None:
+        """What has been done: a line that stays on a terminal; elsewhere it was told when it began."""
+        if self.mode == "bar":
+            self._kept.append(text)
 
     def step(self, done: float, text: str = "") -> None:
         """So many steps are done."""
@@ -197,6 +205,8 @@ class Display:
         with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
             task = bar.add_task(self.command, total=None, times="")
             while True:
+                while self._kept:
+                    bar.console.print(plain_text(self._kept.pop(0)), markup=False, highlight=False)
                 told = plain_text(f"{self.command}: {self._text}" if self._text else self.command)
                 bar.update(
                     task, description=told[-80:], completed=self._done, total=self._total or None, times=self._times()

@@ -16,6 +16,8 @@ from robustlab.shown import text_table as table
 if TYPE_CHECKING:
     from robustlab.recipe.run import RunResult
 
+WIDTH = 44  # of a step's line, before its time
+
 app = typer.Typer(help="Run a recipe: steps, requirements, report.", add_completion=False)
 
 
@@ -51,6 +53,7 @@ def run(
 
     Example: robustlab run first-light --set seed=7 --out out/first-light
     """
+    import time
     from contextlib import suppress
     from pathlib import Path
 
@@ -71,13 +74,19 @@ def run(
     folder = Path(out) if out else default_folder(loaded)
     replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
-    begun: list[str] = []
+    begun, since = list[str](), [0.0]
     result_alone()  # a plant of the recipe may be code of the user's
     with progress.shown("run", count, lines=True, budgets=False) as display:
 
+        def ended() -> None:
+            if begun:
+                display.done(f"{begun[-1]:<{WIDTH}} {time.monotonic() - since[0]:6.1f} s")
+
         def begin(name: str, kind: str) -> None:
-            begun.append(name)
-            display.step(len(begun) - 1, f"[{len(begun)}/{count}] {name} ({kind})")
+            ended()
+            since[0] = time.monotonic()
+            begun.append(f"[{len(begun) + 1}/{count}] {name} ({kind})")
+            display.step(len(begun) - 1, begun[-1])
 
         try:
             result = run_recipe(loaded, folder, begin, latest=not out, png=png)
@@ -86,6 +95,7 @@ def run(
                 if ending_of(read_result(folder, isolate=False))["how"] != "finished":
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
+        ended()
     if replacing:
         note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)

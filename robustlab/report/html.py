@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 MAX_FIGURES = 2_500_000  # characters of all figures in the page: pictures first, then the curves of the first ones
+LEADING = 3  # figures that stand below the requirements
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
 _MEANING = {
@@ -154,6 +155,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
             paragraphs=_paragraphs,
             status_meaning=_status_meaning,
             tone=tone,
+            leading=leading_figures(readable),
             MARKS=_MARKS,
             image=pictures.image,
             curves=pictures.curves,
@@ -218,6 +220,19 @@ def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
     while digits < _DIGITS and abs(float(f"{value:.{digits}g}") - value) > 0.05 * nearest:
         digits += 1
     return f"{value:.{digits}g}" if abs(value) >= 10.0**6 or abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def leading_figures(result: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
+    """Stem -> heading of its step and figure, of the first figures of the steps that requirements are about.
+
+    None where the run tells its story in one picture, which then leads.
+    """
+    if any(step["do"] == "story" and step["figures"] for step in result["steps"]):
+        return {}
+    steps = {step["name"]: step for step in result["steps"]}
+    asked = (steps.get(q["that"].partition(".")[0]) for q in result["requirements"])
+    found = {s["figures"][0]["stem"]: (heading(s), s["figures"][0]) for s in asked if s is not None and s["figures"]}
+    return dict(list(found.items())[:LEADING])
 
 
 def heading(step: Mapping[str, Any]) -> str:

@@ -121,7 +121,7 @@ def test_the_page_has_everything_and_loads_nothing(folder):
     rest = re.sub(r"src='data:image/svg\+xml,[^']*'", "", page)
     addresses = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'>)]+)', rest)
     assert addresses
-    assert all(address.startswith("#step-") for address in addresses)
+    assert all(address.startswith(("#step-", "#figure-")) for address in addresses)
     assert page.count("<script") == 1
     assert "default-src 'none'" in page
 
