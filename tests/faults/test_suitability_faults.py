@@ -171,9 +171,16 @@ def test_all_faults_are_listed_the_wrong_channel_first():
     assert "hint: check the wiring" in text
 
 
-def test_a_wrong_unit_that_is_stated_is_refused_as_everywhere():
+def test_a_unit_of_another_measure_is_refused_as_everywhere():
     with pytest.raises(UnitMismatch):
-        suitability(AXIS, rl.Record(T, {"u": U}, {"q": 1e3 * RUN["q"]}, {"u": "V", "q": "mm"}))
+        suitability(AXIS, rl.Record(T, {"u": U}, {"q": RUN["q"]}, {"u": "V", "q": "deg"}))
+
+
+def test_a_unit_of_the_same_measure_is_converted_and_a_wrong_one_found():
+    """Millimetres that are millimetres are fit; metres that are said to be millimetres are not."""
+    assert suitability(AXIS, rl.Record(T, {"u": U}, {"q": 1e3 * RUN["q"]}, {"u": "V", "q": "mm"})).fit
+    wrong = suitability(AXIS, rl.Record(T, {"u": U}, {"q": RUN["q"]}, {"u": "V", "q": "mm"}))
+    assert [f.kind for f in wrong.fatal] == ["unit"]
 
 
 def test_a_signal_that_is_missing():

@@ -46,6 +46,7 @@ from robustlab.identification.naming.posterior import weigh
 from robustlab.identification.naming.set_search import clock_nuisances, search_sets
 from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
 from robustlab.identification.record_check.suitability import Finding, suitability
+from robustlab.identification.response.response import converted, with_units
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
@@ -270,6 +271,12 @@ def discover(
     if not measured:
         raise InputError("discover", "no record", "at least one")
     findings = _checked(known, [*measured, *kept_out])
+    signals = (*known.inputs, *known.outputs)
+    findings += tuple(
+        Finding("unit", name, said, "", f"in {r.name}", False, {})
+        for r in (*measured, *kept_out) for name, said in converted(r, signals).items()
+    )  # fmt: skip
+    measured, kept_out, repeats = ([with_units(r, signals) for r in rows] for rows in (measured, kept_out, repeats))
     measured, kept_out, told = _from_near(known, measured, kept_out)
     findings += told
     stated = stated_tolerances(known, tolerances)

@@ -40,7 +40,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.channel_identity import Contradiction, contradictions, turned_channels
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
-from robustlab.identification.response.response import Response, longest_period, matched, response_of
+from robustlab.identification.response.response import Response, longest_period, matched, response_of, with_units
 from robustlab.identification.response.windowed_simulation import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -328,9 +328,10 @@ def suitability(plant: Any, record: Record) -> Suitability:
     >>> suitability(axis, run).fit, suitability(axis, wrong).fatal[0].kind
     (True, 'sign')
     """
-    level = uniform(record)
     if isinstance(plant, NonlinearPlant):
         shared, _ = matched(plant.inputs, plant.outputs, record)
+        record = with_units(record, (*plant.inputs, *shared))
+        level = uniform(record)
         inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
         # A dead sensor would tell of a joint that it stands still.
         dead = [replace(f, fatal=True) for f in _dead(record, outputs)]
@@ -340,6 +341,8 @@ def suitability(plant: Any, record: Record) -> Suitability:
             findings += _along_motion(plant, level)
     else:
         response = response_of(plant, record)
+        record = response.with_units(record)
+        level = uniform(record)
         outputs, inputs = response.output_names, response.model.input_names
         findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
         findings += _too_short(response, record)

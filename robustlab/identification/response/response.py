@@ -16,7 +16,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
-from robustlab.units import factor_to_si, same_unit
+from robustlab.units import factor_between, same_unit
 
 # A pole slower than this share of the fastest one counts as an integrator.
 INTEGRATOR = 1e-9
@@ -189,13 +189,41 @@ def matched(
         known = ", ".join(s.name for s in outputs)
         raise InputError(where, f"no output in common (record: {have}; model: {known})", "at least one common output")
     warnings = _check_units(where, (*inputs, *compared), record)
-    return tuple(Signal(s.name, record.unit(s.name) or s.unit) for s in compared), tuple(warnings)
+    factors = _conversions(record, compared)
+    shared = (Signal(s.name, s.unit if s.name in factors else record.unit(s.name) or s.unit) for s in compared)
+    return tuple(shared), tuple(warnings)
 
 
 def with_units(record: Record, signals: Sequence[Signal]) -> Record:
-    """The record, with the unit of a signal wherever its own is not stated."""
+    """The record in the units of the signals: converted where it states another of the same measure, or none."""
+    signals = [s for s in signals if s.name in record.inputs or s.name in record.outputs]
     units = {name: unit for name, unit in signals if not record.unit(name)}
-    return Record(record.t, record.inputs, record.outputs, {**record.units, **units}, record.name, record.meaning)
+    factors = _conversions(record, signals)
+    units |= {name: unit for name, unit in signals if name in factors}
+    inputs, outputs = (
+        {name: values * factors[name] if name in factors else values for name, values in side.items()}
+        for side in (record.inputs, record.outputs)
+    )
+    return Record(record.t, inputs, outputs, {**record.units, **units}, record.name, record.meaning)
+
+
+def converted(record: Record, signals: Sequence[Signal]) -> dict[str, str]:
+    """Signal -> what `with_units` does to its values, in words."""
+    return {
+        name: f"recorded in {record.unit(name)}, converted to {unit} (times {factor:.6g})"
+        for name, unit in signals if (factor := _conversions(record, [Signal(name, unit)]).get(name)) is not None
+    }  # fmt: skip
+
+
+def _conversions(record: Record, signals: Sequence[Signal]) -> dict[str, float]:
+    """Signal -> factor, where the record states another unit of the same measure."""
+    found: dict[str, float] = {}
+    for name, unit in signals:
+        stated = record.unit(name) if name in record.inputs or name in record.outputs else ""
+        factor = factor_between(stated, unit) if stated and unit and not same_unit(stated, unit) else None
+        if factor is not None:
+            found[name] = factor
+    return found
 
 
 def stretch_of(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Stretch:
@@ -210,13 +238,10 @@ def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) 
     for name, unit in model_signals:
         measured = record.unit(name)
         if unit and measured and not same_unit(unit, measured):
-            converts = same_unit(factor_to_si(measured)[1], unit)
-            raise UnitMismatch(
-                f"{where}: {name}",
-                f"recorded in {measured}",
-                f"{unit} as in the model",
-                f"--unit {name}={measured} converts it" if converts else "convert the record, or correct its unit",
-            )
+            if factor_between(measured, unit) is None:
+                expected, hint = f"{unit} as in the model", "convert the record, or correct its unit"
+                raise UnitMismatch(f"{where}: {name}", f"recorded in {measured}", expected, hint)
+            warnings.append(f"{name}: {converted(record, [Signal(name, unit)])[name]}")
         if not measured or not unit:
             who = (
                 "neither the record nor the model states"
