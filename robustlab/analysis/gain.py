@@ -85,7 +85,7 @@ def peak_gain(
     ``natures``                     quadratic constraints
     LPVModel                        induced L2 gain over all trajectories of the parameters
     plant with effects              worst L2 gain of ``e = d + sign K y, y = G(e)`` from disturbances d at its inputs to
-    (`with_effects`), ``controller``  its outputs y, each effect taken for what it is
+    (`with_effects`), `controller`  its outputs y, each effect taken for what it is
     ==============================  ==================================================================================
 
     Parameters
