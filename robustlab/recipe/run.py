@@ -5,7 +5,7 @@
     out/NAME/result.json    everything: requirements, steps, numbers, provenance, the recipe itself
     out/NAME/report.html    the same for reading
     out/NAME/junit.xml      the requirements for a CI system
-    out/NAME/figures/       each figure as SVG and PNG
+    out/NAME/figures/       each figure as SVG, with --png as PNG, too
     out/NAME/evidence/      results with what is needed to check them again, as HDF5
     out/NAME/*.h5           what save steps wrote
 
