@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Any, BinaryIO
 
 from robustlab.errors import InputError
-from robustlab.files.isolation import send_document, send_error, send_tree
 from robustlab.files.signature import MIB, Limits
+from robustlab.files.wire import send_document, send_error, send_tree
 
 # What Python, numpy and h5py (or scipy) take of the address space before a file is opened, with room to spare.
 BASE_ADDRESS_SPACE = 2048 * MIB

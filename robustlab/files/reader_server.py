@@ -149,10 +149,10 @@ def _be_the_reader(request: dict[str, Any], given: bytes, pipes: tuple[tuple[int
         for source, target in ((nothing, 0), (pipes[0][1], 1), (pipes[1][1], 2)):
             os.dup2(source, target)
         os.closerange(3, max(64, *(end for pipe in pipes for end in pipe)) + 1)
-        from robustlab.files.reader_process import answered
-
+        # By its name, as a fresh interpreter is told it: the readers' own front doors start this server.
+        reader = import_module("robustlab.files.reader_process")
         with os.fdopen(1, "wb", closefd=False) as stream:
-            status = answered(request, stream, given)
+            status = reader.answered(request, stream, given)
     except BaseException as error:  # noqa: BLE001 - whatever it was, this process ends here, and the parent is told
         with suppress(OSError):
             os.write(2, f"{type(error).__name__}: {error}\n".encode(errors="replace"))
