@@ -90,6 +90,11 @@ def command_of(declared: Door, own: Options | None = None, more: More | None = N
     return _parsed(declared.command, {"": declared}, declared, own, more)
 
 
+def _own(name: str, taken: Any, offered: Any, default: Any) -> Given:
+    """An option that is no parameter of the function."""
+    return Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, offered])
+
+
 def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
     """One command for several doors: an option says which is meant.
 
@@ -135,10 +140,7 @@ def _parsed(
     written = private if private is not None else (OUT, *([DRAWN] if any(_draws(d) for d in doors.values()) else []))
     told = [VERBOSE] if any(d.takes_progress and not d.progress for d in doors.values()) else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *told, AS_JSON, PROGRESS]
-    offers += [
-        Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, offered_as])
-        for name, taken, offered_as, default in own
-    ]
+    offers += [_own(*option) for option in own]
 
     def command(**given: Any) -> None:
         shared = {name: given.pop(name) for name, *_ in own}
