@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Any
@@ -45,6 +45,11 @@ class Status(StrEnum):
     def trustworthy(self) -> bool:
         """True for CERTIFIED and CONVERGED."""
         return self in (Status.CERTIFIED, Status.CONVERGED)
+
+
+def least_trusted(statuses: Sequence[Status]) -> Status:
+    """The status that says least; it is that of several results together."""
+    return max(statuses, key=list(Status).index)
 
 
 def plain(value: Any) -> Any:

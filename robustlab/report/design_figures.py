@@ -28,6 +28,8 @@ from robustlab.report.figures import (
 )
 
 if TYPE_CHECKING:
+    from robustlab.analysis.performance_comparison import PerformanceComparison
+    from robustlab.dynamics.control.controlled_runs import ControlledRuns, TimePanel
     from robustlab.mu_analysis import Margin
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
@@ -55,15 +57,6 @@ class FunctionPanel:
     allowed: Array | None = None  # `1 / |W|`, what the weight asks for, shape (n_omega,); None without a weight
     proved: Array | None = None  # `gamma / |W|`, below which the verified gamma keeps the function; None without
     unit: str = ""  # of the gain; empty for a ratio
-
-
-@dataclass(frozen=True, eq=False)
-class TimePanel:
-    """One signal of several runs over time: label with unit, run -> samples (n,), and a limit to draw (None: none)."""
-
-    label: str
-    curves: Mapping[str, Array]
-    limit: float | None = None
 
 
 def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float | None = None) -> Figure:
@@ -148,6 +141,16 @@ def loop_figure(
             frequency_axis(axes, (omega[0], omega[-1]))
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
     return figure
+
+
+def performance_picture(found: PerformanceComparison) -> Figure:
+    """Bounds of mu of every controller of a comparison."""
+    return mu_comparison_figure(found.margins)
+
+
+def runs_picture(found: ControlledRuns) -> Figure:
+    """Errors and controls of runs under several controllers."""
+    return runs_figure(found.t, found.panels)
 
 
 def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of robust performance") -> Figure:

@@ -60,6 +60,8 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis", "TwoDegreeSynthesis"), _LOOP),
     **dict.fromkeys(("LqgSynthesis", "FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
+    "PerformanceComparison": {"mu": "design_figures.performance_picture"},
+    "ControlledRuns": {"runs": "design_figures.runs_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
     **dict.fromkeys(("SampledController", "RobustSampledController"), _SAMPLED),
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
@@ -139,5 +141,8 @@ CAPTIONS: Mapping[str, str] = {
     "smallest Delta; below, what each of them leaves, in the noise bound.",
     "set_figures.envelope_figures": "{}: the record, and below it the record minus the nominal model, in the envelope "
     "of all members.",
+    "design_figures.performance_picture": "μ of robust performance; thin lines: proved at all frequencies. "
+    "Below 1 every member meets the requirement.",
+    "design_figures.runs_picture": "The errors and the controls under each controller, and the limits.",
     "design_figures.history_picture": "The search: what each iterate proves of μ, and its order.",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
@@ -72,11 +72,6 @@ def quantity(value: float, unit: str = "", digits: int = 5) -> str:
 def picked(result: Any, *names: str) -> dict[str, Any]:
     """Attributes of a result by name, for requirements."""
     return {name: getattr(result, name) for name in names}
-
-
-def least_trusted(statuses: Sequence[rl.Status]) -> rl.Status:
-    """The status that says least; it is that of a step with several results."""
-    return max(statuses, key=list(type(statuses[0])).index)
 
 
 @dataclass(frozen=True)
@@ -183,7 +178,12 @@ def facts_of(found: Any) -> tuple[Fact, ...]:
     )
 
 
-def told(found: Any, value: Any, summary: str, numbers: Mapping[str, Any], work: Workspace) -> Outcome:
-    """A result that tells its own facts, kept as evidence; ``value`` is what later steps get of it."""
-    work.keep(found)
-    return Outcome(value, summary, numbers, facts_of(found), found.status)
+def told(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
+    """A result that shows itself: its pictures, numbers, facts and tables; ``value`` is what later steps get of it."""
+    from robustlab.report.drawings import pictures_of
+
+    for name, picture in pictures_of(found):
+        work.draw(picture.figure, name, picture.caption)
+    numbers = {name: number for name, number in found.numbers().items() if number is not None}
+    status, notes = getattr(found, "status", None), getattr(found, "notes", ())
+    return Outcome(value, summary, numbers, facts_of(found), status, notes, found.tables())

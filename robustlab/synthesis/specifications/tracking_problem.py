@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,7 +40,7 @@ Sizes = float | Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class TrackingProblem:
+class TrackingProblem(Shown):
     """A weighted tracking problem."""
 
     # From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
@@ -61,6 +61,34 @@ class TrackingProblem:
     disturbance: Mapping[str, float]
     noise: Mapping[str, float]
     loads: Mapping[str, float]
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "states": "1", "blocks": [str], "channels": "1", "measurements": "1", "controls": "1",
+    }  # fmt: skip
+
+    def numbers(self) -> dict[str, Any]:
+        """Sizes of the weighted problem."""
+        return {
+            "states": self.uncertain.M.n_states,
+            "blocks": [b.name for b in self.uncertain.blocks],
+            "channels": self.uncertain.delta_shape[0],
+            "measurements": self.n_meas,
+            "controls": self.n_con,
+        }
+
+    def facts(self) -> Facts:
+        """What the controller sees and drives, and how large everything is."""
+        plant, blocks = self.plant, self.uncertain.blocks
+        return [
+            ("the controller sees", ", ".join(s.name for s in plant.measurements)),
+            ("it drives", ", ".join(f"{s.name} [{s.unit}]" for s in plant.controls)),
+            ("size of the references", _in_words(self.reference, self.controlled)),
+            ("of the disturbances", _in_words(self.disturbance, plant.controls)),
+            ("of the loads", ", ".join(f"{name} {size:g}" for name, size in self.loads.items())),
+            ("of the noise", _in_words(self.noise, plant.measurements)),
+            ("uncertain", f"{len(blocks)} blocks, {self.uncertain.delta_shape[0]} channels"),
+            ("states, weights included", str(self.uncertain.M.n_states)),
+        ]
 
     @property
     def n_meas(self) -> int:
@@ -377,3 +405,9 @@ def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
         found = f"spectral abscissa is {w.spectral_abscissa():.3g}"
         raise InputError(where, found, "a stable weight", "make an integrator a slow lag: error > 0")
     return w
+
+
+def _in_words(sizes: Mapping[str, float], signals: Sequence[Signal]) -> str:
+    """Sizes of signals with their units, in words."""
+    units = {s.name: s.unit for s in signals}
+    return ", ".join(f"{name} {number(float(size), units.get(name, ''), 5)}" for name, size in sizes.items()) or "none"

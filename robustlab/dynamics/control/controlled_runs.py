@@ -1,0 +1,316 @@
+"""One motion under several controllers, simulated alike: a sine that a linear plant follows, the platform's path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.dynamics.control.controlled_plant import controlled_plant, driver_in_loop
+from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
+from robustlab.dynamics.control.trajectory_following import (
+    SineTrajectory,
+    TrajectoryFollowing,
+    follow,
+    follow_with_torques,
+    torque_loop,
+)
+from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.linearisation import linearise, trim
+from robustlab.dynamics.simulation import simulate
+from robustlab.dynamics.stewart.kinematics import nut_angles
+from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+from robustlab.errors import InputError, unknown_name
+from robustlab.result import Status
+from robustlab.shown import Facts, Part, Shown, number
+from robustlab.statespace import as_model
+
+HELD = 1e-4  # s between samples of a reference, which is held between them
+
+
+class TimePanel(NamedTuple):
+    """One signal of several runs over time: label with unit, run -> samples (n,), and a limit to draw (None: none)."""
+
+    label: str
+    curves: Mapping[str, Array]
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ControlledRuns(Shown):
+    """Simulated runs of one machine under several controllers.
+
+    Attributes
+    ----------
+    controllers
+        Controller -> its numbers by name.
+    columns
+        Title of a column of the table, where its number stands, and the factor to the title's unit.
+    t
+        Times of the curves in s.
+    panels
+        Signals over time; the first one is the error that counts.
+    unit
+        Unit of that error.
+    after
+        Time in s from which on errors count.
+    told
+        What was simulated, as (label, text).
+    notes
+        What the numbers do not say.
+    """
+
+    controllers: Mapping[str, Mapping[str, Any]]
+    columns: tuple[tuple[str, tuple[str, ...], float], ...]
+    t: Array
+    panels: tuple[TimePanel, ...]
+    unit: str
+    after: float
+    told: Facts
+    notes: tuple[str, ...]
+
+    @property
+    def errors(self) -> Mapping[str, Array]:
+        """Controller -> error over time."""
+        return self.panels[0].curves
+
+    @property
+    def status(self) -> Status:
+        """CONVERGED: simulated, with the integrators' own control of their steps."""
+        return Status.CONVERGED
+
+    def headline(self) -> str:
+        """How many controllers."""
+        return f"simulated under {len(self.controllers)} controllers"
+
+    def facts(self) -> Facts:
+        """What was simulated."""
+        return [*self.told, ("errors count from", number(self.after, "s", 5))]
+
+    def details(self) -> list[Part]:
+        """A row for each controller."""
+        header = ("controller", "order", *(title for title, _, _ in self.columns))
+        rows = [
+            (name, str(row["order"]), *(_cell(row, where, factor) for _, where, factor in self.columns))
+            for name, row in self.controllers.items()
+        ]
+        return [Part("", header, rows)]
+
+    def numbers(self) -> dict[str, Any]:
+        """Every controller's."""
+        return {"controllers": self.controllers}
+
+    def to_json(self) -> dict[str, Any]:
+        """Numbers and what was simulated; no curves."""
+        told = {"facts": dict(self.facts()), "notes": self.notes}
+        return {"status": self.status, "controllers": self.controllers, **told}
+
+
+def _cell(row: Mapping[str, Any], where: tuple[str, ...], factor: float) -> str:
+    value: Any = row
+    for key in where:
+        value = value[key]
+    return ("yes" if value else "no") if isinstance(value, bool) else f"{factor * value:.4g}"
+
+
+class Sine(NamedTuple):
+    """A sine that grows to its amplitude: amplitude, rad/s, s of growth, s in all, and the points that are kept."""
+
+    amplitude: float
+    omega: float
+    rise_time: float
+    t_end: float
+    points: int = 2001
+    held: float = HELD
+
+    def wave(self) -> tuple[Array, Array, int]:
+        """Times (n,), the reference at them, and how many of them lie between two points that are kept."""
+        fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.held))
+        t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
+        share = np.clip(t / self.rise_time, 0.0, 1.0)
+        return t, self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t), fine
+
+
+class Judged(NamedTuple):
+    """How runs are judged: s from which on errors count, factor and unit of the error, largest sizes of signals."""
+
+    after: float = 0.0
+    scale: float = 1.0
+    unit: str = ""
+    limits: Mapping[str, float] = {}
+
+
+def follow_sine(
+    plant: Any,
+    controllers: Mapping[str, Any],
+    controlled: Sequence[str],
+    measured: Sequence[str],
+    sine: Sine,
+    judged: Judged = Judged(),  # noqa: B008 - a tuple
+    effects: Mapping[str, Mapping[str, float]] | None = None,
+    members: Sequence[Mapping[str, float]] = (),
+) -> ControlledRuns:
+    """A linear plant under several controllers, as it is and with effects that no design knew, members included.
+
+    ``effects``: as of `with_effects`; one at a control acts on what the controller commands.
+    ``members``: parameters of further members. Limits are compared with, nothing is clipped.
+
+    Raises InputError: the plant is not linear, or has no such signal; what `controlled_plant` and `with_effects` raise.
+    """
+    if not isinstance(plant, LinearPlant):
+        raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
+    units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
+    for name in judged.limits:
+        if name not in units:
+            raise unknown_name(f"limits.{name}", "no such signal", name, list(units))
+    t, wave, fine = sine.wave()
+    late, known = t >= judged.after, dict(effects or {})
+    rows: dict[str, dict[str, Any]] = {}
+    errors: dict[str, Array] = {}
+    sizes: dict[str, dict[str, Array]] = {name: {} for name in judged.limits}
+    for name, K in controllers.items():
+        loop = controlled_plant(plant, K, controlled, measured)
+        made = [_rough(loop, plant, known, member) for member in ({}, *members)]
+        runs = [simulate(one, t, np.tile(wave[:, None], len(controlled))) for one in made]
+        error = [np.column_stack([wave - run[c] for c in controlled]) * judged.scale for run in runs]
+        largest = {n: float(max(np.abs(run[n]).max() for run in runs)) for n in judged.limits}
+        rows[name] = {
+            "order": len(loop.states) - len(plant.states),
+            "largest_error": float(np.abs(error[0][late]).max()),
+            "worst_error": float(max(np.abs(e[late]).max() for e in error)),
+            "largest": largest,
+            "within_limits": all(largest[n] <= limit for n, limit in judged.limits.items()),
+        }
+        errors[name] = error[0][::fine, 0]
+        for signal in judged.limits:
+            sizes[signal][name] = runs[0][signal][::fine]
+    unit = judged.unit or units[controlled[0]]
+    columns = [(f"error [{unit}]", ("largest_error",), 1.0), (f"of the worst member [{unit}]", ("worst_error",), 1.0)]
+    columns += [(f"largest {n} [{units[n]}]", ("largest", n), 1.0) for n in judged.limits]
+    panels = [TimePanel(f"error of {controlled[0]} [{unit}]", errors)]
+    panels += [TimePanel(f"{n} [{units[n]}]", sizes[n], limit) for n, limit in judged.limits.items()]
+    amplitude = number(float(sine.amplitude), units[controlled[0]], 5)
+    words = " and ".join(e.replace("-", " ").replace("@", " at ") for e in known) or "no further effect"
+    told = [
+        ("reference", f"{amplitude} at {number(float(sine.omega), 'rad/s', 5)}"),
+        ("effects that no design knew", words),
+        ("further members simulated", str(len(members))),
+    ]
+    note = "Limits are compared with, not applied: nothing is clipped."
+    return ControlledRuns(rows, tuple(columns), t[::fine], tuple(panels), unit, judged.after, told, (note,))
+
+
+def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
+    """A member's loop with effects; one at a control acts on what the controller commands."""
+    made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
+    at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]
+    rest = {key: values for key, values in effects.items() if key not in at_controls}
+    moved = with_effects(made, rest) if rest else made
+    for key in at_controls:
+        if key in effects:
+            moved = with_effects(moved, driver_in_loop(made, own, key.partition("@")[2], effects[key]))
+    return moved
+
+
+class Path(NamedTuple):
+    """The path of L. Březina's section 9.1.3: pose of its beginning (home: None), scale, s of growth, s, points."""
+
+    at: Sequence[float] | None = None
+    scale: float = 1.0
+    rise_time: float = 0.0
+    t_end: float = 5.0
+    points: int = 2501
+
+    @property
+    def words(self) -> str:
+        """What it does; at scale 1 a lift of 5 mm, sines of 5 mm and 20 mrad."""
+        return f"a lift of {5 * self.scale:g} mm, then sines of {5 * self.scale:g} mm and {20 * self.scale:g} mrad"
+
+
+def follow_path(
+    plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
+) -> ControlledRuns:
+    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
+
+    With motors the controllers are upper layers that ask for torques, above the motors' torque loops of triple pole
+    ``p_low`` in 1/s. Without, the machine takes their torques; it may have effects then, and controllers may see angles
+    alone. Numbers, by controller: ``worst_error`` (largest distance from the path in mm), ``position_error`` in m and
+    ``orientation_error`` in rad of the worst axis, ``nut_errors.phi_1`` ... in rad, ``largest_torque`` and, with
+    motors, ``largest_voltage``, ``within_limits``, ``spectral_abscissa`` of the linear loop.
+
+    Raises InputError: no such platform; what `follow` and `follow_with_torques` raise.
+    """
+    runs, abscissas, asked, below = _followed(plant, controllers, path, p_low)
+    t, limits = np.linspace(0.0, path.t_end, path.points), next(iter(runs.values())).limits
+    late = t >= after
+    rows: dict[str, dict[str, Any]] = {}
+    curves: dict[str, dict[str, Array]] = {key: {} for key in ("position", "torque", "voltage")}
+    for name, run in runs.items():
+        error = run.largest_error(after)
+        curves["position"][name] = distance = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
+        largest = np.abs((run.phi - asked)[late]).max(axis=0)
+        rows[name] = {
+            "order": as_model(controllers[name], name).n_states,
+            "worst_error": float(distance[late].max()),
+            "position_error": float(error[:3].max()),
+            "orientation_error": float(error[3:].max()),
+            "nut_errors": {f"phi_{i + 1}": float(off) for i, off in enumerate(largest)},
+            "largest_torque": float(run.largest_torque().max()),
+            "within_limits": run.within_limits,
+            "spectral_abscissa": abscissas[name],
+        }
+        curves["torque"][name] = 1e3 * np.abs(run.torque).max(axis=1)
+        if run.voltage.size:
+            rows[name]["largest_voltage"] = float(run.largest_voltage().max())
+            curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
+    panels = (
+        TimePanel("distance to path [mm]", curves["position"]),
+        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
+        TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
+    )
+    columns = (
+        ("position [mm]", ("position_error",), 1e3),
+        ("angle [mrad]", ("orientation_error",), 1e3),
+        ("torque [mN m]", ("largest_torque",), 1e3),
+        *([("voltage [V]", ("largest_voltage",), 1.0)] if curves["voltage"] else []),
+        ("in limits", ("within_limits",), 1.0),
+    )
+    pose = "home" if path.at is None else ", ".join(f"{v:g}" for v in path.at)
+    told = [("path begins at", pose), ("path", path.words), below]
+    what = "torque and voltage" if curves["voltage"] else "torque"
+    note = f"Nothing is clipped: 'in limits' says whether the motors' {what} would have been enough."
+    kept = tuple(panel for panel in panels if panel.curves)
+    return ControlledRuns(rows, columns, t, kept, "mm", after, told, (note,))
+
+
+def _followed(
+    plant: Any, controllers: Mapping[str, Any], path: Path, p_low: float
+) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], Array, tuple[str, str]]:
+    """The run under each controller, the rightmost pole of its linear loop, the nut angles asked for (n, 6), and what
+    is below the controllers.
+    """
+    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
+        expected = "one, with motors, or without them and perhaps with effects"
+        raise InputError("follow_path: plant", "no Stewart platform that can be followed here", expected)
+    point = trim(plant) if path.at is None else trim(plant, pose=path.at)
+    sines = SineTrajectory(machine.geometry.home if path.at is None else path.at, rise_time=path.rise_time)
+    sines = replace(sines, lift=path.scale * np.asarray(sines.lift), amplitude=path.scale * np.asarray(sines.amplitude))
+    t = np.linspace(0.0, path.t_end, path.points)
+    asked = nut_angles(machine.geometry, sines.pose(t))
+    models = {name: as_model(K, name) for name, K in controllers.items()}
+    if not machine.motors:
+        named = f", with {', '.join(e.in_words for e in plant.effects)}" if machine is not plant else ""
+        runs = {name: follow_with_torques(plant, K, sines, t, at=point) for name, K in models.items()}
+        poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
+        return runs, poles, asked, ("the machine", f"takes torques{named}")
+    lower = two_layer(machine, p_low=p_low).lower
+    layered = {name: LayeredController(K, lower, point) for name, K in models.items()}
+    runs = {name: follow(machine, controller, sines, t) for name, controller in layered.items()}
+    poles = {name: closed_loop(machine, controller).spectral_abscissa() for name, controller in layered.items()}
+    return runs, poles, asked, ("torque loops below", f"triple pole at {p_low:g} 1/s")
