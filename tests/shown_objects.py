@@ -186,6 +186,30 @@ def robust_sampled_controller() -> Any:
     return RobustSampledController(**vars(made("SampledController")), **judged)
 
 
+def performance_comparison() -> Any:
+    from robustlab.analysis.performance_comparison import compare_performance
+
+    return compare_performance({"first": (loop(), 1), "second": (loop(), 1)}, points=20)
+
+
+def controlled_runs() -> Any:
+    from robustlab.dynamics.control.controlled_runs import Judged, Sine, follow_sine
+
+    K = rl.StateSpaceModel([], [], [], [[0.5, -0.5]], inputs=["omega_ref", ("omega", "rad/s")], outputs=[("u", "V")])
+    sine = Sine(10.0, 30.0, 0.1, 0.4, points=41)
+    return follow_sine(motor(), {"gain": K}, ["omega"], ["omega"], sine, Judged(limits={"u": 42.0}))
+
+
+def story() -> Any:
+    from robustlab.analysis.story import Story, simulated_gap
+
+    t = np.arange(200) * 1e-3
+    run = rl.simulate(motor(), t, np.full(200, 10.0))
+    gap = simulated_gap(run, "omega", [("before", motor()), ("after", motor())], "simulated")
+    margins = [made("Margin")] * 2
+    return Story(gap, (0.3, 0.02), None, margins, (0.8, 0.5), t, [t, 0.5 * t], (1.0, 0.5), "rad")
+
+
 def tracking_loop() -> Any:
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, tracking_problem
 
@@ -281,6 +305,10 @@ OBJECTS: dict[str, Any] = {
     ),
     "FixedSynthesis": lambda: rl.fixed_structure(problem(), "static", n_meas=1, n_con=1, starts=1),
     "TrackingLoop": tracking_loop,
+    "TrackingProblem": lambda: tracking_loop().problem,
+    "PerformanceComparison": performance_comparison,
+    "ControlledRuns": controlled_runs,
+    "Story": story,
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
     "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),

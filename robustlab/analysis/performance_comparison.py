@@ -25,6 +25,9 @@ class Performance(NamedTuple):
     margin: Margin
     gain: Any = None
 
+    def __repr__(self) -> str:
+        return f"Performance(mu at most {inverse(self.margin.lower):.4g}, order {self.order})"
+
     def numbers(self) -> dict[str, Any]:
         """By name, for requirements."""
         found = {

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.files.isolation import receive, send_tree
 from robustlab.files.tree import Tree, canonical, content_sha256
-from robustlab.files.wire import receive, send_tree
 from robustlab.provenance import robustlab_version
 from robustlab.storage.matrices import Problems
 from robustlab.storage.uncertain_models import decode_uncertain, encode_uncertain

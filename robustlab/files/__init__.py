@@ -3,7 +3,7 @@
 This room knows nothing of models; `robustlab.storage` maps trees to objects. In the order of reading::
 
     signature                           what a file is, whether it may be read, how large it may be
-    isolation, reader_server, reader_process, wire   a child process opens it and sends what it holds
+    isolation, reader_process           a child process opens it and sends what it holds
     hdf5_reader, matlab                 binary formats, brought to one form
     text_table, document                tables of numbers; JSON and TOML
     optional_formats                    tables and bags of others, by optional packages

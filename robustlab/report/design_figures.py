@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from robustlab.analysis.story import Story, fall_in_words, times_in_words
 from robustlab.arrays import Array
 from robustlab.report.figures import (
     COLOURS,
@@ -346,28 +347,6 @@ BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
 WORDS = ("before", "after")
 
 
-@dataclass(frozen=True, eq=False)
-class Story:
-    """What the picture shows; pairs are before and after."""
-
-    # `t`, `record`, `origin` (measured or simulated), `curves` (two simulations), `rms` and `label` of a record; None
-    # without one.
-    gap: Mapping[str, Any] | None
-    # Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
-    radii: Sequence[float] | None
-    held_out: Mapping[str, float] | None  # `before` and `after`: what held-out records need; None without such
-    # margins, mu: margins of robust performance, and the mu that they prove
-    margins: Sequence[Margin]
-    mu: Sequence[float]
-    # t, curves, errors, unit, after: of the referee, which is a simulation: time in s, tracking error over it,
-    # largest error of any member, unit, and the time in s from which it counts
-    t: Array
-    curves: Sequence[Array]
-    errors: Sequence[float]
-    unit: str
-    after: float = 0.0
-
-
 def story_figure(story: Story) -> Figure:
     """Two by two panels; without a record or radii those panels are left out."""
     panels = [_mu, _error]
@@ -425,7 +404,7 @@ def _mu(axes: Axes, story: Story, number: int) -> None:
             axes.axhline(mu, color=colour, lw=0.7, alpha=0.7)
     axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), label="1: requirement met by every member")
     omega = story.margins[0].omega
-    frequency_axis(axes, (omega[0], omega[-1]))
+    frequency_axis(axes, (omega[0], omega[-1]) if len(omega) else None)
     axes.set_ylabel("μ of robust performance")
     axes.set_ylim(0, 1.35 * max(1.0, *(mu for mu in story.mu if np.isfinite(mu))))
     axes.set_title(f"{number}  What is proved: μ {fall_in_words(*story.mu)}", loc="left")
@@ -441,28 +420,3 @@ def _error(axes: Axes, story: Story, number: int) -> None:
     headroom(axes, above=0.25)
     axes.set_title(f"{number}  Simulated machine: error {times_in_words(*story.errors)}", loc="left")
     axes.legend(loc="upper right")
-
-
-def fall_percent(before: float, after: float) -> float:
-    """By how many percent mu fell; NaN where one of both is not proved: a fall from infinity is none."""
-    return 100 * (1 - after / before) if np.isfinite([before, after]).all() and before > 0 else float("nan")
-
-
-def fall_in_words(before: float, after: float) -> str:
-    """The fall of mu, or that there is none to tell."""
-    fall = fall_percent(before, after)
-    if not np.isfinite(fall):
-        return "not to be compared"
-    return f"{abs(fall):.3g} % {'higher' if fall < 0 else 'lower'}"
-
-
-def times_in_words(before: float, after: float) -> str:
-    """How many times smaller, or larger, the second is: ``1.1 times larger``."""
-    if after > before:
-        return f"{_number(after / max(before, 1e-300))} times larger"
-    return f"{_number(before / max(after, 1e-300))} times smaller"
-
-
-def _number(ratio: float) -> str:
-    """Three digits, and no powers of ten below a million."""
-    return f"{ratio:.0f}" if 100 <= ratio < 1e6 else f"{ratio:.3g}"

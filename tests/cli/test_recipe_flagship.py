@@ -142,7 +142,7 @@ def test_a_simulated_record_is_called_simulated(tmp_path):
 
 
 def test_what_grew_is_not_called_so_many_times_smaller():
-    from robustlab.report.design_figures import fall_in_words, times_in_words
+    from robustlab.analysis.story import fall_in_words, times_in_words
 
     assert times_in_words(3.0, 2.0) == "1.5 times smaller"
     assert times_in_words(2.0, 3.0) == "1.5 times larger"
@@ -153,7 +153,8 @@ def test_what_grew_is_not_called_so_many_times_smaller():
 def test_the_story_says_what_is_simulated():
     from types import SimpleNamespace
 
-    from robustlab.report.design_figures import Story, story_figure
+    from robustlab.analysis.story import Story
+    from robustlab.report.design_figures import story_figure
 
     t = np.linspace(0.0, 1.0, 5)
     margin = SimpleNamespace(omega=np.array([1.0, 10.0]), mu_upper=np.array([0.5, 0.4]))

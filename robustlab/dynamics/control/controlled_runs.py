@@ -40,6 +40,9 @@ class TimePanel(NamedTuple):
     curves: Mapping[str, Array]
     limit: float | None = None
 
+    def __repr__(self) -> str:
+        return f"TimePanel({self.label}: {', '.join(self.curves)})"
+
 
 @dataclass(frozen=True, eq=False)
 class ControlledRuns(Shown):

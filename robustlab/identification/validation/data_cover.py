@@ -96,10 +96,12 @@ class DataCover(Evidence):
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         held = (
-            ""
+            "none"
             if np.isnan(self.held_out)
             else f"needs {number(self.held_out)}: {'explained' if self.passes else 'NOT explained'}"
         )
+        if self.loads and not np.isnan(self.held_out):
+            held += f", with loads up to {number(self.held_out_loads, digits=3)} of their bounds"
         return [
             ("unmodelled dynamics", f"{number(self.radius)} of the input"),
             ("needed by the records", f"{number(self.needed_lower)} .. {number(self.needed)}"),
@@ -107,6 +109,17 @@ class DataCover(Evidence):
             ("loads", listed(f"{x.name} {number(x.bound, x.unit)}" for x in self.loads)),
             ("records", listed(self.validations)),
         ]
+
+    def numbers(self) -> dict[str, Any]:
+        """All fields but the validations and the model; of loads their bounds."""
+        told = {k: x for k, x in self.to_json(series=False).items() if k not in ("validations", "loads", "status")}
+        return {**told, "loads": {x.name: x.bound for x in self.loads}}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the radius is of."""
+        what = "The radius is sought at nominal parameters, with a Δ that may vary with time;"
+        return (f"{what} their tolerances come on top.",)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields but the model; without ``series`` also without the time series of the validations."""

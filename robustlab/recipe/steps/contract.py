@@ -183,7 +183,7 @@ def told(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
     from robustlab.report.drawings import pictures_of
 
     for name, picture in pictures_of(found):
-        work.draw(picture.figure, name, picture.caption)
+        work.draw(picture.figure, name, getattr(found, "caption", picture.caption))
     numbers = {name: number for name, number in found.numbers().items() if number is not None}
     status, notes = getattr(found, "status", None), getattr(found, "notes", ())
     return Outcome(value, summary, numbers, facts_of(found), status, notes, found.tables())

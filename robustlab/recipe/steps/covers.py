@@ -28,7 +28,18 @@ from robustlab.doors.vocabulary import (
     ToUncertain,
 )
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    quantity,
+    step,
+    told,
+)
 from robustlab.recipe.steps.leaves import leaves_of
 
 if TYPE_CHECKING:
@@ -103,24 +114,12 @@ class DataCoverStep(Step):
             for output, _ in validation.outputs:
                 caption = f"{name} as recorded, of the nominal model, and as the smallest Δ explains it."
                 work.draw(validation_figure(validation, output), f"{name}-{output}", caption)
-        numbers = {k: v for k, v in found.to_json(series=False).items() if k not in ("validations", "loads")}
-        numbers["loads"] = {x.name: x.bound for x in found.loads}
-        held = "none held out" if math.isnan(found.held_out) else f"{found.held_out:.3g}"
-        if found.loads and not math.isnan(found.held_out):
-            held += f", with loads up to {found.held_out_loads:.3g} of their bounds"
         facts = (
-            Fact("Unmodelled dynamics in the set", f"{found.radius:.3g} of the input"),
-            Fact("Needed by the records", f"{found.needed_lower:.3g} to {found.needed:.3g}"),
-            Fact("Needed by the records held out", held),
+            *facts_of(found),
             *(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in found.loads),
-            Fact("Blocks", ", ".join(b.name for b in found.model.blocks)),
-        )
-        note = (
-            "The radius is sought at nominal parameters, with a Δ that may vary with time; "
-            "their tolerances come on top."
         )
         summary = f"The set of models around {self.of} that explains {', '.join(self.records)}."
-        return Outcome(found.model, summary, numbers, facts, found.status, (note,), found.summary())
+        return Outcome(found.model, summary, found.numbers(), facts, found.status, found.notes, found.summary())
 
 
 @step
@@ -149,10 +148,11 @@ class StoryStep(Step):
             if rows is not ... and controller not in rows["controllers"]:
                 known = rows["controllers"]
                 raise unknown_name(f"step {name!r}", f"does not have {controller!r}", controller, known)
-        pair = {"before": float, "after": float, "ratio": "1"}
-        leaves: dict[str, Any] = {"mu": {"before": "1", "after": "1", "fall_percent": "%"}, "error": pair}
-        leaves |= {"gap": pair} if self.record is not None else {}
-        leaves |= {"radius": pair, "held_out": pair} if self.covers is not None else {}
+        from robustlab.analysis.story import Story
+
+        leaves: dict[str, Any] = {"mu": {"before": "1", "after": "1", "fall_percent": "%"}, "error": Story.PAIR}
+        leaves |= {"gap": Story.PAIR} if self.record is not None else {}
+        leaves |= {"radius": Story.PAIR, "held_out": Story.PAIR} if self.covers is not None else {}
         return Foretold(leaves=leaves)
 
     @model_validator(mode="after")
@@ -162,53 +162,25 @@ class StoryStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.report.design_figures import Story, fall_in_words, fall_percent, story_figure, times_in_words
+        from robustlab.analysis.story import Story, pair, simulated_gap
 
-        mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(self.performance, self.controllers, strict=True)]
+        both = list(zip(self.performance, self.controllers, strict=True))
+        mu = [_of_controller(work, p, k, "mu_upper") for p, k in both]
         errors = [_of_controller(work, self.runs, k, "worst_error") for k in self.controllers]
-        numbers: dict[str, Any] = {
-            "mu": {"before": mu[0], "after": mu[1], "fall_percent": fall_percent(*mu)},
-            "error": {"before": errors[0], "after": errors[1], "ratio": _ratio(*errors)},
-        }
-        facts = [Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}")]
-        gap = None
+        gap = radii = held_out = None
         if self.record is not None and self.plants is not None:
-            gap = _simulated(self, work)
-            rms = gap["rms"]
-            numbers["gap"] = {"before": rms[0], "after": rms[1], "ratio": _ratio(*rms)}
-            facts.insert(
-                0,
-                Fact(
-                    f"Gap of {gap['label']}, {gap['origin']} record, RMS",
-                    f"{rms[0]:.4g} → {rms[1]:.4g}: {times_in_words(*rms)}",
-                ),
-            )
-        radii = None
+            plants = [(name, work.values[name]) for name in self.plants]
+            gap = simulated_gap(work.record(self.record), self.output, plants, work.origin(self.record))
         if self.covers is not None:
             for name in self.covers:
                 if "radius" not in work.numbers[name]:
                     raise InputError(f"covers: {name}", "no radius", "a data-cover step")
-            radii = [float(work.numbers[name]["radius"]) for name in self.covers]
-            needed = [work.numbers[name]["held_out"] for name in self.covers]
-            numbers["radius"] = {"before": radii[0], "after": radii[1], "ratio": _ratio(*radii)}
-            if all(isinstance(v, float) and math.isfinite(v) for v in needed):
-                numbers["held_out"] = {"before": needed[0], "after": needed[1], "ratio": _ratio(*needed)}
-                text = f"{needed[0]:.3g} → {needed[1]:.3g}"
-                facts.append(Fact("Unmodelled dynamics that held-out data need", text))
-            facts.append(Fact("Unmodelled dynamics in the set", f"{radii[0]:.3g} → {radii[1]:.3g} of the input"))
-        runs = work.values[self.runs]
-        text = f"{errors[0]:.4g} → {errors[1]:.4g} {runs.unit}: {times_in_words(*errors)}"
-        facts.append(Fact("Largest tracking error of the referee, simulated", text))
-        margins = [work.values[p][k] for p, k in zip(self.performance, self.controllers, strict=True)]
+            radii, needed = ([work.numbers[name][key] for name in self.covers] for key in ("radius", "held_out"))
+            held_out = pair(*needed) if all(isinstance(v, float) and math.isfinite(v) for v in needed) else None
+        runs, margins = work.values[self.runs], [work.values[p][k] for p, k in both]
         curves = [runs.errors[k] for k in self.controllers]
-        caption = (
-            "From the gap to the better controller: before and after the effects were named. The errors are simulated"
-        )
-        caption += "." if gap is None else f", the record is {gap['origin']}."
-        held_out = numbers.get("held_out")
-        shown = Story(gap, radii, held_out, margins, mu, runs.t, curves, errors, runs.unit, runs.after)
-        work.draw(story_figure(shown), "story", caption)
-        return Outcome(None, "The whole way in one picture.", numbers, tuple(facts))
+        found = Story(gap, radii, held_out, margins, mu, runs.t, curves, errors, runs.unit, runs.after)
+        return told(found, None, f"{found.headline()}.", work)
 
 
 def _of_controller(work: Workspace, step: str, controller: str, key: str) -> float:
@@ -216,36 +188,6 @@ def _of_controller(work: Workspace, step: str, controller: str, key: str) -> flo
     if controller not in rows:
         raise InputError(f"story: {step}", f"does not have {controller!r}", f"one of {', '.join(rows)}")
     return float(rows[controller][key])
-
-
-def _ratio(before: float, after: float) -> float:
-    return before / after if after > 0 else math.inf
-
-
-def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
-    """The record's output with both simulations of it, from rest, and the RMS errors."""
-    import numpy as np
-
-    from robustlab.dynamics import LinearPlant
-    from robustlab.dynamics.extended.effect_loads import resting_start
-    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-
-    assert step.record is not None
-    assert step.plants is not None
-    record = work.record(step.record)
-    output = step.output or next(iter(record.outputs))
-    curves = []
-    for name in step.plants:
-        plant = work.values[name]
-        if not isinstance(plant, LinearPlant | ExtendedPlant):
-            raise InputError(f"plants: {name}", f"a {type(plant).__name__}", "a linear plant, with or without effects")
-        clock, x0 = resting_start(plant, record)
-        inputs = {s.name: record[s.name] for s in plant.inputs}
-        curves.append(rl.simulate(plant, clock, inputs, x0)[output])
-    recorded, origin = record[output], work.origin(step.record)
-    rms = [float(np.sqrt(np.mean((c - recorded) ** 2))) for c in curves]
-    label = f"{output} [{record.unit(output)}]"
-    return {"t": record.t, "record": recorded, "origin": origin, "curves": curves, "rms": rms, "label": label}
 
 
 Pose = Annotated[list[float], Field(min_length=6, max_length=6)]

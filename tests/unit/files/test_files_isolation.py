@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from robustlab.errors import EnvironmentFault, InputError
-from robustlab.files import isolation, reader_server
+from robustlab.files import isolation
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.isolation import document_isolated, run_reader
 from robustlab.files.signature import Limits
@@ -114,7 +114,7 @@ FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without for
 
 @pytest.fixture
 def server(monkeypatch):
-    found = reader_server.ReaderServer(isolation._environment)
+    found = isolation.ReaderServer(isolation._environment)
     monkeypatch.setattr(isolation, "_SERVER", found)
     monkeypatch.setattr(isolation, "_fresh", lambda *_: pytest.fail("a fresh interpreter was started"))
     yield found
@@ -152,9 +152,9 @@ def test_a_server_that_was_killed_is_started_again(server, way):
 
 @FORKS
 def test_a_server_that_hangs_is_ended_and_the_file_read_by_a_fresh_interpreter(monkeypatch):
-    found = reader_server.ReaderServer(isolation._environment)
+    found = isolation.ReaderServer(isolation._environment)
     monkeypatch.setattr(isolation, "_SERVER", found)
-    monkeypatch.setattr(reader_server, "OVERDUE", 0.3)
+    monkeypatch.setattr(isolation, "OVERDUE", 0.3)
     number()
     stopped = found._process
     stopped.send_signal(signal.SIGSTOP)
@@ -168,11 +168,11 @@ def test_a_reader_that_crashes_or_hangs_ends_nothing_but_itself(server, monkeypa
     number()
     process = server._process
     script = (
-        "import os, sys, time\nfrom robustlab.files import reader_process, reader_server\n"
+        "import os, sys, time\nfrom robustlab.files import reader_process\n"
         "def answered(request, stream, given):\n"
         "    os.kill(os.getpid(), 11) if request['kind'] == 'crash' else time.sleep(60)\n"
         "reader_process.answered = answered\n"
-        "reader_server.serve(sys.stdin.buffer, sys.stdout.buffer)\n"
+        "reader_process.serve(sys.stdin.buffer, sys.stdout.buffer)\n"
     )
     command = [sys.executable, "-c", script]
     environment = isolation._environment()

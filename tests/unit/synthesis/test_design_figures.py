@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from robustlab.analysis.story import Story
+from robustlab.dynamics.control.controlled_runs import TimePanel
 from robustlab.report.design_figures import (
     FunctionPanel,
-    Story,
-    TimePanel,
     functions_figure,
     history_figure,
     loop_figure,
