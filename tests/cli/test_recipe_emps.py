@@ -42,8 +42,10 @@ def test_the_texts_say_what_is_not_met():
         for name in ("docs/measured.md", "docs/discover.md", "docs/from_data_to_controller.md")
     )
     assert len(MISSED) == 2
-    assert "`emps-discover` ends in 1: two of its eleven requirements are not met" in discover
-    assert "so do `emps-discover` and `rack-pinion`, each for two" in measured
+    assert (
+        "`emps-discover` ends in 4: its answer is ambiguous, and two of its eleven requirements are not met" in discover
+    )
+    assert "`rack-pinion` for two, `hsm150` for three; `emps-discover` ends in 4, ambiguous, with two unmet" in measured
     assert len(FLAGSHIP_MISSED) == 2
     assert "`flagship-emps` ends in 1: two of its seven requirements are not met" in story
     assert "It ends in exit code 1 all the same: μ falls by 24 %" in measured
@@ -69,7 +71,7 @@ def test_emps(tmp_path):
     """Published by Janot, Gautier and Brunot: 166.71 N s/m forwards and 240.42 N s/m backwards."""
     result = run_on_emps("emps-discover", tmp_path / "out")
     assert unmet(result) == MISSED
-    assert result.exit_code == 1
+    assert result.exit_code == 4  # dry friction is not sure beside friction that depends on the position
     found = next(s["numbers"] for s in result.data["steps"] if s["name"] == "naming")
     mean, half = found["nominal"]["Fv"], found["effects"]["asymmetric-viscous-friction"]["dFv"]
     # The bar is 3 %; the naming stands at -4.5 % and +0.5 %, and this only keeps it from getting worse.
