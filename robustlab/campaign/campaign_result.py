@@ -206,6 +206,26 @@ class CampaignResult(Tabular, Shown):
     seed: int
     label: str
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is lost or unbounded, and what samples do not say."""
+        told = ["Sampled, not proved: members that were not drawn may be worse."]
+        if self.unbounded:
+            told.insert(0, f"{self.unbounded} of the members have no bounded value.")
+        if self.lost:
+            first = f"the first one number {self.lost_samples[0].index}: {self.lost_samples[0].reason}"
+            told.insert(0, f"{self.lost} were lost, {first}. Bounds count them as worst.")
+        return tuple(told)
+
+    def numbers(self) -> dict[str, Any]:
+        """The worst value and its member, counts, quantiles by ``q50`` ..., how often a limit was passed."""
+        told = ("worst", "worst_index", "nominal", "done", "lost", "unbounded", "unseen", "delta", "digest")
+        found = {name: getattr(self, name) for name in told}
+        found["quantiles"] = {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in self.quantiles}
+        if self.violation is not None:
+            found["violation"] = {name: getattr(self.violation, name) for name in ("count", "of", "lower", "upper")}
+        return found
+
     def headline(self) -> str:
         """The worst value among how many."""
         return f"worst {self.metric} {number(self.worst, self.unit, 9)} of {self.done} {_counted(self.kind)}"

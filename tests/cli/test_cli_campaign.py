@@ -103,6 +103,6 @@ def test_the_recipe_of_the_page(tmp_path, capsys, monkeypatch):
     assert not Path("out/.motor-campaign-unfinished").exists()
     step = json.loads(Path("out/motor-campaign/result.json").read_text(encoding="utf-8"))["steps"][-1]
     assert (step["status"], step["numbers"]["done"], step["numbers"]["lost"]) == ("converged", 1900, 0)
-    assert [figure["stem"] for figure in step["figures"]] == ["deviation-peak-deviation"]
+    assert [figure["stem"] for figure in step["figures"]] == ["deviation-exceedance", "deviation-delta"]
     code, out, _ = call(capsys, "campaign", "show", str(kept))
     assert step["numbers"]["digest"] in out

@@ -69,11 +69,6 @@ def quantity(value: float, unit: str = "", digits: int = 5) -> str:
     return f"{text} {unit}" if unit and unit != "1" else text
 
 
-def picked(result: Any, *names: str) -> dict[str, Any]:
-    """Attributes of a result by name, for requirements."""
-    return {name: getattr(result, name) for name in names}
-
-
 @dataclass(frozen=True)
 class Fact:
     """A line of the report: what, its value with unit, and where that comes from."""
