@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,9 +10,6 @@ import robustlab as rl
 from robustlab.doors.vocabulary import Count, StepName, Strict, Text, ToPlant
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
 from robustlab.recipe.steps.leaves import leaves_of
-
-if TYPE_CHECKING:
-    from robustlab.thesis.runs import Case
 
 
 class SheetPointEntry(Strict):
@@ -77,13 +74,16 @@ class PublishedNumbersStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.thesis.numbers import published_numbers as compute
+        from robustlab.thesis.pictures import case_picture, pictures_of_numbers
 
         found = compute()
         work.keep(found)
-        _draw_conditions(work)
-        _draw_sines(found, work)
-        _draw_tracking(found, work)
-        bands = {case.name: _draw_case(case, self.n, work) for case in found.cases}
+        bands: dict[str, dict[str, float]] = {}
+        for name, picture in pictures_of_numbers(found):
+            work.draw(picture.figure, name, picture.caption)
+        for case in found.cases:
+            picture, bands[case.name] = case_picture(case, self.n, work.seed)
+            work.draw(picture.figure, f"case-{case.name}", picture.caption)
         rows = {key: row.to_json() for key, row in found.rows.items()}
         counts = {status: len(found.with_status(status)) for status in _MEANING}
         off = found.disagreeing
@@ -119,6 +119,7 @@ class ThesisCaseStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.stewart.stewart_platform import stewart_platform
+        from robustlab.thesis.pictures import case_picture
         from robustlab.thesis.runs import cases
 
         (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
@@ -132,7 +133,8 @@ class ThesisCaseStep(Step):
             "worst": case.worst,
         }
         if self.n:
-            numbers["changes"] = _draw_case(case, self.n, work)
+            picture, numbers["changes"] = case_picture(case, self.n, work.seed)
+            work.draw(picture.figure, f"case-{case.name}", picture.caption)
         facts = (
             Fact(
                 "Uncertain", f"{len(model.blocks)} real parameters ({self.structure}), {model.delta_shape[0]} channels"
@@ -152,79 +154,3 @@ def _fact(row: Any) -> Fact:
     ours = "ours: none" if row.ours is None else f"ours {quantity(row.ours, row.unit, 6)}"
     gap = "" if row.difference is None else f"; difference {quantity(row.difference, row.unit, 3)}"
     return Fact(f"{row.key} ({row.status}): {row.quantity}, {row.where}", f"{published}; {ours}{gap}", row.why)
-
-
-def _draw_conditions(work: Workspace) -> None:
-    import numpy as np
-
-    from robustlab.dynamics.stewart import condition_map, stewart_platform
-    from robustlab.thesis.figures import condition_figure
-
-    geometry, side, tilt = stewart_platform().geometry, np.linspace(-0.025, 0.025, 101), np.linspace(-0.15, 0.15, 101)
-    maps = [condition_map(geometry, ("tx", "ty"), side, side), condition_map(geometry, ("ax", "ay"), tilt, tilt)]
-    work.draw(
-        condition_figure(maps),
-        "condition",
-        "How near poses about home are to a singular one; white is out of the workspace (6.2.1).",
-    )
-
-
-def _draw_sines(found: Any, work: Workspace) -> None:
-    from robustlab.thesis.figures import excitation_figure, sine_figure
-
-    for name, run in found.sines.items():
-        until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
-        caption = (
-            f"{name} on all motors: the torque, and the platform's height, simulated (figures 8.1, 8.2; how long they "
-            "last is not printed)."
-        )
-        work.draw(excitation_figure(run, until), f"height-{name}", caption)
-        caption = (
-            f"{name} on all motors: the nonlinear simulation, the linear model at home, and their difference (figures "
-            "8.3-8.6)."
-        )
-        work.draw(sine_figure(run, until), f"sine-{name}", caption)
-
-
-def _draw_tracking(found: Any, work: Workspace) -> None:
-    from robustlab.dynamics.stewart import inverse_kinematics, stewart_platform
-    from robustlab.thesis.figures import tracking_effort_figure, tracking_error_figure, tracking_path_figure
-
-    geometry = stewart_platform().geometry
-
-    words = {"thesis": "all signs +", "link-4": "signs +++-+-", "rotors": "all signs +, with the rotors' inertia"}
-    for name, run in found.tracking.items():
-        lengths = inverse_kinematics(geometry, run.reference)
-        caption = (
-            f"Section 9.1.3, {words[name]}: desired and reached position, orientation and actuator lengths (figures "
-            "9.3-9.5). What is called measured there is simulated here."
-        )
-        work.draw(tracking_path_figure(run, lengths), f"path-{name}", caption)
-        work.draw(tracking_error_figure(run), f"error-{name}", f"Section 9.1.3, {words[name]}: errors of the pose.")
-        caption = f"Section 9.1.3, {words[name]}: torques, voltages, lengths of the actuators."
-        work.draw(tracking_effort_figure(run), f"effort-{name}", caption)
-
-
-def _draw_case(case: Case, n: int, work: Workspace) -> dict[str, float]:
-    """Nominal, worst and random members of a case in one picture; largest change of each output at the worst Delta."""
-    import numpy as np
-
-    from robustlab.thesis.figures import case_figure
-    from robustlab.thesis.runs import UP_TO
-
-    between = rl.elementwise(*case.with_gravity(), "single").select(None, ["phi_1", "phidot_1"])
-    t, u = case.excitation()
-    responses = rl.sample(between, n, work.seed, vertices=2).respond(t, u, hold="foh")
-    record = rl.simulate(between.evaluate({b.name: float(case.worst) for b in between.blocks}), t, u, hold="foh")
-    worst = np.column_stack([record[name] for name, _ in responses.outputs])
-    reading = "the holding torque stays nominal" if case.held else "each trimmed anew"
-    caption = (
-        f"Case {case.name} ({case.words}): nominal, worst Δ and {n} random members, {reading}, simulated under 0.1 N m "
-        f"at 2 Hz for {1e3 * UP_TO:.1f} ms; {case.worst_in_words} (figures 10.6-10.21)."
-    )
-    title = f"Case {case.name}, {case.words}: {case.worst_in_words.partition(' (')[0]}"
-    figure = case_figure(t, responses.y[:n], responses.nominal, worst, responses.outputs, case.published, title)
-    work.draw(figure, f"case-{case.name}", caption)
-    sizes = np.abs(responses.nominal).max(axis=0)
-    changes = 100 * np.abs(worst - responses.nominal).max(axis=0) / sizes
-    return {name: float(change) for (name, _), change in zip(responses.outputs, changes, strict=True)}
