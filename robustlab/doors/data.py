@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.doors.declaration import Named, door
 from robustlab.doors.kinds import Choice, Flag, Machine, Names, Number, RecordFile, Share, Table, Whole
-from robustlab.doors.words import Effort, Measured, Plant, Repeats, TimeLimit, UncertainPlant
+from robustlab.doors.words import Measured, Plant, Repeats, Search, UncertainPlant
 
 Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
 Period = Annotated[float | None, Number(above=0), "Period of the record in s; found if a signal repeats."]
@@ -93,6 +94,41 @@ def discover(
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Cut:
+    """How the record is taken."""
+
+    domain: Annotated[
+        Literal["time", "frequency"],
+        Choice(("time", "frequency")),
+        "time, or frequency: whole periods in steady state, line by line.",
+    ] = "time"
+    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal tells it."] = None
+    at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False
+    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is sought."""
+
+    noise_norm: Annotated[
+        Literal["peak", "rms"] | None,
+        Choice(("peak", "rms")),
+        "What the bound is of: peak or rms (frequency domain: rms).",
+    ] = None
+    delta: Annotated[
+        Literal["time-invariant", "time-varying"],
+        Choice(("time-invariant", "time-varying")),
+        "What complex and full blocks are; real ones are constants.",
+    ] = "time-invariant"
+    per_block: Annotated[bool, Flag(), "Also the smallest scaling of each block alone."] = False
+    precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01
+
+
+WHOLE, USUAL_DELTA, USUAL_SEARCH = Cut(), Asked(), Search()
+
+
 @door(
     "data validate",
     "validate",
@@ -108,28 +144,9 @@ def validate(
         Table(Number(least=0), "outputs"),
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
     ] = None,
-    domain: Annotated[
-        Literal["time", "frequency"],
-        Choice(("time", "frequency")),
-        "time, or frequency: whole periods in steady state, line by line.",
-    ] = "time",
-    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal tells it."] = None,
-    noise_norm: Annotated[
-        Literal["peak", "rms"] | None,
-        Choice(("peak", "rms")),
-        "What the bound is of: peak or rms (frequency domain: rms).",
-    ] = None,
-    delta: Annotated[
-        Literal["time-invariant", "time-varying"],
-        Choice(("time-invariant", "time-varying")),
-        "What complex and full blocks are; real ones are constants.",
-    ] = "time-invariant",
-    at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False,
-    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None,
-    per_block: Annotated[bool, Flag(), "Also the smallest scaling of each block alone."] = False,
-    precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    cut: Cut = WHOLE,
+    asked: Asked = USUAL_DELTA,
+    search: Search = USUAL_SEARCH,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
     """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
@@ -140,9 +157,7 @@ def validate(
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
     return rl.validate(
-        uncertain, record, noise or None, domain=domain, noise_norm=noise_norm, delta=delta, at_rest=at_rest,
-        window=window, period=period, per_block=per_block, precision=precision, effort=effort, time_limit=time_limit,
-        progress=progress,
+        uncertain, record, noise or None, progress=progress, **vars(cut), **vars(asked), **search.options,
     )  # fmt: skip
 
 

@@ -145,6 +145,40 @@ def h2(
     return _design(rl.h2(P, progress=progress, **search.options), system, drawn=drawn)
 
 
+@dataclass(frozen=True)
+class Way:
+    """How mu is made small."""
+
+    start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None
+    structure: Annotated[Structure | None, "What the controller may look like, as for fixed; D-K alone then."] = None
+    starts: Annotated[Starts, "With a structure: random starts."] = 3
+    direct: Annotated[bool, Flag(), "Go on with direct minimisation after D-K iteration."] = True
+    mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What order the controller may have."""
+
+    max_order: Annotated[Order, "Largest order of the controller."] = None
+    order_rel: Annotated[
+        float,
+        Number(least=0, below=1),
+        "Loss of level allowed for a controller of lower order, then for one with slower poles.",
+    ] = 0.01
+
+
+@dataclass(frozen=True)
+class Tries:
+    """Random starts of a search."""
+
+    starts: Starts = 3
+    seed: Seed = 0
+
+
+USUAL_WAY, ANY_ORDER, USUAL_TRIES = Way(), Orders(), Tries()
+
+
 @door("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
@@ -155,17 +189,8 @@ def dk(
         'Blocks of Delta as rows "r,c" separated by ";" (-r,0 real repeated, r,0 complex repeated, r,c full); those of '
         "the uncertain model where left out.",
     ] = None,
-    start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
-    structure: Annotated[Structure | None, "What the controller may look like, as for fixed; D-K alone then."] = None,
-    starts: Annotated[Starts, "With a structure: random starts."] = 3,
-    direct: Annotated[bool, Flag(), "Go on with direct minimisation after D-K iteration."] = True,
-    mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True,
-    max_order: Annotated[Order, "Largest order of the controller."] = None,
-    order_rel: Annotated[
-        float,
-        Number(least=0, below=1),
-        "Loss of level allowed for a controller of lower order, then for one with slower poles.",
-    ] = 0.01,
+    way: Way = USUAL_WAY,
+    order: Orders = ANY_ORDER,
     search: Search = USUAL,
     seed: Seed = 0,
     progress: Any = None,
@@ -182,12 +207,10 @@ def dk(
 
     rows = None if blocks is None else _rows(blocks)
     P = channels.posed(system, "dk")
-    options: dict[str, Any] = {"starts": starts, "seed": seed} if structure is not None else {}
-    found = rl.dk(
-        P, rows, K0=start, structure=None if structure is None else structure_in_words(structure, P), direct=direct,
-        mixed=mixed, max_order=max_order, order_rel=order_rel, progress=progress, **search.options,
-        **options,
-    )  # fmt: skip
+    options: dict[str, Any] = {**search.options, **vars(order)}
+    if way.structure is not None:
+        options |= {"structure": structure_in_words(way.structure, P), "starts": way.starts, "seed": seed}
+    found = rl.dk(P, rows, K0=way.start, direct=way.direct, mixed=way.mixed, progress=progress, **options)
     return _design(found, system, proved=False, drawn=drawn)
 
 
@@ -219,9 +242,8 @@ def fixed_structure(
     channels: Channels = UNSAID,
     nominal: Nominal = False,
     objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
-    starts: Starts = 3,
+    tries: Tries = USUAL_TRIES,
     search: Search = USUAL,
-    seed: Seed = 0,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -236,7 +258,7 @@ def fixed_structure(
 
     P = channels.posed(system, "fixed", nominal)
     found = rl.fixed_structure(
-        P, structure_in_words(structure, P), objective=objective, starts=starts, seed=seed, progress=progress,
+        P, structure_in_words(structure, P), objective=objective, progress=progress, **vars(tries),
         **search.options,
     )  # fmt: skip
     return _design(found, system, nominal and objective == "hinf", drawn)
@@ -329,13 +351,23 @@ def ncf(
     return rl.ncf(signals.of(system), w1, w2, **options)
 
 
+@dataclass(frozen=True)
+class LqgWeights:
+    """Costs and intensities."""
+
+    q: Annotated[Any, Diagonal(), "Cost of the states: a number, or one for each.", Named(key="Q")] = 1.0
+    r: Annotated[Any, Diagonal(), "Cost of the controls.", Named(key="R")] = 1.0
+    w: Annotated[Any, Diagonal(), "Intensity of the noise on the states.", Named(key="W")] = 1.0
+    v: Annotated[Any, Diagonal(), "Intensity of the noise on the measurements.", Named(key="V")] = 1.0
+
+
+ALL_ONE = LqgWeights()
+
+
 @door("synth lqg", "lqg", result="synthesis.h2.gaussian_regulator.LqgSynthesis", gives="controller", made="controller")
 def lqg(
     system: Of,
-    q: Annotated[Any, Diagonal(), "Cost of the states: a number, or one for each.", Named(key="Q")] = 1.0,
-    r: Annotated[Any, Diagonal(), "Cost of the controls.", Named(key="R")] = 1.0,
-    w: Annotated[Any, Diagonal(), "Intensity of the noise on the states.", Named(key="W")] = 1.0,
-    v: Annotated[Any, Diagonal(), "Intensity of the noise on the measurements.", Named(key="V")] = 1.0,
+    weights: LqgWeights = ALL_ONE,
     signals: Signals = ALL_SIGNALS,
     disturbance: Annotated[
         Any, Disturbance(), "constant, the frequency of a sinusoid in rad/s, or a file with a filter."
@@ -358,14 +390,62 @@ def lqg(
 
     model = signals.of(system)
     sizes = {"q": model.n_states, "r": model.n_inputs, "w": model.n_states, "v": model.n_outputs}
-    weights = []
-    for (name, size), given in zip(sizes.items(), (q, r, w, v), strict=True):
-        values = np.atleast_1d(np.asarray(given, dtype=float))
+    diagonals = []
+    for name, size in sizes.items():
+        values = np.atleast_1d(np.asarray(getattr(weights, name), dtype=float))
         if len(values) not in (1, size):
             raise UsageError(name, f"{len(values)} numbers", f"one, or {size}")
-        weights.append(np.diag(np.broadcast_to(values, (size,))))
+        diagonals.append(np.diag(np.broadcast_to(values, (size,))))
     options: dict[str, Any] = {"disturbance": disturbance, "at": at, "channels": channels, "regulated": regulated}
-    return rl.lqg(model, *weights, disturbance_noise=disturbance_noise, **options)
+    return rl.lqg(model, *diagonals, disturbance_noise=disturbance_noise, **options)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Goals: those that are made small, and those that must be met."""
+
+    goals: Annotated[
+        Any,
+        Goals(),
+        'Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".',
+        Named(option="--goal", in_step=...),
+    ] = None
+    hard: Annotated[Any, Goals(hard=True), 'Must be met: "margin:disk=0.8,at=input".', Named(only="command")] = None
+
+
+@dataclass(frozen=True)
+class PoleLimits:
+    """Where the poles of the loop must lie."""
+
+    pole_limit: Annotated[
+        dict[str, float] | None,
+        Table(Number(above=0)),
+        "Always kept by the loop's poles: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s).",
+    ] = None
+    damping: Annotated[
+        float | None, Number(above=0, most=1), "Least damping of the loop's poles.", Named(only="step")
+    ] = None
+    decay: Annotated[
+        float | None, Number(above=0), "Least decay rate of the loop's poles, in 1/s.", Named(only="step")
+    ] = None
+    bandwidth: Annotated[
+        float | None, Number(above=0), "Largest modulus of the loop's poles, in rad/s.", Named(only="step")
+    ] = None
+
+    @property
+    def limits(self) -> list[Any]:
+        """As the function takes them. Raises UsageError: no such limit."""
+        from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
+
+        known: dict[str, Any] = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
+        given = {**{name: getattr(self, name) for name in known}, **(self.pole_limit or {})}
+        unknown = [name for name in given if name not in known]
+        if unknown:
+            raise UsageError("--pole-limit", repr(unknown[0]), f"one of {', '.join(known)}, each =NUMBER")
+        return [known[name](value) for name, value in given.items() if value is not None]
+
+
+NOTHING_ASKED, FREE_POLES = Asked(), PoleLimits()
 
 
 @door("synth tune", "tune", result="synthesis.fixed.goal_tuning.TunedSynthesis", gives="controller", made="controller")
@@ -377,31 +457,11 @@ def tune(
         "Further plants for the same controller.",
     ] = None,
     structure: Structure = "pid",
-    goals: Annotated[
-        Any,
-        Goals(),
-        'Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".',
-        Named(option="--goal", in_step=...),
-    ] = None,
-    hard: Annotated[Any, Goals(hard=True), 'Must be met: "margin:disk=0.8,at=input".', Named(only="command")] = None,
-    pole_limit: Annotated[
-        dict[str, float] | None,
-        Table(Number(above=0)),
-        "Always kept by the loop's poles: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s).",
-    ] = None,
-    damping: Annotated[
-        float | None, Number(above=0, most=1), "Least damping of the loop's poles.", Named(only="step")
-    ] = None,
-    decay: Annotated[
-        float | None, Number(above=0), "Least decay rate of the loop's poles, in 1/s.", Named(only="step")
-    ] = None,
-    bandwidth: Annotated[
-        float | None, Number(above=0), "Largest modulus of the loop's poles, in rad/s.", Named(only="step")
-    ] = None,
+    asked: Asked = NOTHING_ASKED,
+    poles: PoleLimits = FREE_POLES,
     signals: Signals = ALL_SIGNALS,
-    starts: Starts = 3,
+    tries: Tries = USUAL_TRIES,
     search: Search = USUAL,
-    seed: Seed = 0,
     progress: Any = None,
 ) -> Any:
     """Controller u = K (r - y) of a given structure that meets hard goals and makes the others small.
@@ -412,20 +472,13 @@ def tune(
     Example: robustlab synth tune motor.h5 --structure pi --outputs omega --goal tracking:response_time=0.1
     """
     from robustlab.synthesis.laws.controller_structures import structure_in_words
-    from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
     models = [signals.of(model) for model in (system, *(also or []))]
     first = models[0]
     words = structure_in_words(structure, GeneralizedPlant(first, max(first.n_outputs, 1), max(first.n_inputs, 1)))
-    known: dict[str, Any] = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
-    given = {"damping": damping, "decay": decay, "bandwidth": bandwidth, **(pole_limit or {})}
-    unknown = [name for name in given if name not in known]
-    if unknown:
-        raise UsageError("--pole-limit", repr(unknown[0]), f"one of {', '.join(known)}, each =NUMBER")
-    limits = [known[name](value) for name, value in given.items() if value is not None]
-    options: dict[str, Any] = {"starts": starts, "seed": seed, **search.options}
-    return rl.tune(models, words, [*(goals or []), *(hard or []), *limits], progress=progress, **options)
+    goals = [*(asked.goals or []), *(asked.hard or []), *poles.limits]
+    return rl.tune(models, words, goals, progress=progress, **vars(tries), **search.options)
 
 
 # --- state feedback and estimators ------------------------------------------------------------------------------------

@@ -66,6 +66,18 @@ Method = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """How the controller will be run."""
+
+    dt: SampleTime
+    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0
+    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
+    ] = None
+
+
 @door("synth discretise", "discretise", result="synthesis.sampled.sampled_robustness.RobustSampledController",
       gives="controller", made="controller")  # fmt: skip
 def discretise(
@@ -73,16 +85,11 @@ def discretise(
         Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
     ],
     controller: Annotated[K, Named(key="of")],
-    dt: SampleTime,
+    sampling: Sampling,
     method: Method = "auto",
     loss: Annotated[
         float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
     ] = 0.1,
-    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
-    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None,
-    prewarp: Annotated[
-        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
-    ] = None,
     channels: LoopChannels = AS_CONTROLLER,
     search: Search = USUAL,
     seed: Seed = 0,
@@ -105,15 +112,14 @@ def discretise(
     given: Any = method
     options: dict[str, Any] = {**search.options}
     found = rl.discretise(
-        controller, dt, given, plant=_at_rest(P), loss=loss, delay=delay, antialiasing=antialiasing, prewarp=prewarp,
-        progress=progress, **options,
+        controller, method=given, plant=_at_rest(P), loss=loss, progress=progress, **vars(sampling), **options,
     )  # fmt: skip
     if not P.blocks:
         return found
     options["seed"] = seed
     loop = rl.UncertainModel(P.model, P.blocks).close(controller)
     before = rl.robust_performance(loop, accuracy=1e-3, tolerance=math.inf, **options)
-    judged = {"delay": delay, "antialiasing": antialiasing, "progress": progress}
+    judged = {"delay": sampling.delay, "antialiasing": sampling.antialiasing, "progress": progress}
     after = rl.sampled_robustness(P, found.K, **judged, **options)
     status = max((found.status, before.status, after.status), key=list(rl.Status).index)
     parts: dict[str, Any] = {**vars(found), "status": status}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import Named, door
 from robustlab.doors.kinds import Choice, Kind, Names, Number, Quantity, Table, Whole, in_units
-from robustlab.doors.words import Effort, Seed, TimeLimit, Uncertain
+from robustlab.doors.words import Search, Seed, Uncertain
 from robustlab.errors import UnitMismatch, UsageError
 
 METRICS = (
@@ -44,6 +44,67 @@ SettlingBand = Annotated[
 Workers = Annotated[int, Whole(1, 1024), "Threads; the answer does not depend on them.", Named(only="command")]
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What is judged of each member."""
+
+    metric: Metric = "peak-deviation"
+    output: Output = None
+    from_input: FromInput = None
+    band: SettlingBand = 0.02
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """For the functions."""
+        return {"output": self.output, "input": self.from_input, "band": self.band}
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What drives the members: steps, plus sines, on the named inputs, until an end."""
+
+    input: Drive = None
+    sine: Sine = None
+    frequency: Frequency = None
+    t_end: End = None
+    points: Points = 401
+
+    def of(self, uncertain: Any) -> dict[str, Any]:
+        """Times and inputs of a response as the functions take them.
+
+        Raises UsageError, InputError: a sine without frequency or end, a value in a unit that is not the input's.
+        """
+        import numpy as np
+
+        _check_sine(self.sine, self.frequency)
+        units = {s.name: s.unit for s in uncertain.inputs}
+        steps, sines = in_units("input", self.input, units), in_units("sine", self.sine, units)
+        dt, t_end = uncertain.dt, self.t_end
+        if t_end is None:
+            if sines:
+                raise UsageError("sine", "no end time", "t_end")
+            return {"t": None, "u": steps or None}
+        t = np.arange(round(t_end / dt) + 1) * dt if dt else np.linspace(0.0, t_end, self.points)
+        if self.frequency is None:
+            return {"t": t, "u": steps or None}
+        wave = np.sin(2 * np.pi * self.frequency * t)
+        u = {name: steps.get(name, 0.0) + sines.get(name, 0.0) * wave for name in {**steps, **sines}}
+        return {"t": t, "u": u, "hold": "foh"}
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """How sure a probability is to be."""
+
+    probability: Annotated[
+        float | None, Number(above=0, below=1), "With a limit: show P(violation) at most so large; else exit code 1."
+    ] = None
+    confidence: Annotated[float, Number(above=0, below=1), "With a limit: confidence of all bounds."] = 0.95
+
+
+USUAL, UNDRIVEN, AS_USUAL, USUALLY_SURE = Judged(), Excitation(), Search(), Certainty()
+
+
 def unit_of_metric(step: Any, ahead: Any) -> Any:
     """Unit of a metric's values before the run; ``float`` where it is not known yet.
 
@@ -74,15 +135,8 @@ def _foretold_violation(step: Any, ahead: Any) -> Any:
 @door("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", foretell=_foretold_worst)
 def worst_case(
     uncertain: Of,
-    metric: Metric = "peak-deviation",
-    output: Output = None,
-    from_input: FromInput = None,
-    input: Drive = None,
-    sine: Sine = None,
-    frequency: Frequency = None,
-    t_end: End = None,
-    points: Points = 401,
-    band: SettlingBand = 0.02,
+    judged: Judged = USUAL,
+    drive: Excitation = UNDRIVEN,
     n: Annotated[
         int,
         Whole(1, 100_000),
@@ -90,8 +144,7 @@ def worst_case(
         Named(option="-n,--samples"),
     ] = 256,
     seed: Seed = 0,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = AS_USUAL,
     workers: Workers = 1,
 ) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
@@ -100,11 +153,8 @@ def worst_case(
 
     Example: robustlab worst-case uncertain.h5 --metric peak-deviation --outputs omega --input-value u=42 --t-end 0.1
     """
-    drive = driven(uncertain, input, sine, frequency, t_end, points)
-    return rl.worst_case(
-        uncertain, metric, output=output, input=from_input, **drive, band=band, n=n, seed=seed, effort=effort,
-        time_limit=time_limit, workers=workers,
-    )  # fmt: skip
+    options: dict[str, Any] = {**judged.options, **drive.of(uncertain), **search.options}
+    return rl.worst_case(uncertain, judged.metric, n=n, seed=seed, workers=workers, **options)
 
 
 @door(
@@ -116,22 +166,12 @@ def worst_case(
 def violation_probability(
     uncertain: Of,
     limit: Annotated[Any, Quantity(), "Do not search: how probable is it that samples violate this? '0.5 rad'."],
-    metric: Metric = "peak-deviation",
+    judged: Judged = USUAL,
     unit: Annotated[
         str | None, Kind(), "Unit of the limit: that of the metric, else it is refused.", Named(only="step")
     ] = None,
-    probability: Annotated[
-        float | None, Number(above=0, below=1), "With a limit: show P(violation) at most so large; else exit code 1."
-    ] = None,
-    confidence: Annotated[float, Number(above=0, below=1), "With a limit: confidence of all bounds."] = 0.95,
-    output: Output = None,
-    from_input: FromInput = None,
-    input: Drive = None,
-    sine: Sine = None,
-    frequency: Frequency = None,
-    t_end: End = None,
-    points: Points = 401,
-    band: SettlingBand = 0.02,
+    sure: Certainty = USUALLY_SURE,
+    drive: Excitation = UNDRIVEN,
     n: Annotated[
         int | None,
         Whole(1, 10_000_000),
@@ -145,40 +185,11 @@ def violation_probability(
 
     The parameters are taken as uniform in their ranges and independent.
     """
-    drive = driven(uncertain, input, sine, frequency, t_end, points)
+    options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
-        uncertain, metric, limit if unit is None else f"{limit!r} {unit}", probability=probability,
-        confidence=confidence, n=n, output=output, input=from_input, **drive, band=band, seed=seed, workers=workers,
+        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", probability=sure.probability,
+        confidence=sure.confidence, n=n, seed=seed, workers=workers, **options,
     )  # fmt: skip
-
-
-def driven(
-    uncertain: Any,
-    steps: dict[str, Any] | None,
-    sines: dict[str, Any] | None,
-    frequency: float | None,
-    t_end: float | None,
-    points: int,
-) -> dict[str, Any]:
-    """Times and inputs of a response as the functions take them: steps, plus sines, on the named inputs.
-
-    Raises UsageError, InputError: a sine without frequency or end, a value in a unit that is not the input's.
-    """
-    import numpy as np
-
-    _check_sine(sines, frequency)
-    units = {s.name: s.unit for s in uncertain.inputs}
-    steps, sines = in_units("input", steps, units), in_units("sine", sines, units)
-    if t_end is None:
-        if sines:
-            raise UsageError("sine", "no end time", "t_end")
-        return {"t": None, "u": steps or None}
-    t = np.arange(round(t_end / uncertain.dt) + 1) * uncertain.dt if uncertain.dt else np.linspace(0.0, t_end, points)
-    if frequency is None:
-        return {"t": t, "u": steps or None}
-    wave = np.sin(2 * np.pi * frequency * t)
-    u = {name: steps.get(name, 0.0) + sines.get(name, 0.0) * wave for name in {**steps, **sines}}
-    return {"t": t, "u": u, "hold": "foh"}
 
 
 def _check_sine(sines: Any, frequency: float | None) -> None:

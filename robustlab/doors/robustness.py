@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -138,6 +138,26 @@ def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
     return found.plant, None if found.K is None else silenced(found.K, "margins"), found.sign, found.said
 
 
+@dataclass(frozen=True)
+class Told:
+    """What a command is asked to show or to have checked beside its answer."""
+
+    intervals: Intervals = False
+    cross_check: CrossCheck = False
+
+
+@dataclass(frozen=True)
+class Confirmed(Told):
+    """The same, and a second look at the proof."""
+
+    certify: Annotated[
+        bool, Flag(), "Confirm the scalings in ball arithmetic (needs robustlab[certify]).", Named(only="command")
+    ] = False
+
+
+NO_TABLE, NO_MORE = Told(), Confirmed()
+
+
 # --- a set ------------------------------------------------------------------------------------------------------------
 
 
@@ -167,11 +187,7 @@ def robust_stability(
     accuracy: Accuracy | None = None,
     search: Search = USUAL,
     seed: Seed = 0,
-    intervals: Intervals = False,
-    certify: Annotated[
-        bool, Flag(), "Confirm the scalings in ball arithmetic (needs robustlab[certify]).", Named(only="command")
-    ] = False,
-    cross_check: CrossCheck = False,
+    more: Confirmed = NO_MORE,
     drawn: bool = False,
 ) -> Any:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
@@ -187,19 +203,19 @@ def robust_stability(
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
     if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
         del options["omega"]
-        asked = {"--certify": certify, "--cross-check": cross_check, "--intervals": intervals}
+        asked = {"--certify": more.certify, "--cross-check": more.cross_check, "--intervals": more.intervals}
         if refused := next((name for name, given in asked.items() if given), None):
             raise UsageError("mu", f"{refused} at given frequencies", "the margin, or --gain")
     found: Any = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
-    beside = _checked(found, loop, cross_check)
-    if certify:
+    beside = _checked(found, loop, more.cross_check)
+    if more.certify:
         beside["balls"] = margin_in_balls(loop, found)
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
         try:
             beside["replay"] = replay(loop, found)
         except rl.RobustlabError as error:
             return InLoop(found, words, (f"no replay: {error}",), beside)
-    return InLoop(found, words, (), beside, (found.proved_intervals(),) if intervals else ())
+    return InLoop(found, words, (), beside, (found.proved_intervals(),) if more.intervals else ())
 
 
 @door("mu --gain", "worst-gain", result="mu_analysis.axis.worst_gain.WorstCaseGain")
@@ -211,8 +227,7 @@ def worst_case_gain(
     tolerance: Tolerance | None = None,
     search: Search = USUAL,
     seed: Seed = 0,
-    intervals: Intervals = False,
-    cross_check: CrossCheck = False,
+    more: Told = NO_TABLE,
     drawn: bool = False,
 ) -> Any:
     """Worst-case gain from inputs to outputs."""
@@ -223,7 +238,8 @@ def worst_case_gain(
         "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
     }  # fmt: skip
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
-    return InLoop(found, words, (), _checked(found, kept, cross_check), (found.proved(),) if intervals else ())
+    tables = (found.proved(),) if more.intervals else ()
+    return InLoop(found, words, (), _checked(found, kept, more.cross_check), tables)
 
 
 @door("mu --performance", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")

@@ -9,7 +9,7 @@ import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.kinds import Choice, Flag, Names, Number, Quantity, Share, Table, TextFile, Thing, Whole, in_units
 from robustlab.doors.models import At, Plant, PlantOrModel, Pose, at_rest, left_out, two_models, with_lengths
-from robustlab.doors.words import Controller, Effort, Outputs, Sign, TimeLimit
+from robustlab.doors.words import Controller, Outputs, Search, Sign
 from robustlab.errors import InputError, UsageError
 
 STRUCTURES = ("elements", "columns", "rows", "matrices", "single", "cover")
@@ -17,6 +17,7 @@ COVERS = (
     "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
     "inverse-input-multiplicative", "inverse-output-multiplicative", "coprime",
 )  # fmt: skip
+USUAL_SEARCH = Search()
 EXACT = 1e-12  # share of the largest entry that the ends of an element-wise set may miss
 ANY = ("plant", "model", "uncertain", "any")
 NOTHING = "no uncertainty: mu = 0"
@@ -168,8 +169,7 @@ def cover(
         Named(option="--controller,-k"),
     ] = None,
     feedback: Sign = None,
-    effort: Effort = 1.0,
-    time_limit: TimeLimit = None,
+    search: Search = USUAL_SEARCH,
     progress: Any = None,
 ) -> Any:
     """The smallest uncertain model of a form that holds every one of a set of models, with its conservatism."""
@@ -184,7 +184,7 @@ def cover(
         loop = lambda g: g.feedback(around, sign)  # noqa: E731
     found = rl.cover(
         models, form, tolerance=rtol, directions=directions, order=weight_order, loop=loop, progress=progress,
-        effort=effort, time_limit=time_limit,
+        **search.options,
     )  # fmt: skip
     return InLoop(found, words)
 
