@@ -26,8 +26,9 @@ from typing import Literal
 import numpy as np
 
 from robustlab.arrays import Array, Indices, Mask
+from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 
 DEGREE = 7  # of the polynomials in a cell
 PASSES = 7  # through delays after which a jump is smoother than what a polynomial of that degree sees
@@ -269,6 +270,5 @@ def checked_rtol(rtol: float | None) -> float:
     """The given relative error, or the usual one."""
     if rtol is None:
         return 1e-9
-    if isinstance(rtol, bool) or not isinstance(rtol, (int, float)) or not 0 < rtol < 1:
-        raise InputError("simulate: rtol", f"{rtol!r}", "a number between 0 and 1")
+    number("simulate: rtol", rtol, "a number between 0 and 1", above=0, below=1)
     return float(rtol)

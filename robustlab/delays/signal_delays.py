@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab.checks import whole
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.delays.pade import SHORTEST
 from robustlab.errors import InputError, told_as
@@ -52,8 +53,7 @@ def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSp
     >>> delay(0.03, dt=0.01)
     StateSpaceModel(3 states, [u1] -> [y1], dt=0.01 s)
     """
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise InputError("delay: n", f"{n!r}", "a whole number of channels, 1 or more")
+    whole("delay: n", n, 1)
     given: Any = [tau] * n if np.ndim(tau) == 0 else tau
     lengths = real_array("tau", given, 1, "delay")
     gain = StateSpaceModel([], [], [], np.eye(len(lengths)), dt)

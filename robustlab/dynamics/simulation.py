@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
 from robustlab.delays.response import checked_rtol, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
@@ -208,8 +209,7 @@ def _simulate_nonlinear(
     start, _ = plant.point(start, np.zeros(len(plant.inputs)))
     options = {key: value for key, value in (("rtol", rtol), ("step", step)) if value is not None}
     for key, value in options.items():
-        if not (isinstance(value, (int, float)) and 0 < value < 1):
-            raise InputError(f"simulate: {key}", f"{value!r}", "a number between 0 and 1")
+        number(f"simulate: {key}", value, "a number between 0 and 1", above=0, below=1)
     if len(options) == 2:
         raise InputError("simulate", "rtol and step", "one of them: fixed steps have no error control")
     if isinstance(plant, SteppedPlant):

@@ -16,6 +16,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, search_budget
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Channels, Inequality, Judgement, Point
@@ -119,8 +120,8 @@ def posed(
     """
     if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= MOST_ORDER:
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from 0 to {MOST_ORDER}")
-    if pole is not None and not 0 < pole < np.inf:
-        raise InputError(f"{where}: pole", f"{pole!r}", "a positive number in rad/s")
+    if pole is not None:
+        number(f"{where}: pole", pole, "a positive number in rad/s", above=0)
     budget = search_budget(where, TUNING.work, effort, time_limit)
     if nature is not None and not isinstance(nature, Mapping):
         raise InputError(f"{where}: nature", f"{nature!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")

@@ -25,6 +25,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, UnitMismatch, told_as
@@ -423,8 +424,7 @@ def _beta(share: float, a: int, b: int) -> float:
 
 
 def _check_share(name: str, value: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)) or not 0 < value < 1:
-        raise InputError(name, f"{value!r}", "a number between 0 and 1")
+    checks.number(name, value, "a number between 0 and 1", above=0, below=1)
 
 
 def _check_count(violations: int, n: int) -> None:

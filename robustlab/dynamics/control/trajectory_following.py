@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.dynamics.control.controlled_plant import ControlledNonlinearPlant, controlled_nonlinear
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
@@ -299,8 +300,7 @@ def _integrated(loop: _Loop, t: Array, breaks: tuple[float, ...], rtol: float) -
     """States (n, 18 + n_k) at the times t, from rest at the trim."""
     from scipy.integrate import solve_ivp
 
-    if not 0 < rtol < 1:
-        raise InputError("follow: rtol", f"{rtol!r}", "a number between 0 and 1")
+    number("follow: rtol", rtol, "a number between 0 and 1", above=0, below=1)
     # Sizes below which a state counts as small: angles, rates, currents, and the controller's integrals.
     small = np.abs(loop.into_u).max(axis=0)
     scale = np.concatenate([np.full(6, 1.0), np.full(6, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small[18:], 1.0)])

@@ -33,6 +33,7 @@ from typing import Any, ClassVar, cast, get_args
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.delays import delay_block, lag_block
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals
@@ -168,10 +169,8 @@ def effect_blocks(
     effect; no plant. NoTrustworthyNumber: the blocks do not give back the plant's own linear model.
     """
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
-    if width < 0:
-        raise InputError("effect_blocks: sigmas", f"{width:g}", "0 or more")
-    if isinstance(pade, bool) or not isinstance(pade, int) or not 1 <= pade <= 8:
-        raise InputError("effect_blocks: pade", f"{pade!r}", "an order from 1 to 8")
+    checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)
+    checks.whole("effect_blocks: pade", pade, 1, 8)
     if isinstance(plant, LinearPlant):
         if amplitude:
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")

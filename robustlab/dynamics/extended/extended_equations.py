@@ -23,7 +23,6 @@ gain 1 there.
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -33,6 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
     AttachedEffect,
@@ -484,8 +484,7 @@ class ExtendedEquations(SteppedPlant):
             where = f"linearise: amplitude {name!r}"
             if name not in sites:
                 raise unknown_name(where, "no effect there", name, sites)
-            if not (isinstance(value, (int, float)) and 0 < value < math.inf):
-                raise InputError(where, f"{value!r}", "a positive number")
+            number(where, value, "a positive number", above=0)
         if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:
             raise InputError("linearise: pade", f"{pade!r}", f"an order from 0 to {HIGHEST_PADE}")
         return x, u, amplitude or {}

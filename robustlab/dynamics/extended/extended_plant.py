@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
 from robustlab.dynamics.extended.nonlinear_steps import About, Drive, march, point_model, scaled, with_linear_parts
@@ -203,8 +204,7 @@ class ExtendedPlant(ExtendedEquations):
         equation).
         """
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
-        if width < 0:
-            raise InputError("uncertain: sigmas", f"{width:g}", "0 or more")
+        number("uncertain: sigmas", width, "0 or more", at_least=0)
         linear = self.linear_model()
         point = linear.operating_point
         assert point is not None

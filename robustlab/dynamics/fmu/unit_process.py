@@ -23,6 +23,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, Budget, child_environment
+from robustlab.checks import number
 from robustlab.errors import (
     DependencyMissing,
     EnvironmentFault,
@@ -97,8 +98,7 @@ class UnitProcess:
 
     def __init__(self, path: str | Path, time_limit: float) -> None:
         self.shown, self.path = str(path), Path(path).absolute()
-        if not isinstance(time_limit, (int, float)) or not 0 < time_limit < float("inf"):
-            raise InputError(f"{path}: time_limit", f"{time_limit!r}", "a time in s")
+        number(f"{path}: time_limit", time_limit, "a time in s", above=0)
         if not self.path.is_file():
             raise InputError(self.shown, "no such file", "a functional mock-up unit (.fmu)")
         if find_spec("fmpy") is None:

@@ -28,6 +28,7 @@ from typing import Literal
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
@@ -290,8 +291,7 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
         raise InputError(f"{where}: {joint!r}", "no such joint", f"one of {joints}")
     if f"{joint}.load" in model.ports or "." in joint:
         raise InputError(f"{where}: {joint!r}", "another effect that splits the joint in two", "one of them at a joint")
-    if not 0.0 < share < 1.0:
-        raise InputError(f"{where}: share", f"{share:g}", "a share of the inertia between 0 and 1")
+    number(f"{where}: share", share, "a share of the inertia between 0 and 1", above=0.0, below=1.0)
     split = _with_less_inertia(model, port, share)
     n, drive = len(port.velocity), split.ports[joint]
     rows = np.zeros((2, n + 2))

@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.dynamics.dry_friction import DryFriction, FrictionEvent, StickSlip
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.simulation import recorded, sampled_inputs
@@ -157,8 +158,7 @@ def simulate_platform_with_friction(
     where = "simulate_platform_with_friction"
     if plant.motors:
         raise InputError(where, "a platform with motors", "motors=False: torques as inputs")
-    if not 0 < step < np.inf:
-        raise InputError(f"{where}: step", f"{step}", "a positive time in s")
+    number(f"{where}: step", step, "a positive time in s", above=0)
     joints = (friction,) if isinstance(friction, DryFriction) else tuple(friction)
     slide, hold = _limits(plant, joints)
     clock = Record(t, name=where).t

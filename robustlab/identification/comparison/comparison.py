@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.fmu.fmu_plant import FmuCoSimulation
 from robustlab.dynamics.fmu.fmu_plant import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, told_as
+from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
 from robustlab.identification.comparison.additions import additions, additions_that_tell
 from robustlab.identification.comparison.along_motion import compare_along
 from robustlab.identification.comparison.best_linear_approximation import (
@@ -130,8 +131,7 @@ def compare(
     >>> round(gap.peak, 3), round(gap.peak_percent, 2)
     (0.1, 9.09)
     """
-    if isinstance(lags, bool) or not isinstance(lags, int | np.integer) or lags < 1:
-        raise InputError("compare: lags", repr(lags), "a whole number, 1 or more")
+    checks.whole("compare: lags", lags, 1)
     if isinstance(plant, FmuCoSimulation):
         if repeats or (window, start, lags, speed, position, period) != (None, None, LAGS, None, None, None):
             found = f"options for the windows of {plant.name}"

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
@@ -283,6 +284,5 @@ def _allowances(given: Mapping[str, float], names: tuple[str, ...], record: str)
     for name, value in given.items():
         if name not in names:
             raise unknown_name(f"cover {record}: allowance of {name!r}", "no such compared output", name, names)
-        if not (np.isfinite(value) and value >= 0):
-            raise InputError(f"cover {record}: allowance of {name!r}", f"{value}", "a number that is not negative")
+        checks.number(f"cover {record}: allowance of {name!r}", value, "a number that is not negative", at_least=0)
     return {name: float(given.get(name, 0.0)) for name in names}

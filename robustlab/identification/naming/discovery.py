@@ -24,6 +24,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
+from robustlab.checks import number
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
@@ -264,8 +265,8 @@ def discover(
     began = time.perf_counter()
     known = _known(plant)
     left_out = {effect(name).id for name in exclude}
-    if window is not None and not 0.0 < window < np.inf:
-        raise InputError("discover: window", f"{window}", "a length in s above 0")
+    if window is not None:
+        number("discover: window", window, "a length in s above 0", above=0.0)
     measured = [records] if isinstance(records, Record) else list(records)
     kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
     if not measured:

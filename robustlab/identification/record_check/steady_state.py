@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect
@@ -69,8 +70,7 @@ class SheetPoint:
     def __post_init__(self) -> None:
         where = f"point {self.name!r}"
         for name, value in (*self.stated.items(), ("tolerance", self.tolerance)):
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise InputError(f"{where}: {name}", f"{value!r}", "a finite number")
+            checks.number(f"{where}: {name}", value, "a finite number")
         if not 0 <= self.tolerance < 1:
             raise InputError(f"{where}: tolerance", f"{self.tolerance:g}", "a share from 0 to below 1: 0.01 for 1 %")
         if len(self.stated) < 2:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.dynamics.extended.effect_blocks import NoiseInput
 from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
 from robustlab.errors import InputError, told_as
@@ -194,10 +195,8 @@ def data_cover(
     """
     if not records:
         raise InputError("data_cover", "no record", "at least one")
-    if not np.isfinite(margin) or margin < 1:
-        raise InputError("data_cover: margin", f"{margin:g}", "1 or more")
-    if not 0 <= least < 1:
-        raise InputError("data_cover: least", f"{least:g}", "0 or more, below 1")
+    checks.number("data_cover: margin", margin, "1 or more", at_least=1)
+    checks.number("data_cover: least", least, "0 or more, below 1", at_least=0, below=1)
     names = [r.name for r in (*records, *held_out)]
     if len(set(names)) < len(names):
         raise InputError("data_cover", "two records of one name", "names of their own")

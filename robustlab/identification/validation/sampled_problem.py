@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.comparison.envelope import deviations
 from robustlab.identification.response.response import response_of
@@ -351,8 +352,7 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
             hint = f"noise={{{name!r}: ...}} in its unit: what the sensor may be off"
             raise InputError(f"{where}: output {name!r}", "has no noise bound", "one for each compared output", hint)
         value = noise[name]
-        if not (np.isfinite(value) and value >= 0):
-            raise InputError(f"{where}: noise of {name!r}", f"{value}", "a positive number")
+        number(f"{where}: noise of {name!r}", value, "a positive number", at_least=0)
         if value == 0:
             raise NoTrustworthyNumber(
                 f"{where}: noise of {name!r}",

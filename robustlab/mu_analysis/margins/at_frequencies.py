@@ -25,6 +25,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
 from robustlab.closing import closing
@@ -246,8 +247,8 @@ def robust_stability_at(
     if not data.blocks:
         found = "no uncertainty"
         raise InputError("robust_stability_at", found, "blocks", "frequency_data(..., radius=...) makes one")
-    if variation is not None and not 0 <= variation < np.inf:
-        raise InputError("robust_stability_at: variation", f"{variation!r}", "a number of 0 or more, in 1/(rad/s)")
+    if variation is not None:
+        checks.number("robust_stability_at: variation", variation, "a number of 0 or more, in 1/(rad/s)", at_least=0)
     return _margin_at(data.omega, data.delta_channels, data.blocks, variation, seed)
 
 

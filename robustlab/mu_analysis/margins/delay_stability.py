@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.arrays import ComplexArray
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
@@ -131,8 +132,7 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     g = as_delayed(model, "delay_stability")
     if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
         raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
-    if not 0 < effort < np.inf:
-        raise InputError("delay_stability: effort", f"{effort!r}", "a positive finite number")
+    checks.number("delay_stability: effort", effort, "a positive finite number", above=0)
     found = DelayStability.of(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
     count = count_roots(g, effort) if len(g.delays) else None
     if count is not None and not count.roots:

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.checks import number
 from robustlab.errors import InputError, did_you_mean
 from robustlab.norms import bilinear_to_discrete
 from robustlab.signals import Taken
@@ -307,8 +308,7 @@ def goal_in_words(word: str, options: Mapping[str, Any], hard: bool = False) -> 
 
 
 def _positive(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
-        raise InputError(f"goal: {name}", f"{value!r}", "a positive number")
+    number(f"goal: {name}", value, "a positive number", above=0)
     return float(value)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.checks import number
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import signal_positions
@@ -24,8 +25,7 @@ def diagonal_weight(sizes: Mapping[str, float], known: Sequence[str], where: str
     """
     diagonal = np.zeros(len(known))
     for at, (name, size) in zip(signal_positions(list(sizes), known, where), sizes.items(), strict=True):
-        if not 0 <= size < np.inf:
-            raise InputError(f"{where} {name!r}", f"{size:g}", "a number that is not negative")
+        number(f"{where} {name!r}", size, "a number that is not negative", at_least=0)
         diagonal[at] = size
     return np.diag(diagonal)
 

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.linear_analysis.matrix_equations import care
@@ -164,8 +165,7 @@ def two_degree_design(
     """The design for plant and weights, with names, units and sample times that fit; see `robustlab.ncf`."""
     rows = signal_positions(g.output_names if outputs is None else outputs, g.output_names, "synth ncf: output")
     t = _reference_model(given, len(rows), g.dt)
-    if not rho > 0 or not np.isfinite(rho):
-        raise InputError("synth ncf: rho", f"{rho}", "a positive number, such as 1")
+    number("synth ncf: rho", rho, "a positive number, such as 1", above=0)
     if behind.n_states or behind.n_inputs != behind.n_outputs or np.linalg.cond(behind.D) > 1e12:
         raise InputError(
             "synth ncf: W2", "a weight with states, or not invertible", "constants, beside a reference model",

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response, response_within
 from robustlab.linear_analysis.magnitude import Moderated, moderated, scaled_down
@@ -253,8 +254,7 @@ def _check_extras(method: str, weighted: bool, band: Band | None, floor: float) 
             raise InputError("reduce_model", f"{name} with method {method!r}", balanced)
     if weighted and band is not None:
         raise InputError("reduce_model", "weights and a band", "one of them")
-    if not 0 <= floor < np.inf:
-        raise InputError("reduce_model: floor", f"{floor}", "a number that is not negative")
+    number("reduce_model: floor", floor, "a number that is not negative", at_least=0)
     if floor and method != "stochastic":
         raise InputError("reduce_model", f"floor with method {method!r}", "stochastic")
 

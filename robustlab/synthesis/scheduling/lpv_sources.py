@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, is_function, told_as
 from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.signals import real_array
@@ -130,8 +131,7 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
     p = block.parameter
     low, high = block.interval if p is None else (p.low, p.high)
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
-        if given < 2:
-            raise InputError(f"lpv_model: points of {block.name!r}", f"{given}", "2 or more")
+        number(f"lpv_model: points of {block.name!r}", given, "2 or more", at_least=2)
         return np.linspace(low, high, int(given))
     values = real_array(f"points of {block.name!r}", given, 1, "lpv_model")
     if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():

@@ -26,6 +26,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.closing import wired
 from robustlab.errors import InputError, did_you_mean
@@ -343,8 +344,7 @@ def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:
     if bandwidth is None:
         return _through(1, "r", dt)
     where = "tracking problem: reference_bandwidth"
-    if isinstance(bandwidth, bool) or not isinstance(bandwidth, (int, float)) or not 0 < bandwidth < float("inf"):
-        raise InputError(where, f"{bandwidth!r}", "a positive number in rad/s")
+    checks.number(where, bandwidth, "a positive number in rad/s", above=0)
     if dt:
         raise InputError(where, f"{bandwidth:g} rad/s for a discrete plant", "none: shape the reference by W1 instead")
     root = bandwidth**0.5
@@ -382,8 +382,7 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
         if name not in names:
             raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(names)}",
                              did_you_mean(str(name), names))  # fmt: skip
-        if isinstance(size, bool) or not isinstance(size, (int, float)) or not 0 < size < float("inf"):
-            raise InputError(f"{where} {name!r}", f"{size!r}", "a positive number")
+        checks.number(f"{where} {name!r}", size, "a positive number", above=0)
     missing = [name for name in names if name not in table]
     if whole and missing:
         raise InputError(where, f"none for {', '.join(missing)}", "one for every controlled output")

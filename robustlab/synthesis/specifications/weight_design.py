@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab import checks
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
@@ -526,8 +527,7 @@ def noise_weight(
     if not np.isfinite(dt) or dt <= 0:
         raise InputError("noise_weight: dt", f"{dt} s", "a positive sample time in s")
     for name, value in (("bands", bands), ("segments", segments)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-            raise InputError(f"noise_weight: {name}", f"{value!r}", "a whole number of at least 1")
+        checks.whole(f"noise_weight: {name}", value, 1)
     length = int(2 * len(x) // (segments + 1))
     if length < 32:
         raise InputError("noise_weight", f"{len(x)} samples", f"at least {16 * (segments + 1)} for {segments} segments")

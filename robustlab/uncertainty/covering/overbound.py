@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
@@ -184,10 +185,8 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
     if not (np.isfinite(b).all() and (b > 0).all()):
         k = int(np.flatnonzero(~(np.isfinite(b) & (b > 0)))[0])
         raise InputError("overbound: bound", f"{b[k]} at {w[k]:g} rad/s", "finite positive values")
-    if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= 12:
-        raise InputError("overbound: order", f"{order!r}", "a whole number from 0 to 12")
-    if not 0 < tolerance < np.inf:
-        raise InputError("overbound: tolerance", f"{tolerance}", "a positive number")
+    checks.whole("overbound: order", order, 0, 12)
+    checks.number("overbound: tolerance", tolerance, "a positive number", above=0)
     if dt < 0 or (dt and w[-1] * dt >= np.pi):
         raise InputError("overbound: omega", f"{w[-1]:g} rad/s", f"below the Nyquist frequency {np.pi / dt:g} rad/s")
     return w, b

@@ -25,6 +25,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import number, whole
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
@@ -73,10 +74,9 @@ def parametric_cover(
     Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
     another form.
     """
-    if not 0 <= tolerance < 1:
-        raise InputError("cover: tolerance", f"{tolerance}", "a number in [0, 1)")
-    if directions is not None and (isinstance(directions, bool) or directions < 1):
-        raise InputError("cover: directions", f"{directions}", "a positive whole number")
+    number("cover: tolerance", tolerance, "a number in [0, 1)", at_least=0, below=1)
+    if directions is not None:
+        whole("cover: directions", directions, 1)
     if form == "elements":
         if directions is not None:
             raise InputError("cover: directions", f"{directions} with form elements", "form pca or ellipsoid")
