@@ -140,6 +140,16 @@ def test_one_process_serves_many_files_each_in_its_own(server, tmp_path):
 
 
 @FORKS
+def test_what_the_server_has_loaded_takes_no_memory_from_a_document(server, tmp_path):
+    """numpy and h5py map more than a document of 20 MB may take."""
+    with h5py.File(tmp_path / "p.h5", "w") as file:
+        file["A"] = np.eye(2)
+    read_tree(tmp_path / "p.h5")
+    many = b"[" + b"1.5, " * 4_000_000 + b"1.5]"
+    assert len(document_isolated("json", b'{"a": ' + many + b"}", "p.json", LIMITS)["a"]) == 4_000_001
+
+
+@FORKS
 @pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGSEGV])
 def test_a_server_that_was_killed_is_started_again(server, way):
     number()
