@@ -9,6 +9,7 @@ and highest point there, and no corner that is off by less than `OFF` of a strai
 
 from __future__ import annotations
 
+from functools import lru_cache
 from html import escape
 from io import StringIO
 from typing import Any
@@ -461,11 +462,12 @@ def _polygon(corners: Array, closed: bool) -> str:
     decimals = 1 if len(corners) > LONG else 2
     steps = np.rint(10**decimals * thinned(corners)).astype(int)
     steps[1:] -= steps[:-1].copy()
-    moves = [_short(int(v), decimals) for v in steps.ravel()]
+    moves = [_short(v, decimals) for v in steps.ravel().tolist()]
     line = f"l{_joined(moves[2:])}" if len(moves) > 2 else ""
     return f"M{_joined(moves[:2])}{line}{'z' if closed else ''}"
 
 
+@lru_cache(maxsize=1 << 15)
 def _short(value: int, decimals: int) -> str:
     """An integer of tenths or hundredths as a decimal number, as short as it can be."""
     sign, digits = "-" if value < 0 else "", str(abs(value)).rjust(decimals + 1, "0")
