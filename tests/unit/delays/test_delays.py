@@ -108,7 +108,7 @@ def test_a_discrete_delay_is_a_row_of_states():
     [
         (lambda: rl.delay(-1.0), "0 s or more"),
         (lambda: rl.delay(np.inf), "finite"),
-        (lambda: rl.delay(1.0, n=0), "1 or more"),
+        (lambda: rl.delay(1.0, n=0), "delay: n: 0, expected a whole number of at least 1"),
         (lambda: rl.delay(True), "real numbers"),
         (lambda: rl.delay("1 s"), "real numbers"),
         (lambda: rl.with_delays(LAG, inputs={"none": 1.0}), "one of u1"),

@@ -235,7 +235,7 @@ def test_an_unnamed_force_becomes_an_input():
         ({"amplitude": {"v": -1.0}}, "positive"),
         ({"amplitude": {"v": (2.0, 1.0)}}, "least, largest"),
         ({"amplitude": {"v": 1.0}, "sigmas": -1.0}, "sigmas"),
-        ({"amplitude": {"v": 1.0}, "pade": 0}, "order"),
+        ({"amplitude": {"v": 1.0}, "pade": 0}, "a whole number from 1 to 8"),
         ({"amplitude": {"v": 1.0}, "unnamed": (0.0, "")}, "positive bound"),
     ],
 )

@@ -230,7 +230,7 @@ def test_a_set_without_spread():
         ([LAGS[0], lag(1, 1, 0.1)], {}, "dt"),
         (LAGS, {"form": "element"}, "did you mean elements"),
         (LAGS, {"tolerance": -1.0}, "tolerance"),
-        (LAGS, {"form": "pca", "directions": 0}, "positive whole"),
+        (LAGS, {"form": "pca", "directions": 0}, "directions: 0, expected a whole number of at least 1"),
         (LAGS, {"directions": 2}, "pca or ellipsoid"),
         (LAGS, {"form": "additive", "directions": 2}, "pca or ellipsoid"),
         (LAGS, {"form": "pca", "nominal": LAGS[0]}, "middle of the box"),
