@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from repeatable import same_under_load
+from repeatable import same_compiled_and_cached, same_under_load
 
 import robustlab as rl
 from robustlab.budget import NOT_REPEATABLE, USED_UP, Budget
@@ -47,6 +47,17 @@ bounds = rl.mu(M, [[-1, 0]] * 8, tolerance=1e-4, effort=0.001)
 print(*bounds.notes, digest(bounds))
 """)
     assert USED_UP in found
+
+
+def test_mu_is_the_same_where_its_kernels_were_compiled_and_where_they_were_read_from_the_cache(tmp_path):
+    same_compiled_and_cached(
+        """
+rng = np.random.default_rng(3)
+M = rng.standard_normal((2, 8, 8)) + 1j * rng.standard_normal((2, 8, 8))
+print(*[digest(rl.mu(M, blocks, effort=0.001)) for blocks in ([[-1, 0]] * 8, [[1, 1]] * 4 + [[2, 2]] * 2)])
+""",
+        tmp_path,
+    )
 
 
 def test_margin_and_gain_are_the_same_under_load_where_the_budget_ends_the_proof():
