@@ -212,6 +212,9 @@ def _discovered(case: Any, records: list[Any]) -> tuple[Any, Line]:
     return found, spent | {
         "verdict": found.verdict, "names": list(found.names), "answer": list(found.answer), "complete": found.complete,
         "posterior": _posterior(found), "confidence": {e.name: e.confidence for e in found.effects},
+        "kinds": [[k.kind, k.place, k.probability, k.members[0].name if k.settled else ""] for k in found.kinds],
+        "quantities": {k.kind: {v.name: [v.value, v.lower, v.upper] for v in k.values} for k in found.kinds},
+        "also": [e.name for e in found.also_detectable],
         "gap_before": found.gap_before, "gap_refitted": found.gap_refitted, "gap_after": found.gap_after,
     }  # fmt: skip
 

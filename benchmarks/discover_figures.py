@@ -1,7 +1,8 @@
 """The figures of the naming bench from its lines, each beside what it is to reach.
 
 What counts. A case that was refused, failed, crashed or ran out of time is a wrong answer everywhere. *Named* is the
-verdict "named"; it is right where its names are exactly the hidden ones: no fewer, no more, no exact twin alone. The
+verdict "named"; it is right where its names are exactly the hidden ones: no fewer, no more, no exact twin alone; where
+it leaves the form of a kind open, the hidden effect has to be of that kind. The
 *best set* is the first of the posterior ("none" where it is empty), nothing under the verdict "unknown". Top-1 takes a
 best set for the hidden one that no record of the family can tell from it (`hidden.told`), and calibration does
 not: two twins have to share their probability. The *answer* is all names of the collection, "none" where nothing may be
@@ -19,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from hidden import ANYWHERE, FAMILIES, told
+
+from robustlab.dynamics.effects.kinds import KIND_OF, upwards
 
 __all__ = ["answer", "best_set", "is_right", "report", "wilson"]
 
@@ -117,8 +120,27 @@ def _same(names: Iterable[str], line: Line) -> bool:
 
 
 def is_right(line: Line) -> bool:
-    """Named, and exactly what is hidden."""
-    return _named(line) and _same(line["names"], line)
+    """Named, and exactly what is hidden, at the level that was told."""
+    return _named(line) and (_same(line["names"], line) if _forms_settled(line) else _kinds_right(line))
+
+
+def _forms_settled(line: Line) -> bool:
+    return all(member for *_, member in line.get("kinds", ()))
+
+
+def _kinds_right(line: Line) -> bool:
+    """A hidden effect for each kind that was told, the very one where its form was told too, and none left over."""
+    twins, left = FAMILIES[line["family"]].twins, list(line["truth"])
+    for kind, _, _, member in line["kinds"]:
+        own = [
+            name for name in left
+            if kind in [k.id for k in upwards(KIND_OF[name])]
+            and (not member or told(twins, [name]) == told(twins, [member]))
+        ]  # fmt: skip
+        if not own:
+            return False
+        left.remove(own[0])
+    return not left
 
 
 def _sure_and_wrong(line: Line) -> bool:

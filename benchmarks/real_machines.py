@@ -117,6 +117,16 @@ def told(found: Any) -> dict[str, Any]:
     return {
         "verdict": found.verdict,
         "complete": found.complete,
+        "kinds": [
+            {
+                "kind": k.kind,
+                "place": k.place,
+                "probability": k.probability,
+                "values": values(k.values),
+                "members": {m.name: m.share for m in k.members},
+            }
+            for k in found.kinds
+        ],
         "effects": [{"name": e.name, "site": e.site, "values": values(e.parameters)} for e in found.effects],
         "rivals": [r.name for r in found.rivals],
         "nominal": {p.name: [p.value, p.lower, p.upper] for p in found.nominal},

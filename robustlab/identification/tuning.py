@@ -101,7 +101,7 @@ class NamingTuning(Tuning):
     prior_effect: float = 0.02  # of an effect at a place
     prior_refinement: float = 0.1  # of a refinement, over that of the effect it refines
     looked_elsewhere: float = 200.0  # periods among which the one of a ripple was found
-    temperature: float = 1.0  # by which log evidence is divided: above 1, less sure
+    temperature: float = 1.0  # by which log evidence is divided at least: above 1, less sure
     sure: float = 0.95  # probability of a set from which it is named, and of the sets in an answer together
     settling: int = 15  # iterations of the reported fits
 
@@ -117,6 +117,11 @@ class NamingTuning(Tuning):
     most_noise: float = 1.5  # error over noise and random force, beyond which something systematic is missing
     most_random: float = 0.05  # of the force that moves a port: a random force beyond is no noise of a machine
     repeatable: float = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
+
+    # --- what matters
+    # Share of the error it leaves by which the error without a name is larger, or of the force that moves its joint.
+    material: float = 0.05
+    remark: float = 0.005  # of the force that moves the port: a weaker line that remains is a remark
 
     # --- what remains
     residual_blocks: int = 32  # of time, over all records

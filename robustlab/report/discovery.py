@@ -16,14 +16,8 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.naming.discovery_result import (
-    LINEAR,
-    Discovery,
-    chance,
-    compared,
-    in_words,
-    with_interval,
-)
+from robustlab.identification.naming.discovery_result import LINEAR, Discovery
+from robustlab.identification.naming.discovery_text import chance, compared, in_words, kind_words, with_interval
 from robustlab.identification.naming.named_effects import Gap, SetProbability, overall
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
@@ -434,9 +428,9 @@ TONES = {
     "unknown": ("warn", "?"),
 }
 MEANINGS = {
-    "named": "The named effects are the answer with 95 % or more, and help on data that the fit never saw.",
+    "named": "What is named has 95 % or more, in whatever form, and helps on data that the fit never saw.",
     "no missing effect": "What differs lies within the tolerances of the parameters and the noise of the sensors.",
-    "ambiguous": "Something is missing that more than one effect explains equally well; see the next experiment.",
+    "ambiguous": "Something is missing that effects of several kinds explain equally well; see the next experiment.",
     "unknown": "Something is missing that no effect of the catalogue explains; see the force that remains.",
 }
 
@@ -446,11 +440,18 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
     found = [
         ("Verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains", MEANINGS[d.verdict])
     ]
+    found += [(k.words, kind_words(k), f"what tells: {k.form}") for k in d.kinds if not k.settled]
     for e in d.effects:
         values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
         found.append((in_words(e), values, e.equation))
         rivals = f"; cannot be told from: {', '.join(e.rivals)}" if e.rivals else ""
         found.append((f"{e.name}: probability", f"{chance(e.confidence)}{rivals}", "of all sets that contain it"))
+        if math.isfinite(e.error_without):
+            errors = f"{_share(e.error_without)} of the range, {_share(d.gap_after)} with it"
+            found.append((f"{e.name}: held-out error without it", errors, d.held_out))
+    for e in d.also_detectable:
+        values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
+        found.append((f"Also seen: {in_words(e)}", values, "brings next to nothing on held-out data: not in the model"))
     for r in d.rivals:
         if r.instead_of == "none":
             values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
@@ -466,8 +467,13 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
 def story(d: Discovery) -> list[tuple[str, str, str]]:
     """Where, what, how sure, and the gap before and after: label, value and remark of each."""
     places = list(dict.fromkeys(e.site for e in d.effects))
-    what = [(e.title, "; ".join(with_interval(p) for p in e.parameters)) for e in d.effects]
-    sure = [f"{chance(e.confidence)}{f' {e.title}' if len(d.effects) > 1 else ''}" for e in d.effects]
+    open_forms = [k for k in d.kinds if not k.settled]
+    members = {m.name for k in open_forms for m in k.members}
+    own = [e for e in d.effects if e.name not in members]
+    what = [(k.title, "; ".join(f"{v.name} {with_interval(v)}" for v in k.values)) for k in open_forms]
+    what += [(e.title, "; ".join(with_interval(p) for p in e.parameters)) for e in own]
+    of_each = [(k.probability, k.title) for k in open_forms] + [(e.confidence, e.title) for e in own]
+    sure = [f"{chance(p)}{f' {title}' if len(of_each) > 1 else ''}" for p, title in of_each]
     rivals = ", ".join(dict.fromkeys(r.title for r in d.rivals))
     doubt = f"not excluded: {rivals}" if rivals else "no rival is left"
     left = "nothing more is seen" if d.complete else "something else remains"

@@ -48,6 +48,9 @@ def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return drop
 
 
+QUICKEST = 0.5  # s: no winding heats faster; a resistance that follows the current within less has another cause
+
+
 class ResistanceHeating(Effect):
     r"""A winding that warms up: a resistance that grows with the heat it has taken.
 
@@ -74,6 +77,9 @@ class ResistanceHeating(Effect):
             EffectParameter("kappa", "Ohm/A2", "final rise per squared current", Prior("log", _rise(scales), 1.5)),
             EffectParameter("T", "s", "thermal time constant", time),
         )
+
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return values["T"] >= QUICKEST
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         return tuple({"kappa": _rise(scales), "T": share * scales.duration} for share in (0.5, 5.0))

@@ -242,6 +242,12 @@ class Effect(ABC):
             return tuple(replace(scales, lines=(f,)) for f in scales.lines)
         return (scales,)
 
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        """Whether the record visits the effect's own scale; where it does not the effect is its limit there (a spring,
+        a slope, nothing), which competes by its own name.
+        """
+        return True
+
     def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
         """Parameters as a record tells them that begins later by so many seconds."""
         return values

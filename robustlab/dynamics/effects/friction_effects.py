@@ -147,6 +147,9 @@ class StribeckFriction(Effect):
         level = 0.1 * scales.force
         return tuple({"Fc": level, "dF": level, "vs": share * scales.speed} for share in (0.005, 0.03))
 
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return values["vs"] <= scales.speed
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function at a sine of this speed amplitude a, with D Dawson's integral and r = a / vs:
         # 4 (Fc + dF D(r) / r) / (pi a). The force always opposes the motion.
@@ -244,6 +247,9 @@ class Presliding(Effect):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         level = 0.1 * scales.force
         return tuple({"Fc": level, "sigma0": level / (g * scales.position)} for g in (1e-4, 1e-3, 1e-2))
+
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return values["Fc"] / values["sigma0"] <= scales.position  # what never slides is a spring
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # In a steady loop of the position amplitude a the force stays within Fc tanh(sigma0 a / Fc); its first harmonic

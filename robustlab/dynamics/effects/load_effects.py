@@ -205,6 +205,9 @@ def ripple_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return wave_mean(seen[TIME], seen[TIME] + seen[STEP], p[0], p[1], 2.0 * math.pi * p[2])
 
 
+FEWEST_TURNS = 2.0  # of a ripple within the record: fewer are a slope or a bow
+
+
 class TorqueRipple(Effect):
     r"""Ripple of the force over time: mains, a beat of two clocks, an unbalanced neighbour.
 
@@ -231,6 +234,9 @@ class TorqueRipple(Effect):
             EffectParameter("As", scales.force_unit, "sine part", wave),
             EffectParameter("f", "Hz", "frequency", _frequency_prior(scales)),
         )
+
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return values["f"] * scales.duration >= FEWEST_TURNS
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Both parts start at zero, where every phase is equally near.

@@ -167,6 +167,11 @@ class EndStop(Effect):
             for depth, harder in ((0.02, 1.0), (0.003, 5.0))
         )
 
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        if scales.lowest is None or scales.highest is None:
+            return True
+        return values["q_min"] > scales.lowest or values["q_max"] < scales.highest
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Slope of the force over the position: 0 between the limits, kc beyond them (the damping is left out).
         reached = amplitude > min(abs(values["q_min"]), abs(values["q_max"]))
@@ -362,6 +367,9 @@ class BoucWen(Effect):
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         return tuple({"Fy": 0.2 * scales.force, "qy": part * scales.position, "rho": 0.3} for part in (0.02, 0.1, 0.4))
+
+    def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return values["qy"] <= scales.position  # what never yields is a spring
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # In a steady loop of the position amplitude a, z goes from -m to m over the way 2 a:

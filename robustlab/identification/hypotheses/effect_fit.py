@@ -229,8 +229,24 @@ class Problem:
         return tuple(float(told.get(s.name, 0.0)) for s in self.plant.inputs) if told else None
 
     def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
-        """What a simulation is run with at the standardised parameters."""
-        return Setting(*self.split(hypothesis, z), self.shift(z))
+        """What a simulation is run with at the standardised parameters.
+
+        A delay that all sensors of a linear plant share is one of all inputs: simulated as that, the two have the same
+        histories before a window's start, and so the same errors to the last bit.
+        """
+        factors, values = self.split(hypothesis, z)
+        late = [(c.site.name, c.effect.delay) for c in hypothesis.candidates if c.site.kind == "output"]
+        if not any(name for _, name in late) or isinstance(self.plant, NonlinearPlant):
+            return Setting(factors, values, self.shift(z))
+        effects = [(c.effect, c.site) for c in hypothesis.candidates]
+        told = self.late(effects, values)
+        shared = min(told.get(column, 0.0) for column in self.records[0].columns)
+        left = [
+            {**v, e.delay: v[e.delay] - shared} if site.kind == "output" and e.delay else v
+            for (e, site), v in zip(effects, values, strict=True)
+        ]
+        shift = self.shift(z) or (0.0,) * len(self.plant.inputs)
+        return Setting(factors, left, tuple(s + shared for s in shift))
 
     def size(self, hypothesis: Hypothesis) -> int:
         """Number of standardised parameters."""

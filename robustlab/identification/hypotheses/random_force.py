@@ -197,9 +197,14 @@ def _shifts(problem: Problem, fit: Fit, simulator: Simulator, pulses: int) -> bo
     """Whether a later pulse answers like an earlier one: a linear plant, no force law, no map of an output."""
     if isinstance(problem.plant, NonlinearPlant):
         return False
-    _, values = problem.split(fit.hypothesis, fit.z)
+    values = problem.setting(fit.hypothesis, fit.z).values
     effects = zip(simulator.effects[:-pulses], values, strict=True)
-    return not any(site.kind == "output" or effect.laws(site, v) for (effect, site), v in effects)
+    return not any(_maps(effect, site, v) or effect.laws(site, v) for (effect, site), v in effects)
+
+
+def _maps(effect: Effect, site: Site, values: Mapping[str, float]) -> bool:
+    """Whether it does something to an output."""
+    return site.kind == "output" and not (effect.delay and values[effect.delay] == 0.0)
 
 
 def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:

@@ -3,43 +3,28 @@
 The best set is named where its probability is high enough and nothing stands beside it that no test on these records
 tells from it. "Complete" and "no missing effect" are not said where the errors are far beyond noise, where a line over
 time or position is significant, or where an unnamed force explains what the names do not.
-
-How far models stay from records that no fit saw is told in windows, and in free run from a record's own start to its
-end. A window starts from the state that fits it best under the prior of its start, so its error tells what the model
-does within a window's length. In free run the state is that of the first window and nothing is corrected after: the
-error tells what a user of the model would see. A plant that integrates drifts there; a model that diverges has the
-error infinity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.hypotheses.noise import (
-    clearly_larger,
-    held_out_fit,
-    in_phase,
-    restarted,
-    settled,
-    spans,
-    white,
-    window_errors,
-)
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, start_std
+from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
+from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
+from robustlab.identification.naming.held_out_gaps import Gaps, held_out_gaps
+from robustlab.identification.naming.materiality import Matter, errors_of, matter_of, without_effects
 from robustlab.identification.naming.named_effects import (
     EffectValue,
-    Gap,
     InputClock,
     NamedEffect,
     NominalValue,
@@ -48,7 +33,9 @@ from robustlab.identification.naming.named_effects import (
     SetProbability,
     overall,
 )
+from robustlab.identification.naming.named_kinds import Kinds, kinds_of
 from robustlab.identification.naming.posterior import Alternative, Posterior
+from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
@@ -61,111 +48,6 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
-
-
-@dataclass(frozen=True, eq=False)
-class Gaps:
-    """Errors by output in windows and in free run, what the latter was over, and signals for figures.
-
-    ``worse``: the updated model is clearly further from the windows than the refitted one.
-    """
-
-    windows: Mapping[str, Gap]
-    free_run: Mapping[str, Gap]
-    free_run_on: str
-    worse: bool
-    series: Mapping[str, Any]
-
-
-def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
-    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records.
-
-    ``held``: the records and which of their windows are held out. ``models``: a fit for each of the three names; its
-    parameters stay, only window starts are found anew. ``known``: records that the fits were told by: of others an
-    effect over time has phases of their own, found anew too.
-    """
-    own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
-    placed = {name: restarted(own[name], fit) for name, fit in models.items()}
-    outputs = {name: simulated_outputs(own[name], fit) for name, fit in placed.items()}
-    runs = [_unbroken(record) for record in held.records]
-    free = {
-        name: _free_run(own[name], [_unbroken(record) for record in own[name].records], fit)
-        for name, fit in models.items()
-    }
-    measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
-    followed = [r.measured for r in runs]
-    # The record with most sensors is drawn.
-    k = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
-    first, windows = held.records[k], held.records[k].windows
-    drawn = (windows.starts[held.chosen[k]][:, None] + np.arange(windows.length)).ravel()
-    whole = runs[k].windows.starts[0] + np.arange(runs[k].windows.length)
-    names = ", ".join(r.record.name for r in held.records)
-    if isinstance(held.plant, NonlinearPlant):
-        names += " (linear about the recorded motion)"
-    partly = any(len(chosen) < r.count for r, chosen in zip(held.records, held.chosen, strict=True))
-    return Gaps(
-        _gaps(held, measured, outputs),
-        _gaps(held, followed, free),
-        f"all of {names}, which the fit saw in part" if partly else names,
-        clearly_larger(*(window_errors(own[name], placed[name]) for name in ("updated", "refitted"))),
-        _series(held, first, drawn, measured[k], {name: values[k] for name, values in outputs.items()})
-        | {"free_run": _series(held, first, whole, followed[k], {name: values[k] for name, values in free.items()})},
-    )
-
-
-def _unbroken(record: PreparedRecord) -> PreparedRecord:
-    """The longest stretch of a record whose windows follow each other without a gap, as one window."""
-    starts, length = record.windows.starts, record.windows.length
-    groups = np.split(np.arange(len(starts)), np.flatnonzero(np.diff(starts) != length) + 1)
-    longest = max(groups, key=len)
-    a, b = longest[0], longest[-1]
-    windows = Windows(starts[a : a + 1], int(starts[b] + length - starts[a]))
-    return replace(record, windows=windows, x0=record.x0[a : a + 1], x0_std=record.x0_std[a : a + 1])
-
-
-def _free_run(held: Problem, runs: Sequence[PreparedRecord], fit: Fit) -> list[Array]:
-    """Outputs of one simulation over each run, (1, length, n_measured), from the state that its first window tells."""
-    lengths = [r.windows.length for r in held.records]
-    beginnings = [replace(r, windows=Windows(r.windows.starts, n)) for r, n in zip(runs, lengths, strict=True)]
-    start = restarted(held.on(beginnings), fit)
-    with np.errstate(all="ignore"):
-        return simulated_outputs(held.on(runs), start)
-
-
-def _gaps(held: Problem, measured: Sequence[Array], outputs: Mapping[str, Sequence[Array]]) -> dict[str, Gap]:
-    found = {}
-    for j, (column, span) in enumerate(zip(held.records[0].columns, spans(held.records), strict=True)):
-        if not any(np.isfinite(y[:, :, j]).any() for y in measured):
-            continue
-        signal = held.plant.outputs[column]
-        rms = {
-            name: _rms(
-                [(y - model)[:, :, j][np.isfinite(y[:, :, j])] for y, model in zip(measured, values, strict=True)]
-            )
-            for name, values in outputs.items()
-        }
-        found[signal.name] = Gap(signal.name, signal.unit, float(span), **rms)
-    return found
-
-
-def _rms(errors: Sequence[Array]) -> float:
-    """Over all samples; infinite where a model's output is no number any more."""
-    with np.errstate(over="ignore"):
-        value = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return value if np.isfinite(value) else np.inf
-
-
-def _series(
-    held: Problem, record: PreparedRecord, samples: Indices, measured: Array, outputs: Mapping[str, Array]
-) -> dict[str, Any]:
-    """Clock, inputs and outputs of one record at these samples; outputs beyond numbers are NaN."""
-    signals = {}
-    for j, column in enumerate(record.columns):
-        if np.isfinite(measured[:, :, j]).any():
-            own = {name: np.where(np.isfinite(y), y, np.nan)[:, :, j].ravel() for name, y in outputs.items()}
-            signals[held.plant.outputs[column].name] = {"measured": measured[:, :, j].ravel(), **own}
-    inputs = {s.name: record.record.inputs[s.name][samples] for s in held.plant.inputs}
-    return {"t": record.record.t[samples], "record": record.record.name, "inputs": inputs, "outputs": signals}
 
 
 INTERVAL = 1.96  # standard deviations of a 95 % interval
@@ -187,13 +69,22 @@ class Case:
 
 
 class _Judgement(NamedTuple):
-    """The verdict and what it rests on: residual force, its lines, error over noise, noise floor and F against it."""
+    """The verdict, and whether nothing material remains beyond it."""
 
     verdict: Verdict
     complete: bool
-    left: LeftOver | None
+
+
+class _Left(NamedTuple):
+    """What the best set leaves: whether it matters, whether all was looked at and nothing does, and what it is.
+
+    ``force``, ``lines``: residual force and its lines; ``floor``, ``excess``: noise floor and F against it.
+    """
+
+    remains: bool
+    complete: bool
+    force: LeftOver | None
     lines: tuple[dict[str, float | str], ...]
-    noise_ratio: float
     floor: NoiseFloor | None
     excess: Mapping[str, float]
 
@@ -218,34 +109,48 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     """The result of `discover`; gaps are measured on all of the windows that are held out."""
     problem, held, stages = found.problem, held.under(found.problem.clock), _Stages()
     best = posterior.best.fit
-    fit = settled(problem, best, found.noise)
-    judged = _judged(case, found, posterior, fit, stages)
-    if not judged.complete and best.hypothesis.candidates:
-        fit = settled(problem, fit, found.noise, 1)
-    bare = settled(problem, found.empty.fit, found.noise, 1 if best.hypothesis.candidates else None)
+    whole = settled(problem, best, found.noise)
+    left = _what_is_left(case, found, posterior, whole, stages)
+    if left.remains and best.hypothesis.candidates:
+        whole = settled(problem, whole, found.noise, 1)
+    matters = stages.run("what matters", lambda: _matters(found, held, whole), {})
+    slight = frozenset(key for key, m in matters.items() if not m.material)
+    kinds = _kinds(found, held, posterior, slight)
+    fit = whole
+    if aside := slight | _doubtful(kinds, whole):
+        fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
+    verdict = _verdict(found, kinds, fit, left.remains)
+    named = fit.hypothesis.candidates
+    bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
-    if best.hypothesis.candidates:
+    judged = _Judgement(verdict, left.complete and verdict != "unknown")
+    if named:
         judged = _on_held_out(judged, gaps)
-    rivals = posterior.alternatives()
-    if judged.verdict == "unknown" and not best.hypothesis.candidates:
+    rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
+    if judged.verdict == "unknown" and not named:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
     names = tuple(r.name for r in case.records)
-    left = judged.left
-    unsettled = left if left and not judged.complete else None
-    structure = {"noise_ratio": judged.noise_ratio}
+    force = left.force
+    unsettled = force if force and not judged.complete else None
+    structure = {"noise_ratio": posterior.noise_ratio}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
-    curves = stages.run("residual force", left.curves, None) if left else None
-    missing = (
-        stages.run("missing force", lambda: _missing_force(found, bare), None) if best.hypothesis.candidates else None
-    )
+    curves = stages.run("residual force", force.curves, None) if force else None
+    missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
     unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
     findings = [*case.findings, *_search_findings(found), *stages.findings]
+
+    def told(fit: Fit, keys: Sequence[str]) -> tuple[NamedEffect, ...]:
+        own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
+        return tuple(_named(found, posterior, fit, k, rivals, matters) for k in own)
+
     return Discovery(
         status=Status.CONVERGED if judged.verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
         verdict=judged.verdict,
         complete=judged.complete,
-        effects=tuple(_named(found, posterior, fit, k, rivals) for k in range(len(fit.hypothesis.candidates))),
+        effects=told(fit, [c.key for c in named]),
+        kinds=stages.run("kinds", lambda: kinds.named(problem), ()) if judged.verdict != "unknown" else (),
+        also_detectable=told(whole, list(slight)),
         rivals=tuple(_rival(problem, a) for a in rivals),
         nominal=_nominal(problem, fit, case.stated),
         gap_before=overall(gaps.windows, "nominal"),
@@ -262,13 +167,13 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         search=_entries(found),
         clocks=_clocks(problem, fit),
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
-        structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
+        structure=structure | (vars(force.structure) | {"found": force.structure.found} if force else {}),
         residual_force=curves,
         missing_force=missing,
         unnamed=unnamed,
-        noise_floor=judged.floor,
-        floor_excess=judged.excess,
-        remaining_lines=judged.lines,
+        noise_floor=left.floor,
+        floor_excess=left.excess,
+        remaining_lines=left.lines,
         findings=tuple(findings),
         series=gaps.series,
         model=stages.run("updated plant", lambda: updated_plant(problem, fit, f"fitted to {', '.join(names)}"), None),
@@ -279,28 +184,68 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 # --- the verdict -----------------------------------------------------------------------------------------------------
 
 
-def _judged(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Judgement:
+def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Left:
+    """What the best set leaves; a line too weak to matter is told and leaves the answer complete."""
     tuning = found.problem.tuning
-    left = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(left, tuning) if left else (), ())
+    force = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
+    lines = stages.run("lines", lambda: remaining_lines(force, tuning) if force else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
-    remains = bool(lines) or any(f > tuning.repeatable for f in excess.values())
+    moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
+    remains = any(float(line["amplitude"]) > tuning.remark * moving for line in lines)
+    remains = remains or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
     remains = remains or posterior.random_share > tuning.most_random or not posterior.generalises
-    verdict = _verdict(found, posterior, remains)
     # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
-    complete = not remains and verdict != "unknown" and left is not None and np.isfinite(posterior.noise_ratio)
-    return _Judgement(verdict, bool(complete), left, lines, posterior.noise_ratio, floor, excess)
+    complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
+    return _Left(bool(remains), complete, force, lines, floor, excess)
 
 
-def _verdict(found: Found, posterior: Posterior, remains: bool) -> Verdict:
-    tuning, best = found.problem.tuning, posterior.best
-    if not best.key:
+def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Matter]:
+    """What each effect of the set brings on held-out data; of those of ``keys`` where they are given."""
+    problem, known = found.problem, found.problem.records
+    asked = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
+    if not asked:
+        return {}
+    whole = errors_of(held, fit, known)
+    return {
+        key: matter_of(
+            held, whole, errors_of(held, without_effects(problem, fit, {key}), known), force_share(problem, fit, k)
+        )
+        for k, key in asked
+    }
+
+
+def _kinds(found: Found, held: Problem, posterior: Posterior, slight: frozenset[str]) -> Kinds:
+    """The kinds of the answer; what is open in other sets only, and brings nothing there, decides nothing either."""
+    kinds = kinds_of(found.problem, posterior, slight)
+    for candidate in () if kinds.coarse else kinds.open():
+        if candidate.key in posterior.best.key:
+            continue
+        entry = next(w for w in posterior.sets if candidate.key in w.key)
+        if not _matters(found, held, entry.fit, {candidate.key})[candidate.key].material:
+            slight = slight | {candidate.key}
+    return kinds if slight == kinds.ignored else kinds_of(found.problem, posterior, slight)
+
+
+def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
+    """Named: the kind of every effect that matters is sure, in whatever form; `fit` holds what is named."""
+    named = fit.hypothesis.candidates
+    if not named:
         return "unknown" if remains else "no missing effect"
-    if remains and _explained(found, best.fit) < tuning.explained:
+    sure = all(kinds.told(c) for c in named)
+    if kinds.coarse and sure:
+        return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
+    if remains and _explained(found, kinds.posterior.best.fit) < found.problem.tuning.explained:
         return "unknown"
-    alone = best.probability >= tuning.sure and len(posterior.collection) == 1
-    return "named" if alone and found.settled else "ambiguous"
+    return "named" if sure and found.settled and not kinds.open() else "ambiguous"
+
+
+def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
+    """Effects of a best set that leaves more than noise which are not sure, where others are: no part of the answer."""
+    own = fit.hypothesis.candidates
+    if not kinds.coarse or not any(kinds.told(c) for c in own):
+        return frozenset()
+    return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.told(c) is None)
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps) -> _Judgement:
@@ -405,7 +350,9 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
     return tuple(values)
 
 
-def _named(found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
+def _named(
+    found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative], matters: Mapping[str, Matter]
+) -> NamedEffect:
     candidate = fit.hypothesis.candidates[k]
     own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
     less = next((v for v in found.sets if v.key == posterior.best.key - {candidate.key}), found.empty)
@@ -414,6 +361,7 @@ def _named(found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequenc
         effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(found.problem, fit, k),
         posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
+        matters[candidate.key].error_without if candidate.key in matters else np.nan,
     )  # fmt: skip
 
 
@@ -478,5 +426,5 @@ def _probabilities(posterior: Posterior) -> tuple[SetProbability, ...]:
 
 def _entries(found: Found) -> tuple[SearchEntry, ...]:
     best = found.best.evidence
-    words = {True: "judged", False: "no answer: within tolerance, or too little of its period is seen"}
+    words = {True: "judged", False: "no answer: within tolerance, or beyond what the records visit"}
     return tuple(SearchEntry(_places(v.fit), v.evidence - best, words[v.allowed]) for v in found.sets)

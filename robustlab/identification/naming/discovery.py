@@ -68,11 +68,14 @@ def admissible(
 
     def allowed(problem: Problem, fit: Fit) -> bool:
         _, values = problem.split(fit.hypothesis, fit.z)
-        for candidate, own in zip(fit.hypothesis.candidates, values, strict=True):
+        seen = problem.setting(fit.hypothesis, fit.z).values  # a delay that all sensors share is one of the inputs
+        for candidate, own, simulated in zip(fit.hypothesis.candidates, values, seen, strict=True):
             if not beyond_tolerance(problem, fit, candidate, limits):
                 return False
             window = problem.records[0].windows.length * problem.records[0].record.dt
-            if candidate.effect.lag(own) > LONGEST_LAG * window:
+            if not candidate.effect.visited(own, candidate.scales):
+                return False
+            if candidate.effect.lag(simulated) > LONGEST_LAG * window:
                 return False
             if candidate.effect.spatial and "k" in own:
                 position = positions[candidate.site.name]

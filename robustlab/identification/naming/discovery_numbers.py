@@ -8,6 +8,7 @@ from typing import Any
 
 from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales
+from robustlab.dynamics.effects.kinds import KINDS
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.identification.naming.named_effects import overall, wave_amplitude
 
@@ -30,17 +31,26 @@ def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
     return effects
 
 
+ENDS = {"": "value", "_lower": "lower", "_upper": "upper"}  # of a quantity of a kind
+
+
+def quantities_of(kind: str) -> dict[str, Any]:
+    """What requirements may ask of a kind: each quantity and the ends of its 95 % interval; units go by the place."""
+    return {f"{name}{end}": float for name in KINDS[kind].quantities for end in ENDS}
+
+
 def numbers_of(d: Any) -> dict[str, Any]:
     """What requirements may address.
 
     ``verdict``, ``complete``, ``names``, ``places`` (names with where they sit, ``ID@PLACE``), ``answer`` (names and
-    rivals), ``count``, ``gap_before``, ``gap_refitted``, ``gap_after`` in percent of the range, ``gap_ratio`` (before
-    over after), ``refitted_ratio``, ``gaps.OUTPUT.updated`` in its unit; ``free_run.before``, ``.refitted``, ``.after``
-    in percent of the range and ``free_run.outputs.OUTPUT.updated``; ``effects.ID.PARAMETER`` (and ``.amplitude`` of
-    what is periodic in the position) with ``lower`` and ``upper`` alike (95 %), ``confidence.ID`` (its probability),
-    ``nominal.PARAMETER``, ``next_experiment.name`` ("none" where no rival is left) and ``.separation``;
-    ``line.position.period`` and ``.amplitude`` of the strongest line that remains over the position, and ``line.time``
-    alike.
+    rivals), ``kinds`` (what is sure, in whatever form), ``KIND.probability`` and the quantities of each kind
+    (``dry-friction.level``, with ``level_lower`` and ``level_upper``: 95 %), ``count``, ``gap_before``,
+    ``gap_refitted``, ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``refitted_ratio``,
+    ``gaps.OUTPUT.updated`` in its unit; ``free_run.before``, ``.refitted``, ``.after`` in percent of the range and
+    ``free_run.outputs.OUTPUT.updated``; ``effects.ID.PARAMETER`` (and ``.amplitude`` of what is periodic in the
+    position) with ``lower`` and ``upper`` alike (95 %), ``confidence.ID`` (its probability), ``nominal.PARAMETER``,
+    ``next_experiment.name`` ("none" where no rival is left) and ``.separation``; ``line.position.period`` and
+    ``.amplitude`` of the strongest line that remains over the position, and ``line.time`` alike.
 
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
     is not met, while a misspelt one is refused; of what is periodic its amplitude is 0.
@@ -57,11 +67,13 @@ def numbers_of(d: Any) -> dict[str, Any]:
         upper[key] = {p.name: p.upper for p in e.parameters}
         confidence[key] = e.confidence
     return {
+        **_kinds(d),
         "verdict": d.verdict,
         "complete": d.complete,
         "names": list(d.names),
         "places": [f"{e.name}@{e.site}" for e in d.effects],
         "answer": list(d.answer),
+        "kinds": [k.kind for k in d.kinds],
         "count": len(d.effects),
         "gap_before": d.gap_before,
         "gap_refitted": d.gap_refitted,
@@ -89,6 +101,17 @@ def numbers_of(d: Any) -> dict[str, Any]:
         "line": {over: _strongest_line(d, over) for over in ("position", "time")},
         "seconds": d.seconds,
     }
+
+
+def _kinds(d: Any) -> dict[str, dict[str, float]]:
+    """Every kind with its quantities: no number of one that is not sure; of two places the more probable one."""
+    found: dict[str, dict[str, float]] = {
+        kind: {"probability": 0.0} | dict.fromkeys(quantities_of(kind), math.nan) for kind in KINDS
+    }
+    for k in sorted(d.kinds, key=lambda k: k.probability):
+        told = {f"{v.name}{end}": getattr(v, part) for v in k.values for end, part in ENDS.items()}
+        found[k.kind] |= {"probability": k.probability, **told}
+    return found
 
 
 def _strongest_line(d: Any, over: str) -> dict[str, float]:

@@ -2,10 +2,18 @@ r"""How probable each set of effects is, and what that allows to be said.
 
 .. math:: P(S) = e^{E(S) / T} \Big/ \sum_{S'} e^{E(S') / T}
 
-over the sets that the search judged and that may be the answer, with E the log evidence and T the temperature. The
-search whitened errors by an autoregression, which is quick, and takes a slow random force for something to be
-explained; the most probable sets are weighed again here under the noise of the sensors and a random force
-(`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held out.
+over the sets that the search judged and that may be the answer, with E the log evidence and T the temperature. T is 1
+where the best set leaves noise. Where an unnamed force beside it brings the evidence g, the model is right up to a
+neighbourhood of the size of its own misfit only, and what a name brings counts in units of that (a coarsened
+posterior):
+
+.. math:: T = \max\Bigl(1,\ g \Big/ \ln\frac{p}{1 - p}\Bigr)
+
+with p the probability of a name that is sure. So a name is sure where it brings more than what is left, and no misfit
+could itself be the name. The search whitened errors by an autoregression, which is quick, and takes a slow random force
+for something to be explained; the most probable sets are weighed again here under the noise of the sensors and a random
+force (`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held
+out.
 
 Of two sets that differ in one effect, or by one, and whose refit distance d for these very records is below 3, no test
 on the records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
@@ -15,6 +23,10 @@ An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand
 leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
 empty set in any case; what it brings is added to their evidence. So a name that an unnamed force explains as well is
 not sure, and where the force alone is more probable than all names, nothing is named.
+
+References
+----------
+Miller, Dunson, *Robust Bayesian inference via coarsening*, Journal of the American Statistical Association 114 (2019).
 
 A set whose error on held-out data is larger than that of the nominal model refitted within its tolerances is no answer.
 """
@@ -96,13 +108,14 @@ class Posterior:
 
     ``collection`` is the smallest of them with the probability that an answer needs, and whatever no test tells from
     the best. ``generalises`` is False where every more probable set than the empty one fails on held-out data.
-    ``left`` is what the best set leaves, place by place.
+    ``left`` is what the best set leaves, place by place. ``temperature`` is above 1 where that is more than noise.
     """
 
     sets: tuple[Weighed, ...]
     collection: tuple[Weighed, ...]
     generalises: bool
     left: tuple[Unnamed, ...]
+    temperature: float = 1.0
 
     @property
     def noise_ratio(self) -> float:
@@ -197,21 +210,28 @@ def weigh(found: Found) -> Posterior:
         evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
     distance = _lift(problem, ordered, evidence)
-    log = np.array([evidence[v.key] for v in ordered]) / tuning.temperature
+    temperature = _temperature(ordered[0], weights, tuning)
+    log = np.array([evidence[v.key] for v in ordered]) / temperature
     share = np.exp(log - log.max())
     share /= share.sum()
     weighed = [
         Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets, renamed = _misjudged(found, _folded(problem, weighed, evidence), evidence)
+    sets, renamed = _misjudged(found, _folded(problem, weighed, evidence, temperature), evidence)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell} - renamed
     collection = tuple(_collected(sets, tuning.sure, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left)
+    return Posterior(tuple(sets), collection, generalises, left, temperature)
+
+
+def _temperature(best: Visited, weights: Mapping[Key, _Weight], tuning: NamingTuning) -> float:
+    """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure."""
+    left = weights[best.key].force if best.key in weights else None
+    return max(tuning.temperature, _gain(left) / float(np.log(tuning.sure / (1.0 - tuning.sure))))
 
 
 def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
@@ -252,7 +272,9 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
     return distance
 
 
-def _folded(problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float]) -> list[Weighed]:
+def _folded(
+    problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float], temperature: float
+) -> list[Weighed]:
     """Sets without those that have an effect more of which the records say nothing, neither for it nor against it.
 
     What a larger set is the more probable for, its prior put aside, is the evidence of the records for what it has
@@ -266,7 +288,7 @@ def _folded(problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key,
         def silent(less: Weighed, entry: Weighed = entry, plain: float = plain) -> bool:
             if not less.key < entry.key:
                 return False
-            if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE:
+            if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE * temperature:
                 return True
             asked = entry.probability > HARDLY and less.probability > entry.probability
             return asked and refit_distance(problem, entry.fit, less.fit) < problem.tuning.cannot_tell

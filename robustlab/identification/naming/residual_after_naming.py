@@ -28,7 +28,7 @@ explains most first.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -211,7 +211,7 @@ def _least(problem: Problem, k: int) -> float:
 def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
     """Port, unit, force, std, coordinates and their units along one record."""
     record = problem.records[k]
-    factors, values = problem.split(fit.hypothesis, fit.z)
+    factors, values, shift = problem.setting(fit.hypothesis, fit.z)
     model = simulator.model(factors, values)
     joint = next((p for p in model.ports.values() if p.kind == "joint"), None)
     # A plant without a joint: what it lacks is told as an addition to its first input.
@@ -220,7 +220,6 @@ def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Par
     windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
-    shift = problem.shift(fit.z)
     known, columns, added = _known_inputs(simulator, factors, values, record, x0, shift)
     y = record.y[used] - added
     seen = np.isfinite(y).any(axis=0)
@@ -262,8 +261,8 @@ def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Par
 
 def _known_inputs(
     simulator: Simulator,
-    factors: dict[str, float],
-    values: Sequence[dict[str, float]],
+    factors: Mapping[str, float],
+    values: Sequence[Mapping[str, float]],
     record: PreparedRecord,
     x0: Array,
     shift: Sequence[float] | None,

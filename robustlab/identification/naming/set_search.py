@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -183,6 +183,7 @@ class _Search:
     looked: dict[Key, dict[str, Fit]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
     again: set[Key] = field(default_factory=set)
+    alone: set[str] = field(default_factory=set)
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     explained: dict[Fit, bool] = field(default_factory=dict)
     expansions: int = 0
@@ -208,7 +209,7 @@ class _Search:
                 if self._told().key != best:  # a smaller set that had to be fitted first
                     self._sharpen()
                     continue
-                if key is None and self._lines():
+                if key is None and (self._lines() or self._singles()):
                     key = self._next()
                 if key is None:
                     settled = True
@@ -332,6 +333,31 @@ class _Search:
             self.pool = [*self.pool, *found.values()]
             self.looked, self.expanded = {}, self.expanded - {best.key}
         return bool(found)
+
+    def _singles(self) -> bool:
+        """Fit in full, from each of its starts, every single effect that was not; whether that changes the best set.
+
+        A short look may miss an effect that explains by itself what two or three others share: no set of these is
+        believed before. Of a nonlinear plant the search came to each set by all of its parts already.
+        """
+        best, empty = self._told(), self.visited[Key()].fit
+        left = [c for c in self.pool if Key({c.key}) not in self.visited and c.key not in self.alone]
+        if len(best.key) < 2 or not left or isinstance(self.problem.plant, NonlinearPlant):
+            return False
+        left = [c for c in left if may_follow(c, empty.hypothesis)]
+        self.alone |= {c.key for c in left}
+        plan = FitPlan(self.tuning.full, 0.05, ceiling=empty.cost - 2.0 * self.tuning.promising)
+        jobs = [(c, start) for c in left for start in c.starts]
+
+        def full(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
+            candidate, start = job
+            z = np.append(empty.z, candidate.standardised(start))
+            return self.problem.fit(Hypothesis((candidate,)), self.noise, z, empty.starts, plan)
+
+        for done, fit in enumerate(self.workers.map(full, jobs), 1):
+            self._visit(fit)
+            self.progress(done, len(jobs), "single effects that were only looked at so far")
+        return self._told().key != best.key
 
     def _unrefined(self, fit: Fit) -> None:
         """Fit a set with what a refinement refines in its stead: a simpler name must have been asked.

@@ -13,12 +13,8 @@ import robustlab as rl
 from robustlab.cli.data import _fill_folder
 from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
 from robustlab.identification.naming.discovery_numbers import numbers_of
-from robustlab.identification.naming.discovery_result import (
-    Discovery,
-    chance,
-    compared,
-    with_interval,
-)
+from robustlab.identification.naming.discovery_result import Discovery
+from robustlab.identification.naming.discovery_text import chance, compared, with_interval
 from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
@@ -169,8 +165,8 @@ def test_what_tolerances_may_hide_is_told_beside_no_missing_effect():
 
 def test_the_first_line_is_the_verdict_in_a_sentence():
     assert made().summary().splitlines()[0] == (
-        "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % -> 0.1 % of the range, in free run "
-        "25 % -> 0.5 %."
+        "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % of the range as given, 0.9 % refitted, "
+        "0.1 % with it; in free run 25 % -> 10 % -> 0.5 %."
     )
     assert "cannot tell which" in sentence(ambiguous())
     unsettled = made(verdict="ambiguous", status=Status.INCONCLUSIVE)
@@ -281,7 +277,7 @@ def test_what_diverges_is_told_as_such():
     gap = Gap("q", "m", 2.0, math.inf, math.inf, 0.01)
     text = made(free_run={"q": gap}).summary()
     assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike refitted" in text
-    assert "in free run diverges -> 0.5 %" in text
+    assert "in free run diverges -> diverges -> 0.5 %" in text
     assert overall({"q": gap}, "updated") == pytest.approx(0.5)
     assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(math.sqrt(0.625))
     assert json.dumps(plain(made(free_run={"q": gap}).to_json()), allow_nan=False)

@@ -16,8 +16,8 @@ from robustlab.identification.hypotheses.candidates import nuisance_parameters, 
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.noise import spans
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming import answer as module
-from robustlab.identification.naming.answer import held_out_gaps
+from robustlab.identification.naming import held_out_gaps as module
+from robustlab.identification.naming.held_out_gaps import held_out_gaps
 
 AXIS = rl.plant("servo-axis")
 HEAVIER = 1.25

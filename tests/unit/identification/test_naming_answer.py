@@ -13,8 +13,8 @@ from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows
 from robustlab.identification.naming import answer as module
-from robustlab.identification.naming.answer import Gaps
 from robustlab.identification.naming.discovery import Progress, _spread
+from robustlab.identification.naming.held_out_gaps import Gaps
 from robustlab.identification.naming.named_effects import Gap
 from robustlab.result import Status
 
@@ -54,8 +54,8 @@ def test_a_next_experiment_that_fails_does_not_lose_the_twins(monkeypatch):
 
     monkeypatch.setattr(module, "_next_experiment", fails)
     found = discovered(record)
-    assert found.verdict == "ambiguous"
-    assert found.status is Status.INCONCLUSIVE
+    assert found.verdict == "named"  # late, be it the input or the sensor
+    assert [(k.kind, k.settled) for k in found.kinds] == [("lateness", False)]
     assert {*found.names, *(r.name for r in found.rivals)} == {"input-delay", "sensor-delay"}
     assert found.next_experiment is None
     assert "next experiment" in [f.channel for f in found.findings if f.kind == "stage"]
@@ -130,7 +130,7 @@ def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_jud
     [(1.0, False, "named"), (1.004, False, "named"), (1.08, False, "ambiguous"), (1.08, True, "unknown")],
 )
 def test_names_do_not_stand_against_held_out_data(updated, worse, verdict):
-    judged = module._Judgement("named", True, None, (), 1.0, None, {})
+    judged = module._Judgement("named", True)
     gaps = Gaps({"q": Gap("q", "m", 1.0, 5.0, 1.0, updated)}, {}, "test", worse, {})
     said = module._on_held_out(judged, gaps)
     assert said.verdict == verdict

@@ -1,0 +1,128 @@
+"""How far models stay from records that no fit saw: in windows, and in free run.
+
+A window starts from the state that fits it best under the prior of its start, so its error tells what the model does
+within a window's length. In free run, from a record's own start to its end, the state is that of the first window and
+nothing is corrected after: the error tells what a user of the model would see. A plant that integrates drifts there; a
+model that diverges has the error infinity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.identification.hypotheses.effect_fit import Fit, Problem, simulated_outputs
+from robustlab.identification.hypotheses.noise import clearly_larger, in_phase, restarted, spans, window_errors
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.naming.named_effects import Gap
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """Errors by output in windows and in free run, what the latter was over, and signals for figures.
+
+    ``worse``: the updated model is clearly further from the windows than the refitted one.
+    """
+
+    windows: Mapping[str, Gap]
+    free_run: Mapping[str, Gap]
+    free_run_on: str
+    worse: bool
+    series: Mapping[str, Any]
+
+
+def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
+    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records.
+
+    ``held``: the records and which of their windows are held out. ``models``: a fit for each of the three names; its
+    parameters stay, only window starts are found anew. ``known``: records that the fits were told by: of others an
+    effect over time has phases of their own, found anew too.
+    """
+    own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
+    placed = {name: restarted(own[name], fit) for name, fit in models.items()}
+    outputs = {name: simulated_outputs(own[name], fit) for name, fit in placed.items()}
+    runs = [unbroken(record) for record in held.records]
+    free = {
+        name: run_free(own[name], [unbroken(record) for record in own[name].records], fit)
+        for name, fit in models.items()
+    }
+    measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
+    followed = [r.measured for r in runs]
+    # The record with most sensors is drawn.
+    k = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
+    first, windows = held.records[k], held.records[k].windows
+    drawn = (windows.starts[held.chosen[k]][:, None] + np.arange(windows.length)).ravel()
+    whole = runs[k].windows.starts[0] + np.arange(runs[k].windows.length)
+    names = ", ".join(r.record.name for r in held.records)
+    if isinstance(held.plant, NonlinearPlant):
+        names += " (linear about the recorded motion)"
+    partly = any(len(chosen) < r.count for r, chosen in zip(held.records, held.chosen, strict=True))
+    return Gaps(
+        _gaps(held, measured, outputs),
+        _gaps(held, followed, free),
+        f"all of {names}, which the fit saw in part" if partly else names,
+        clearly_larger(*(window_errors(own[name], placed[name]) for name in ("updated", "refitted"))),
+        _series(held, first, drawn, measured[k], {name: values[k] for name, values in outputs.items()})
+        | {"free_run": _series(held, first, whole, followed[k], {name: values[k] for name, values in free.items()})},
+    )
+
+
+def unbroken(record: PreparedRecord) -> PreparedRecord:
+    """The longest stretch of a record whose windows follow each other without a gap, as one window."""
+    starts, length = record.windows.starts, record.windows.length
+    groups = np.split(np.arange(len(starts)), np.flatnonzero(np.diff(starts) != length) + 1)
+    longest = max(groups, key=len)
+    a, b = longest[0], longest[-1]
+    windows = Windows(starts[a : a + 1], int(starts[b] + length - starts[a]))
+    return replace(record, windows=windows, x0=record.x0[a : a + 1], x0_std=record.x0_std[a : a + 1])
+
+
+def run_free(held: Problem, runs: Sequence[PreparedRecord], fit: Fit) -> list[Array]:
+    """Outputs of one simulation over each run, (1, length, n_measured), from the state that its first window tells."""
+    lengths = [r.windows.length for r in held.records]
+    beginnings = [replace(r, windows=Windows(r.windows.starts, n)) for r, n in zip(runs, lengths, strict=True)]
+    start = restarted(held.on(beginnings), fit)
+    with np.errstate(all="ignore"):
+        return simulated_outputs(held.on(runs), start)
+
+
+def _gaps(held: Problem, measured: Sequence[Array], outputs: Mapping[str, Sequence[Array]]) -> dict[str, Gap]:
+    found = {}
+    for j, (column, span) in enumerate(zip(held.records[0].columns, spans(held.records), strict=True)):
+        if not any(np.isfinite(y[:, :, j]).any() for y in measured):
+            continue
+        signal = held.plant.outputs[column]
+        rms = {
+            name: _rms(
+                [(y - model)[:, :, j][np.isfinite(y[:, :, j])] for y, model in zip(measured, values, strict=True)]
+            )
+            for name, values in outputs.items()
+        }
+        found[signal.name] = Gap(signal.name, signal.unit, float(span), **rms)
+    return found
+
+
+def _rms(errors: Sequence[Array]) -> float:
+    """Over all samples; infinite where a model's output is no number any more."""
+    with np.errstate(over="ignore"):
+        value = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    return value if np.isfinite(value) else np.inf
+
+
+def _series(
+    held: Problem, record: PreparedRecord, samples: Indices, measured: Array, outputs: Mapping[str, Array]
+) -> dict[str, Any]:
+    """Clock, inputs and outputs of one record at these samples; outputs beyond numbers are NaN."""
+    signals = {}
+    for j, column in enumerate(record.columns):
+        if np.isfinite(measured[:, :, j]).any():
+            own = {name: np.where(np.isfinite(y), y, np.nan)[:, :, j].ravel() for name, y in outputs.items()}
+            signals[held.plant.outputs[column].name] = {"measured": measured[:, :, j].ravel(), **own}
+    inputs = {s.name: record.record.inputs[s.name][samples] for s in held.plant.inputs}
+    return {"t": record.record.t[samples], "record": record.record.name, "inputs": inputs, "outputs": signals}

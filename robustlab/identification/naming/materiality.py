@@ -1,0 +1,91 @@
+r"""What each name brings: the error on held-out data with all names but it, refitted, against that with it.
+
+An effect can be certain and not matter: a load of a ten-thousandth of the motor's force, half a step of an encoder.
+With the held-out errors e of the whole set and e' of the set without one effect, over the windows and over whole runs,
+the effect is material where in one of the two
+
+.. math::
+    \operatorname{rms} e' - \operatorname{rms} e \ge s\, \operatorname{rms} e
+    \quad\text{and}\quad \operatorname{rms}(e' - e) \ge \tfrac12 \Delta
+
+for some output, with :math:`\Delta` the step of its sensor; and where its force is a share s of the one that moves the
+joint, for held-out data may be of another motion, in which a cogging that one feels by hand averages out. What is not
+material is told beside the answer, decides no verdict and is not put into the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
+from robustlab.identification.hypotheses.noise import in_phase, restarted, spans
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.naming.first_look import without
+from robustlab.identification.naming.held_out_gaps import run_free, unbroken
+
+
+@dataclass(frozen=True)
+class Matter:
+    """Whether an effect is material, and the held-out error without it: of windows, in percent of the range."""
+
+    material: bool
+    error_without: float
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Held-out errors of one model: of its windows and of whole runs, one array (..., n_measured) a record."""
+
+    windows: Sequence[Array]
+    runs: Sequence[Array]
+
+
+def errors_of(held: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> Errors:
+    """Errors of a fit on held-out windows, starts found anew, and from each record's own start to its end."""
+    own = in_phase(held, fit, known)[0]
+    placed = restarted(own, fit)
+    windows = [
+        record.measured[chosen] - outputs
+        for record, chosen, outputs in zip(own.records, own.chosen, simulated_outputs(own, placed), strict=True)
+    ]
+    runs = [unbroken(record) for record in own.records]
+    return Errors(windows, [r.measured - y for r, y in zip(runs, run_free(own, runs, fit), strict=True)])
+
+
+def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
+    """The set without these effects, refitted from where the whole set stands."""
+    while (k := next((k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys), None)) is not None:
+        hypothesis, z = without(problem, fit, k)
+        fit = problem.fit(hypothesis, fit.noise, z, fit.starts, FitPlan(problem.tuning.full))
+    return fit
+
+
+def matter_of(held: Problem, whole: Errors, less: Errors, force: float) -> Matter:
+    """What is missing in ``less`` brings to ``whole``; ``force``: of its force, over the one that moves the joint."""
+    ranges = spans(held.records)
+    seen = ranges > 0.0
+    share = _rms(less.windows)[seen] / ranges[seen]
+    resolution = np.max([r.resolution for r in held.records], axis=0)
+    material = force >= held.tuning.material or any(
+        _matters(ours, theirs, resolution, held.tuning.material)
+        for ours, theirs in ((whole.windows, less.windows), (whole.runs, less.runs))
+    )
+    return Matter(material, 100.0 * float(np.sqrt(np.mean(share**2))))
+
+
+def _matters(ours: Sequence[Array], theirs: Sequence[Array], resolution: Array, share: float) -> bool:
+    with np.errstate(all="ignore"):
+        own, other = _rms(ours), _rms(theirs)
+        apart = _rms([b - a for a, b in zip(ours, theirs, strict=True)])
+        worse = ~(other - own < share * own)  # a model that diverges without it is worse, too
+        return bool(np.any(worse & (own < np.inf) & ~(apart < 0.5 * resolution) & ~(other <= own)))
+
+
+def _rms(errors: Sequence[Array]) -> Array:
+    """Over all samples of each output, (n_measured,); infinite where a model's output is no number any more."""
+    rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
+    return np.sqrt(np.nanmean(rows**2, axis=0))

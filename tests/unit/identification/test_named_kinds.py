@@ -1,0 +1,286 @@
+"""Answers at the level at which they are sure: kinds of effects, their quantities, and what does not matter."""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from naming_cases import AXIS, FRICTION, LOAD, T, U, machine, noisy, searched, usual
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.naming.discovery_numbers import numbers_of
+from robustlab.identification.naming.materiality import Errors, _matters
+from robustlab.identification.naming.named_effects import NamedKind
+from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
+from robustlab.identification.naming.posterior import weigh
+from robustlab.identification.naming.quantities import Told, force_share, quantities
+
+LEVEL, GIVES = 20.0, 2e-4  # N, m
+
+# --- the tree --------------------------------------------------------------------------------------------------------
+
+
+def test_every_effect_has_a_kind_and_every_kind_leads_to_the_top():
+    assert set(KIND_OF) == set(catalogue())
+    for name, kind in KIND_OF.items():
+        way = [k.id for k in upwards(kind)]
+        assert len(way) == len(set(way)), name
+        assert KINDS[way[-1]].wider is None
+    assert all(k.wider is None or k.wider in KINDS for k in KINDS.values())
+    assert all(q in MEANINGS for k in KINDS.values() for q in k.quantities)
+
+
+def test_no_kind_is_called_as_an_effect_or_as_a_number_of_a_discovery():
+    assert not set(KINDS) & set(catalogue())
+    assert not (set(KINDS) - {"kinds"}) & {"verdict", "names", "effects", "gaps", "line", "nominal", "structure"}
+
+
+def posterior_of(*sets):
+    """A posterior of (probability, effects at v) pairs."""
+
+    def candidate(name):
+        site = Site("joint", "v")
+        return SimpleNamespace(effect=catalogue()[name], site=site, key=f"{name} @ v")
+
+    entries = []
+    for probability, names in sets:
+        own = tuple(candidate(n) for n in names)
+        fit = SimpleNamespace(hypothesis=SimpleNamespace(candidates=own))
+        entries.append(SimpleNamespace(probability=probability, fit=fit, key=frozenset(c.key for c in own)))
+    return SimpleNamespace(sets=tuple(entries))
+
+
+def judged(*sets, ignored=frozenset()):
+    kinds = Kinds(posterior_of(*sets), Places(AXIS, port_model(AXIS)), ignored)
+    told = {n[0] for e in kinds.posterior.sets for c in e.fit.hypothesis.candidates if (n := kinds.told(c))}
+    return told, {c.effect.id for c in kinds.open()}
+
+
+def test_the_narrowest_kind_that_is_sure_is_told():
+    assert judged((0.77, ["presliding"]), (0.23, ["bouc-wen"])) == ({"dry-friction"}, set())
+    assert judged((0.6, ["coulomb-friction"]), (0.4, ["viscous-friction"])) == ({"resisting-force"}, set())
+    # "A force" is no name: what is either friction or a load is open.
+    assert judged((0.6, ["coulomb-friction"]), (0.4, ["constant-load"])) == (
+        set(),
+        {"coulomb-friction", "constant-load"},
+    )
+
+
+def test_what_may_be_there_beside_what_is_sure_is_open():
+    told, left = judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "viscous-friction"]))
+    assert (told, left) == ({"dry-friction"}, {"viscous-friction"})
+    assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]))[1] == {"constant-load"}
+    # Below 5 % it is excluded, and what does not matter decides nothing.
+    assert judged((0.97, ["coulomb-friction"]), (0.03, ["coulomb-friction", "cogging"]))[1] == set()
+    slight = frozenset({"constant-load @ v"})
+    assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]), ignored=slight) == (
+        {"dry-friction"}, set(),
+    )  # fmt: skip
+
+
+def test_a_parameter_stands_at_the_joint_whose_motion_it_changes():
+    arm = rl.plant("two-mass")
+    places = Places(arm, port_model(arm))
+    dampings = [n for n, p in arm.parameters.items() if p.role == "viscous-friction"]
+    joints = [p.name for p in places.joints]
+    assert len(joints) == 2
+    assert {places.of(Site("parameter", n), KINDS["speed-friction"]) for n in dampings} <= set(joints)
+    motor = rl.plant("dc-motor")
+    there = Places(motor, port_model(motor))
+    assert there.of(Site("input", motor.inputs[0].name), KINDS["lateness"]).startswith(f"{motor.inputs[0].name} to ")
+
+
+# --- quantities ------------------------------------------------------------------------------------------------------
+
+
+def dahl_run(u, sub=20):
+    """The axis with Dahl's friction, by small explicit steps of its own."""
+    p, h = AXIS.values, (T[1] - T[0]) / sub
+    q = v = z = 0.0
+    found = np.empty((len(u), 2))
+    for k, now in enumerate(u):
+        found[k] = q, v
+        for _ in range(sub):
+            force = -LEVEL / GIVES * z
+            middle = v + 0.5 * h * (p["gain"] * now - p["Fv"] * v + force) / p["M"]
+            z += h * (middle - abs(middle) * z / GIVES)
+            v += h * (p["gain"] * now - p["Fv"] * middle - LEVEL / GIVES * z) / p["M"]
+            q += h * middle
+    return found
+
+
+@cache
+def dahl_record():
+    q, v = dahl_run(U).T
+    return rl.Record(T, {"u": U}, noisy({"q": q, "v": v}, 5), name="bristles")
+
+
+def test_the_level_of_coulomb_friction_is_its_force_and_its_spread_that_of_the_parameter():
+    found = usual(friction=20.0)
+    fit = found.best.fit
+    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
+    told = quantities(found.problem, fit, k, KINDS["dry-friction"])["level"]
+    _, values = found.problem.split(fit.hypothesis, fit.z)
+    assert told.value == pytest.approx(values[k]["Fc"], rel=2e-3)
+    assert told.unit == "N"
+    at = len(found.problem.nuisances)
+    spread = fit.std[at] * fit.hypothesis.candidates[k].parameters[0].prior.spread * values[k]["Fc"]
+    assert told.std == pytest.approx(spread, rel=0.05)
+
+
+def test_the_share_of_a_force_is_that_of_the_force_that_moves_the_joint():
+    found = usual(friction=20.0)
+    fit = found.best.fit
+    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
+    scale = fit.hypothesis.candidates[k].scales.force
+    assert 0.5 * LEVEL / scale < force_share(found.problem, fit, k) <= 1.02 * LEVEL / scale  # less where it sticks
+    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(4), U[:-4]]))
+    late = searched(rl.Record(T, {"u": U}, noisy({"q": run["q"]}, 0), name="late"), ("input-delay @ u",))
+    assert force_share(late.problem, late.best.fit, 0) == 0.0
+
+
+def test_a_load_is_the_mean_of_its_force():
+    found = searched(machine(friction=20.0, load=8.0, seed=3), (FRICTION, LOAD))
+    fit = found.best.fit
+    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == LOAD)
+    assert quantities(found.problem, fit, k, KINDS["load"])["force"].value == pytest.approx(-8.0, rel=0.1)
+
+
+def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
+    found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
+    kinds = kinds_of(found.problem, weigh(found))
+    assert not kinds.open()
+    (named,) = kinds.named(found.problem)
+    assert (named.kind, named.place) == ("dry-friction", "v")
+    assert named.probability > 0.95
+    (level,) = named.values
+    assert level.name == "level"
+    assert level.lower < level.value < level.upper
+    assert level.value == pytest.approx(LEVEL, rel=0.05)  # less what the bristles give back at reversals
+    assert sum(m.share for m in named.members) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_mixture_has_the_mean_and_the_ends_of_its_members():
+    one = _mixture("level", [(1.0, {"level": Told(3.0, 0.5, "N")})])
+    assert (one.lower, one.upper) == pytest.approx((3.0 - 1.96 * 0.5, 3.0 + 1.96 * 0.5), abs=1e-3)
+    apart = _mixture("level", [(0.5, {"level": Told(1.0, 0.01, "N")}), (0.5, {"level": Told(2.0, 0.01, "N")})])
+    assert apart.value == pytest.approx(1.5)
+    assert apart.lower < 1.0 < 2.0 < apart.upper
+    # Sampled, as a check of the bisection.
+    parts = [(0.3, Told(0.0, 1.0, "")), (0.7, Told(4.0, 0.2, ""))]
+    rng = np.random.default_rng(0)
+    drawn = np.where(rng.uniform(size=200_000) < 0.3, rng.normal(size=200_000), 4.0 + 0.2 * rng.normal(size=200_000))
+    assert _quantile(parts, 0.1) == pytest.approx(np.quantile(drawn, 0.1), abs=0.02)
+    # What has another unit, or cannot be asked, is left out; where nobody can be asked there is no value.
+    mixed = _mixture("level", [(0.9, {"level": Told(1.0, 0.1, "N")}), (0.1, {"level": Told(9.0, 0.1, "")}), (0.1, {})])
+    assert mixed.value == 1.0
+    assert _mixture("level", [(1.0, {})]) is None
+    assert _quantile([(1.0, Told(2.0, 0.0, ""))], 0.5) == pytest.approx(2.0)
+
+
+# --- twins by algebra ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
+def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
+    """Random masses, dampings, springs; any delay, in parts of a sample too."""
+    rng = np.random.default_rng(seed)
+    m, c, k = rng.uniform(0.5, 5.0), rng.uniform(1.0, 30.0), rng.uniform(60.0, 400.0)
+    plant = rl.StateSpaceModel(
+        [[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]],
+        states=[("q", "m"), ("v", "m/s")], inputs=[("u", "N")], outputs=[("q", "m")],
+    )  # fmt: skip
+    t = 5e-3 * np.arange(600)
+    u = np.repeat(rng.uniform(-3.0, 3.0, 30), 20)
+    shifted = np.concatenate([np.full(round(10 * late), u[0]), np.repeat(u, 10)])[:6000]
+    clean = rl.simulate(plant, 5e-4 * np.arange(6000), {"u": shifted})["q"][::10]
+    record = rl.Record(t, {"u": u}, noisy({"q": clean}, seed, 1e-4), {"u": "N", "q": "m"}, name="late")
+    found = rl.discover(plant, record, exclude=tuple(set(catalogue()) - {"sensor-delay", "input-delay"}))
+    by_names = {s.names: s.probability for s in found.posterior}
+    one, other = by_names[("sensor-delay",)], by_names[("input-delay",)]
+    assert abs(np.log(one / other)) < 0.1
+    assert [k.kind for k in found.kinds] == ["lateness"]
+    assert found.verdict == "named"
+    (delay,) = found.kinds[0].values
+    assert delay.value == pytest.approx(late * 5e-3, abs=2e-3)
+    assert "a lateness of" in found.headline()
+
+
+# --- what matters ----------------------------------------------------------------------------------------------------
+
+
+def errors(*rms, size=4000):
+    rng = np.random.default_rng(0)
+    return [np.stack([r * rng.normal(size=(4, size // 4)) for r in rms], axis=-1)]
+
+
+def test_an_effect_is_material_where_the_error_without_it_is_larger_and_seen_by_the_sensor():
+    none = np.zeros(1)
+    assert _matters(errors(1.0), errors(1.2), none, 0.05)
+    assert not _matters(errors(1.0), errors(1.03), none, 0.05)
+    assert not _matters(errors(1.0), errors(0.5), none, 0.05)
+    # Less than half a step of the sensor apart; of two outputs one is enough.
+    assert not _matters(errors(1.0), errors(1.2), np.ones(1), 0.05)
+    assert _matters(errors(1.0, 1.0), errors(1.0, 2.0), np.array([5.0, 1.0]), 0.05)
+    # A model that diverges without it needs it; one that diverges with it does not.
+    with np.errstate(all="ignore"):
+        assert _matters(errors(1.0), [np.full((4, 1000, 1), np.inf)], none, 0.05)
+        assert not _matters([np.full((4, 1000, 1), np.inf)], errors(1.0), none, 0.05)
+    assert Errors(errors(1.0), errors(1.0)).windows
+
+
+def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_model(monkeypatch):
+    few = tuple(set(catalogue()) - {"coulomb-friction", "constant-load"})
+    record = machine(friction=20.0, load=3.0, seed=3)
+    found = rl.discover(AXIS, record, exclude=few)
+    without = {e.name: e.error_without for e in found.effects}
+    assert without["coulomb-friction"] > without["constant-load"] > found.gap_after
+    assert not found.also_detectable
+    from robustlab.identification.naming import answer as module
+
+    real = module.matter_of
+
+    def load_is_nothing(held, whole, less, force):
+        made = real(held, whole, less, force)
+        return replace(made, material=made.error_without > 0.9 * without["coulomb-friction"])
+
+    monkeypatch.setattr(module, "matter_of", load_is_nothing)
+    slight = rl.discover(AXIS, record, exclude=few)
+    assert slight.names == ("coulomb-friction",)
+    assert [e.name for e in slight.also_detectable] == ["constant-load"]
+    assert [k.kind for k in slight.kinds] == ["dry-friction"]
+    assert [e.effect.id for e in slight.model.effects] == ["coulomb-friction"]
+    assert slight.verdict == "named"
+    text = slight.summary()
+    assert "also seen" in text
+    assert "constant-load at v" in text
+    assert ("also detectable", "Constant load at v") in slight.facts()
+
+
+# --- what is told ----------------------------------------------------------------------------------------------------
+
+
+def test_requirements_may_ask_for_a_kind_and_its_quantities():
+    found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=tuple(set(catalogue()) - {"coulomb-friction"}))
+    numbers = numbers_of(found)
+    dry = numbers["dry-friction"]
+    assert numbers["kinds"] == ["dry-friction"]
+    assert dry["probability"] > 0.95
+    assert dry["level_lower"] < 20.0 < dry["level_upper"]
+    assert numbers["lateness"]["probability"] == 0.0
+    assert np.isnan(numbers["lateness"]["delay"])
+    assert set(numbers) <= set(type(found).quantities)
+    (kind,) = found.kinds
+    assert isinstance(kind, NamedKind)
+    assert kind.settled
+    assert kind.words == "dry friction at v"
+    assert "work against the motion" not in found.summary()  # its form is settled: the effect says it
+    assert "work against the motion" in found.summary(details=True)
