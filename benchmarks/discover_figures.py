@@ -121,17 +121,13 @@ def _same(names: Iterable[str], line: Line) -> bool:
 
 def is_right(line: Line) -> bool:
     """Named, and exactly what is hidden, at the level that was told."""
-    return _named(line) and (_same(line["names"], line) if _forms_settled(line) else _kinds_right(line))
-
-
-def _forms_settled(line: Line) -> bool:
-    return all(member for *_, member in line.get("kinds", ()))
+    return _named(line) and (_same(line["names"], line) or _kinds_right(line))
 
 
 def _kinds_right(line: Line) -> bool:
     """A hidden effect for each kind that was told, the very one where its form was told too, and none left over."""
     twins, left = FAMILIES[line["family"]].twins, list(line["truth"])
-    for kind, _, _, member in line["kinds"]:
+    for kind, _, _, member in line.get("kinds", ()):
         own = [
             name for name in left
             if kind in [k.id for k in upwards(KIND_OF[name])]
@@ -140,7 +136,7 @@ def _kinds_right(line: Line) -> bool:
         if not own:
             return False
         left.remove(own[0])
-    return not left
+    return bool(line["truth"]) and not left
 
 
 def _sure_and_wrong(line: Line) -> bool:

@@ -18,7 +18,7 @@ MEANINGS: Mapping[Quantity, str] = {
     "level": "work against the motion over the way, the level of a dry friction",
     "viscous": "work against the motion over the squared speed, the equivalent viscous coefficient",
     "stiffness": "slope of the force over the stroke",
-    "force": "mean force",
+    "force": "mean force against the positive direction, as of a load",
     "amplitude": "amplitude",
     "period": "period",
     "delay": "total lateness at low frequency",

@@ -22,7 +22,7 @@ from robustlab.identification.hypotheses.noise import held_out_fit, settled, whi
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
 from robustlab.identification.naming.held_out_gaps import Gaps, held_out_gaps
-from robustlab.identification.naming.materiality import Matter, errors_of, matter_of, without_effects
+from robustlab.identification.naming.materiality import Matter, errors_of, matter_of, strained, without_effects
 from robustlab.identification.naming.named_effects import (
     EffectValue,
     InputClock,
@@ -40,7 +40,7 @@ from robustlab.identification.naming.residual_after_naming import LeftOver, left
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.tuning import AS_LARGE
+from robustlab.identification.tuning import AS_LARGE, TUNING
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
@@ -126,7 +126,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     if named:
-        judged = _on_held_out(judged, gaps)
+        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)))
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
     if judged.verdict == "unknown" and not named:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
@@ -206,13 +206,13 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
     asked = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
     if not asked:
         return {}
-    whole = errors_of(held, fit, known)
-    return {
-        key: matter_of(
-            held, whole, errors_of(held, without_effects(problem, fit, {key}), known), force_share(problem, fit, k)
-        )
-        for k, key in asked
-    }
+    whole, already = errors_of(held, fit, known), strained(problem, fit)
+    told = {}
+    for k, key in asked:
+        less = without_effects(problem, fit, {key})
+        needed = force_share(problem, fit, k) >= problem.tuning.material or bool(strained(problem, less) - already)
+        told[key] = matter_of(held, whole, errors_of(held, less, known), needed)
+    return told
 
 
 def _kinds(found: Found, held: Problem, posterior: Posterior, slight: frozenset[str]) -> Kinds:
@@ -248,14 +248,18 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
     return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.told(c) is None)
 
 
-def _on_held_out(judged: _Judgement, gaps: Gaps) -> _Judgement:
+def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool) -> _Judgement:
     """Names do not stand where the updated model is clearly further from held-out data than the refitted one.
 
-    Where it is further by what may be chance, they are not sure.
+    Where it is further by what may be chance, they are not sure. A refit that has left its tolerances (``strained``) is
+    no model to be compared with but where it is materially nearer: its parameters do what the names say.
     """
+    updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
+    if strained and updated <= (1.0 + TUNING.material) * refitted:
+        return judged
     if gaps.worse:
         return judged._replace(verdict="unknown", complete=False)
-    further = overall(gaps.windows, "updated") > (1.0 + AS_LARGE) * overall(gaps.windows, "refitted")
+    further = updated > (1.0 + AS_LARGE) * refitted
     return judged._replace(verdict="ambiguous") if further and judged.verdict == "named" else judged
 
 

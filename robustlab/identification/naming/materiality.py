@@ -9,7 +9,8 @@ the effect is material where in one of the two
     \quad\text{and}\quad \operatorname{rms}(e' - e) \ge \tfrac12 \Delta
 
 for some output, with :math:`\Delta` the step of its sensor; and where its force is a share s of the one that moves the
-joint, for held-out data may be of another motion, in which a cogging that one feels by hand averages out. What is not
+joint, for held-out data may be of another motion, in which a cogging that one feels by hand averages out; and where
+only parameters beyond their tolerances, many near their ends, or a clock far off, can take its place. What is not
 material is told beside the answer, decides no verdict and is not put into the model.
 """
 
@@ -19,6 +20,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
@@ -26,6 +28,10 @@ from robustlab.identification.hypotheses.noise import in_phase, restarted, spans
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.first_look import without
 from robustlab.identification.naming.held_out_gaps import run_free, unbroken
+
+MOST_CLOCK = 3.0  # standard deviations of an input's clock
+LIKELY = 0.999  # probability within which the parameters lie together; within tolerances they always do
+TOGETHER = "all parameters together"
 
 
 @dataclass(frozen=True)
@@ -64,13 +70,27 @@ def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
     return fit
 
 
-def matter_of(held: Problem, whole: Errors, less: Errors, force: float) -> Matter:
-    """What is missing in ``less`` brings to ``whole``; ``force``: of its force, over the one that moves the joint."""
+def strained(problem: Problem, fit: Fit) -> frozenset[str]:
+    """Labels of the nuisances that a fit has taken beyond what they may be, and `TOGETHER` where all are improbable."""
+    moving = problem.moving(fit.hypothesis)
+    own = [(n, float(z)) for n, moves, z in zip(problem.nuisances, moving, fit.z, strict=False) if moves]
+    found = set()
+    for nuisance, z in own:
+        low, high = (-MOST_CLOCK, MOST_CLOCK) if nuisance.input else nuisance.ends
+        if not low <= z <= high:
+            found.add(nuisance.label)
+    if sum(z**2 for _, z in own) > chi2.ppf(LIKELY, max(1, len(own))):
+        found.add(TOGETHER)
+    return frozenset(found)
+
+
+def matter_of(held: Problem, whole: Errors, less: Errors, needed: bool) -> Matter:
+    """What is missing in ``less`` brings to ``whole``; ``needed``: it is material whatever the errors say."""
     ranges = spans(held.records)
     seen = ranges > 0.0
     share = _rms(less.windows)[seen] / ranges[seen]
     resolution = np.max([r.resolution for r in held.records], axis=0)
-    material = force >= held.tuning.material or any(
+    material = needed or any(
         _matters(ours, theirs, resolution, held.tuning.material)
         for ours, theirs in ((whole.windows, less.windows), (whole.runs, less.runs))
     )

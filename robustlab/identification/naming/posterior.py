@@ -229,9 +229,14 @@ def weigh(found: Found) -> Posterior:
 
 
 def _temperature(best: Visited, weights: Mapping[Key, _Weight], tuning: NamingTuning) -> float:
-    """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure."""
-    left = weights[best.key].force if best.key in weights else None
-    return max(tuning.temperature, _gain(left) / float(np.log(tuning.sure / (1.0 - tuning.sure))))
+    """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure.
+
+    A line over position or time does not count: it is no misfit that another name than one of its period could be.
+    """
+    left = weights[best.key].left if best.key in weights else ()
+    smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
+    gain = max((_gain(f) for f in smooth), default=0.0)
+    return max(tuning.temperature, gain / float(np.log(tuning.sure / (1.0 - tuning.sure))))
 
 
 def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:

@@ -5,7 +5,7 @@ With the force f that a fitted effect gives along the simulated windows, the spe
 .. math::
     \text{level} = \frac{-\sum f v}{\sum |v|}, \qquad \text{viscous} = \frac{-\sum f v}{\sum v^2}, \qquad
     \text{stiffness} = \frac{-\operatorname{cov}(f, q)}{\operatorname{var} q}, \qquad
-    \text{force} = \operatorname{mean} f
+    \text{force} = -\operatorname{mean} f
 
 So a dry friction, a contact that gives way before it slides, and a hysteretic spring are compared by the work that they
 take from one and the same motion. A lateness is the sum of delay and time constant, a factor that of the path from
@@ -186,7 +186,7 @@ def _along(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tupl
     if name == "viscous":
         return _over(-float(f @ v), float(v @ v)), f"{units[0]} s/{units[1].removesuffix('/s')}" if units[0] else ""
     if name == "force":
-        return float(f.mean()), units[0]
+        return -float(f.mean()), units[0]
     if q is None:
         return None
     q = q - q.mean()

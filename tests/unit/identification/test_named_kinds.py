@@ -15,12 +15,14 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
 from robustlab.identification.naming.named_effects import NamedKind
 from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
 from robustlab.identification.naming.posterior import weigh
 from robustlab.identification.naming.quantities import Told, force_share, quantities
+from robustlab.identification.tuning import TUNING
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -146,11 +148,11 @@ def test_the_share_of_a_force_is_that_of_the_force_that_moves_the_joint():
     assert force_share(late.problem, late.best.fit, 0) == 0.0
 
 
-def test_a_load_is_the_mean_of_its_force():
+def test_a_load_is_the_mean_of_its_force_against_the_motion():
     found = searched(machine(friction=20.0, load=8.0, seed=3), (FRICTION, LOAD))
     fit = found.best.fit
     k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == LOAD)
-    assert quantities(found.problem, fit, k, KINDS["load"])["force"].value == pytest.approx(-8.0, rel=0.1)
+    assert quantities(found.problem, fit, k, KINDS["load"])["force"].value == pytest.approx(8.0, rel=0.1)
 
 
 def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
@@ -214,6 +216,31 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
     assert "a lateness of" in found.headline()
 
 
+# --- a misfit --------------------------------------------------------------------------------------------------------
+
+
+def test_no_name_stands_against_a_misfit_that_counts_more_than_it(monkeypatch):
+    found = usual(friction=20.0)
+    sharp = weigh(found)
+    assert sharp.temperature == 1.0
+    assert sharp.best.key == {FRICTION}
+    assert not kinds_of(found.problem, sharp).coarse
+    monkeypatch.setattr(posterior_module, "_temperature", lambda *_: 1e7)
+    blurred = weigh(found)
+    assert blurred.best.key == frozenset()
+    assert kinds_of(found.problem, blurred).coarse
+
+
+def test_a_line_that_is_left_blurs_no_other_name():
+    def left(over, period):
+        force = SimpleNamespace(wins=True, evidence=300.0, cross_validated=300.0, period=period, over=over)
+        weight = SimpleNamespace(left=(SimpleNamespace(forces=(force,)),))
+        return posterior_module._temperature(SimpleNamespace(key="s"), {"s": weight}, TUNING)
+
+    assert left("line over position", 0.9) == 1.0
+    assert left("speed", np.nan) == pytest.approx((300.0 + np.log(posterior_module.PRIOR)) / np.log(19.0), rel=1e-3)
+
+
 # --- what matters ----------------------------------------------------------------------------------------------------
 
 
@@ -237,6 +264,19 @@ def test_an_effect_is_material_where_the_error_without_it_is_larger_and_seen_by_
     assert Errors(errors(1.0), errors(1.0)).windows
 
 
+def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():
+    """A gain a tenth off: the mass, 9 % off, does the same, and may be 5 % off."""
+    run = rl.simulate(AXIS.with_parameters(gain=1.1 * AXIS.values["gain"]), T, U)
+    record = rl.Record(T, {"u": U}, noisy({k: run[k] for k in ("q", "v")}, 0), name="strong")
+    few = tuple(set(catalogue()) - {"input-gain", "coulomb-friction"})
+    found = rl.discover(AXIS, record, exclude=few, tolerances={"M": 0.05, "Fv": 0.05})
+    assert found.names == ("input-gain",)
+    assert not found.also_detectable
+    (factor,) = found.kinds[0].values
+    assert found.kinds[0].kind == "factor"
+    assert factor.value == pytest.approx(1.1, rel=0.03)
+
+
 def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_model(monkeypatch):
     few = tuple(set(catalogue()) - {"coulomb-friction", "constant-load"})
     record = machine(friction=20.0, load=3.0, seed=3)
@@ -248,8 +288,8 @@ def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_mod
 
     real = module.matter_of
 
-    def load_is_nothing(held, whole, less, force):
-        made = real(held, whole, less, force)
+    def load_is_nothing(held, whole, less, needed):
+        made = real(held, whole, less, False)
         return replace(made, material=made.error_without > 0.9 * without["coulomb-friction"])
 
     monkeypatch.setattr(module, "matter_of", load_is_nothing)
