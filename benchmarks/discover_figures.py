@@ -130,7 +130,8 @@ def _kinds_right(line: Line) -> bool:
     for kind, _, _, member in line.get("kinds", ()):
         own = [
             name for name in left
-            if kind in [k.id for k in upwards(KIND_OF[name])]
+            if name in KIND_OF
+            and kind in [k.id for k in upwards(KIND_OF[name])]
             and (not member or told(twins, [name]) == told(twins, [member]))
         ]  # fmt: skip
         if not own:

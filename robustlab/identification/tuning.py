@@ -113,6 +113,7 @@ class NamingTuning(Tuning):
     far_behind: float = 40.0  # log evidence beyond which the distance is not worth its time
 
     # --- verdict
+    mostly: float = 0.5  # of what the bare model lacks, by names that are sure beside a misfit; below, they are not it
     explained: float = 0.9  # of what the bare model lacks; below, what was named is not the effect
     most_noise: float = 1.5  # error over noise and random force, beyond which something systematic is missing
     most_random: float = 0.05  # of the force that moves a port: a random force beyond is no noise of a machine

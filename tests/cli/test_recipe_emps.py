@@ -42,10 +42,8 @@ def test_the_texts_say_what_is_not_met():
         for name in ("docs/measured.md", "docs/discover.md", "docs/from_data_to_controller.md")
     )
     assert len(MISSED) == 2
-    assert (
-        "`emps-discover` ends in 4: its answer is ambiguous, and two of its eleven requirements are not met" in discover
-    )
-    assert "`rack-pinion` for two, `hsm150` for three; `emps-discover` ends in 4, ambiguous, with two unmet" in measured
+    assert "`emps-discover` ends in 1: two of its eleven requirements are not met" in discover
+    assert "each for one requirement, as do `rack-pinion` and `hsm150`; `emps-discover` for two" in measured
     assert len(FLAGSHIP_MISSED) == 2
     assert "`flagship-emps` ends in 1: two of its seven requirements are not met" in story
     assert "It ends in exit code 1 all the same: μ falls by 24 %" in measured
@@ -71,8 +69,10 @@ def test_emps(tmp_path):
     """Published by Janot, Gautier and Brunot: 166.71 N s/m forwards and 240.42 N s/m backwards."""
     result = run_on_emps("emps-discover", tmp_path / "out")
     assert unmet(result) == MISSED
-    assert result.exit_code == 4  # dry friction is not sure beside friction that depends on the position
+    assert result.exit_code == 1
     found = next(s["numbers"] for s in result.data["steps"] if s["name"] == "naming")
+    assert found["kinds"] == ["dry-friction", "speed-friction"]
+    assert found["dry-friction"]["level_lower"] < 21.3 < found["dry-friction"]["level_upper"]
     mean, half = found["nominal"]["Fv"], found["effects"]["asymmetric-viscous-friction"]["dFv"]
     # The bar is 3 %; the naming stands at -4.5 % and +0.5 %, and this only keeps it from getting worse.
     assert mean + half == pytest.approx(166.7061, rel=0.06)

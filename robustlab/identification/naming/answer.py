@@ -138,6 +138,9 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     curves = stages.run("residual force", force.curves, None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
     unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
+    sure = stages.run("kinds", lambda: kinds.named(problem), ()) if judged.verdict != "unknown" else ()
+    source = f"fitted to {', '.join(names)}"
+    model = stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
     findings = [*case.findings, *_search_findings(found), *stages.findings]
 
     def told(fit: Fit, keys: Sequence[str]) -> tuple[NamedEffect, ...]:
@@ -149,7 +152,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         verdict=judged.verdict,
         complete=judged.complete,
         effects=told(fit, [c.key for c in named]),
-        kinds=stages.run("kinds", lambda: kinds.named(problem), ()) if judged.verdict != "unknown" else (),
+        kinds=sure,
         also_detectable=told(whole, list(slight)),
         rivals=tuple(_rival(problem, a) for a in rivals),
         nominal=_nominal(problem, fit, case.stated),
@@ -176,7 +179,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         remaining_lines=left.lines,
         findings=tuple(findings),
         series=gaps.series,
-        model=stages.run("updated plant", lambda: updated_plant(problem, fit, f"fitted to {', '.join(names)}"), None),
+        model=model,
         next_experiment=experiment,
     )
 
@@ -232,10 +235,11 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
     named = fit.hypothesis.candidates
     if not named:
         return "unknown" if remains else "no missing effect"
-    sure = all(kinds.told(c) for c in named)
-    if kinds.coarse and sure:
+    sure, tuning = all(kinds.told(c) for c in named), found.problem.tuning
+    explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
+    if kinds.coarse and sure and explained >= tuning.mostly:
         return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
-    if remains and _explained(found, kinds.posterior.best.fit) < found.problem.tuning.explained:
+    if remains and explained < tuning.explained:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 

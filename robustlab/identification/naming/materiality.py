@@ -88,7 +88,8 @@ def matter_of(held: Problem, whole: Errors, less: Errors, needed: bool) -> Matte
     """What is missing in ``less`` brings to ``whole``; ``needed``: it is material whatever the errors say."""
     ranges = spans(held.records)
     seen = ranges > 0.0
-    share = _rms(less.windows)[seen] / ranges[seen]
+    with np.errstate(over="ignore"):
+        share = _rms(less.windows)[seen] / ranges[seen]
     resolution = np.max([r.resolution for r in held.records], axis=0)
     material = needed or any(
         _matters(ours, theirs, resolution, held.tuning.material)
@@ -106,6 +107,6 @@ def _matters(ours: Sequence[Array], theirs: Sequence[Array], resolution: Array, 
 
 
 def _rms(errors: Sequence[Array]) -> Array:
-    """Over all samples of each output, (n_measured,); infinite where a model's output is no number any more."""
+    """Over all known samples of each output, (n_measured,); infinite where a model's output is no number any more."""
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
-    return np.sqrt(np.nanmean(rows**2, axis=0))
+    return np.sqrt(np.nansum(rows**2, axis=0) / np.maximum(np.sum(~np.isnan(rows), axis=0), 1))

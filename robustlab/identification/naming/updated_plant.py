@@ -17,17 +17,22 @@ from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
-from robustlab.identification.hypotheses.effect_fit import Fit, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
+from robustlab.identification.naming.named_effects import NamedKind
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 
 ONE_FACTOR = "scaled by one factor"
+INTERVAL = 1.96  # standard deviations of a 95 % interval
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
 MOST = 0.99  # a tolerance stays below the value itself
 TIMES_RMS = 3.0  # of a force of which nothing is known but its mean square: nearly all of a normal one lies within
 
 
-def updated_plant(problem: Problem, fit: Fit, source: str) -> Any:
+def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[NamedKind] = ()) -> Any:
     """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached.
+
+    ``kinds``: what is sure. Where the form of one is not settled, its member stands for all of them: the parameter that
+    is its size is as wide as the size of the kind is known, over all members.
 
     A wrong parameter becomes the plant's new value. A parameter that the fit did not touch keeps value and tolerance.
     The plant's own kind where no effect has to be attached, else one with effects
@@ -47,10 +52,22 @@ def updated_plant(problem: Problem, fit: Fit, source: str) -> Any:
             for k, p in enumerate(candidate.parameters):
                 z, s = fit.z[at + k], fit.std[at + k]
                 std[p.name] = 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s))
+            first = candidate.parameters[0]
+            std[first.name] = max(std[first.name], abs(own[first.name]) * _spread_of(kinds, candidate))
             attached.append(AttachedEffect(candidate.effect, candidate.site, own, std, source))
         at += len(candidate.parameters)
     base = _refitted(plant, factors, spread, source)
     return with_effects(base, attached) if attached else base
+
+
+def _spread_of(kinds: Sequence[NamedKind], candidate: Candidate) -> float:
+    """Relative standard deviation over all members of an open kind of its size, where that is the effect's own."""
+    for kind in kinds:
+        own = any((m.name, m.site) == (candidate.effect.id, candidate.site.name) for m in kind.members)
+        if own and not kind.settled and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
+            size = kind.values[0]
+            return 0.5 * (size.upper - size.lower) / (INTERVAL * abs(size.value)) if size.value else 0.0
+    return 0.0
 
 
 def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:

@@ -18,10 +18,11 @@ from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
-from robustlab.identification.naming.named_effects import NamedKind
+from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
 from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
 from robustlab.identification.naming.posterior import weigh
 from robustlab.identification.naming.quantities import Told, force_share, quantities
+from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.tuning import TUNING
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
@@ -303,6 +304,25 @@ def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_mod
     assert "also seen" in text
     assert "constant-load at v" in text
     assert ("also detectable", "Constant load at v") in slight.facts()
+
+
+def test_the_member_of_an_open_kind_is_as_wide_in_the_model_as_the_kind_is_known():
+    found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
+    fit = found.best.fit
+    (candidate,) = fit.hypothesis.candidates
+    (plain,) = updated_plant(found.problem, fit, "test").effects
+    size = next(iter(plain.values.values()))
+    level = EffectValue("level", size, "N", 0.5 * size, 1.5 * size, "")
+    member = KindMember(candidate.effect.id, "", candidate.site.name, 0.6)
+    wide = NamedKind("dry-friction", "dry friction", "v", 1.0, (level,), (member,), "")
+    (told,) = updated_plant(found.problem, fit, "test", (wide,)).effects
+    first = candidate.parameters[0].name
+    assert told.std[first] == pytest.approx(0.5 * size / 1.96)
+    assert told.std[first] > 5.0 * plain.std[first]
+    (settled,) = updated_plant(
+        found.problem, fit, "test", (replace(wide, members=(replace(member, share=1.0),)),)
+    ).effects
+    assert settled.std == plain.std
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------
