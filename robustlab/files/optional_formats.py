@@ -208,8 +208,10 @@ def bag_tree(path: str, group: str | None, wanted: Sequence[str] | None, limits:
         with Path(path).open("rb") as stream:
             for record in _records(stream, where, limits):
                 bag.take(record)
-    except (InputError, MemoryError):
+    except InputError:
         raise
+    except MemoryError:
+        raise InputError(where, "needs more memory than the reader may use") from None
     except Exception as error:  # whatever the library says about a damaged file is a finding about the file
         name, text = type(error).__name__, str(error)[:120]
         if name == "EndOfFile" or "unpack requires" in text or "Error -5" in text:
