@@ -1,10 +1,13 @@
-"""The text of a discovery: its headline, its short summary, and everything that it rests on."""
+"""The text of a `Discovery`: its headline, its short summary, and everything that it rests on.
+
+The result imports its text, so the text names no type of it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming.named_effects import (
@@ -22,9 +25,6 @@ from robustlab.identification.naming.named_effects import (
 )
 from robustlab.identification.tuning import AS_LARGE
 
-if TYPE_CHECKING:
-    from robustlab.identification.naming.discovery_result import Discovery
-
 ALONE = 0.02  # probability of all other sets below which a name has no rival
 SHOWN_SETS = 6  # in the short text
 SHOWN_SEARCH = 12  # most probable sets of the search
@@ -32,7 +32,7 @@ LABEL = 14  # width of the first column
 MODELS = ("nominal", "refitted", "updated")
 
 
-def headline_of(d: Discovery) -> str:
+def headline_of(d: Any) -> str:
     """The verdict in one sentence that a person understands."""
     early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_three_errors(d.gaps, d.effects)}"
@@ -58,7 +58,7 @@ def headline_of(d: Discovery) -> str:
     return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
 
 
-def summary_of(d: Discovery, details: bool) -> str:
+def summary_of(d: Any, details: bool) -> str:
     """Verdict in a sentence, effects with intervals, gap, what remains, what to do next; on demand all the rest."""
     lines = [f"{d.headline()}.", "", f"verdict: {d.verdict}, {_scope(d)}"]
     for kind in d.kinds:
@@ -126,7 +126,7 @@ def chance(probability: float) -> str:
     return "< 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
 
 
-def _sure_words(d: Discovery) -> list[str]:
+def _sure_words(d: Any) -> list[str]:
     """What is sure, in words: a kind by its size where its form is not settled, else the effects; else the best set."""
     if not d.kinds:
         return [e.title for e in d.effects]
@@ -158,16 +158,16 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
 
 
-def _what_shows(d: Discovery) -> str:
+def _what_shows(d: Any) -> str:
     return "matters" if d.also_detectable else "these records show"
 
 
-def _scope(d: Discovery) -> str:
+def _scope(d: Any) -> str:
     records = ", ".join(d.records)
     return f"{'complete' if d.complete else 'incomplete: structure remains'} (records: {records}; status {d.status})"
 
 
-def _choices(d: Discovery) -> str:
+def _choices(d: Any) -> str:
     """What all sets of the collection have, then what they differ in: ``A and either B or C``."""
     sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
     common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
@@ -205,7 +205,7 @@ def _slight_line(e: NamedEffect) -> str:
     return _row("also seen", f"{in_words(e)} ({values}): {told}")
 
 
-def _effect_lines(d: Discovery, effect: NamedEffect, details: bool) -> list[str]:
+def _effect_lines(d: Any, effect: NamedEffect, details: bool) -> list[str]:
     lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
     lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
     lines += _wave_line(effect)
@@ -254,7 +254,7 @@ def _set_line(p: SetProbability) -> str:
     return _row(chance(p.probability), f"{told}{unnamed}{apart}")
 
 
-def _gap_lines(d: Discovery) -> list[str]:
+def _gap_lines(d: Any) -> list[str]:
     """A table: of each output the three errors in windows and in one run, and what became of the refitted one."""
     head = f"gap (rms) on data that the fit never saw: {d.held_out}"
     if d.free_run_on and d.free_run_on != d.held_out:
@@ -281,7 +281,7 @@ def _sizes(g: Gap) -> tuple[str, str, str, str]:
     return size(g.nominal), size(g.refitted), size(g.updated), compared(g.refitted, g.updated, "refitted")
 
 
-def _remaining_lines(d: Discovery, details: bool) -> list[str]:
+def _remaining_lines(d: Any, details: bool) -> list[str]:
     if d.complete:
         told = "nothing systematic was found"
     else:
@@ -329,7 +329,7 @@ def _clock_line(c: InputClock) -> str:
     return _row(c.input, f"{between}; {late}")
 
 
-def _next(d: Discovery) -> str:
+def _next(d: Any) -> str:
     """One line on what to do with the answer."""
     if d.next_experiment is not None:
         return f"measure what tells them apart: {d.next_experiment.summary().splitlines()[0]}"
@@ -338,13 +338,13 @@ def _next(d: Discovery) -> str:
     return "use the updated plant (.model)" if d.effects else "the model can stay as it is, refitted"
 
 
-def _experiment_lines(d: Discovery) -> list[str]:
+def _experiment_lines(d: Any) -> list[str]:
     if d.next_experiment is None:
         return []
     return [f"  {line}" for line in d.next_experiment.summary().splitlines()]
 
 
-def _search_lines(d: Discovery) -> list[str]:
+def _search_lines(d: Any) -> list[str]:
     best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
     return [_row(f"{e.evidence:.4g}", f"{' + '.join(e.effects) or 'none'}: {e.decision}") for e in best]
 
