@@ -7,7 +7,7 @@ where the best set leaves noise. Where an unnamed force beside it brings the evi
 neighbourhood of the size of its own misfit only, and what a name brings counts in units of that (a coarsened
 posterior):
 
-.. math:: T = \max\Bigl(1,\ g \Big/ \ln\frac{p}{1 - p}\Bigr)
+.. math:: T = \max\left(1,\ \frac{g}{\ln(p / (1 - p))}\right)
 
 with p the probability of a name that is sure. So a name is sure where it brings more than what is left, and no misfit
 could itself be the name. The search whitened errors by an autoregression, which is quick, and takes a slow random force
