@@ -126,6 +126,19 @@ def test_uneven_friction_is_an_even_one_with_a_load():
     assert not is_right(line(CASES["pair"], "coulomb-friction"))
 
 
+def test_where_the_form_is_open_the_kind_has_to_be_right():
+    friction = CASES["friction"]
+    open_form = ["dry-friction", "omega", 0.99, ""]
+    assert is_right(line(friction, "presliding", kinds=[open_form]))
+    assert not is_right(line(friction, "presliding", kinds=[open_form], verdict="ambiguous"))
+    assert not is_right(line(friction, "presliding", kinds=[["dry-friction", "omega", 0.99, "presliding"]]))
+    assert not is_right(line(friction, "stiffness", kinds=[["spring", "omega", 0.99, ""]]))
+    assert not is_right(line(friction, "presliding", kinds=[open_form, ["spring", "omega", 0.99, ""]]))
+    assert not is_right(line(CASES["pair"], "presliding", kinds=[open_form]))
+    assert not is_right(line(CASES["outside"], "presliding", kinds=[open_form]))
+    assert not is_right(line(CASES["none"], "presliding", kinds=[]))
+
+
 def test_a_third_name_spoils_a_pair():
     pair = ["coulomb-friction", "constant-load"]
     text = report([line(CASES["pair"], *pair), line(CASES["pair"], *pair, "cogging")])

@@ -249,7 +249,8 @@ class Presliding(Effect):
         return tuple({"Fc": level, "sigma0": level / (g * scales.position)} for g in (1e-4, 1e-3, 1e-2))
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        return values["Fc"] / values["sigma0"] <= scales.position  # what never slides is a spring
+        # What never slides is a spring; where no position is known, neither is whether it did.
+        return not scales.position_unit or values["Fc"] / values["sigma0"] <= scales.position
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # In a steady loop of the position amplitude a the force stays within Fc tanh(sigma0 a / Fc); its first harmonic

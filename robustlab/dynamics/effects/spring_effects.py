@@ -369,7 +369,8 @@ class BoucWen(Effect):
         return tuple({"Fy": 0.2 * scales.force, "qy": part * scales.position, "rho": 0.3} for part in (0.02, 0.1, 0.4))
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        return values["qy"] <= scales.position  # what never yields is a spring
+        # What never yields is a spring; where no position is known, neither is whether it did.
+        return not scales.position_unit or values["qy"] <= scales.position
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # In a steady loop of the position amplitude a, z goes from -m to m over the way 2 a:

@@ -235,14 +235,14 @@ class Problem:
         histories before a window's start, and so the same errors to the last bit.
         """
         factors, values = self.split(hypothesis, z)
-        late = [(c.site.name, c.effect.delay) for c in hypothesis.candidates if c.site.kind == "output"]
-        if not any(name for _, name in late) or isinstance(self.plant, NonlinearPlant):
+        delayed = any(c.site.kind == "output" and c.effect.delay for c in hypothesis.candidates)
+        if not delayed or isinstance(self.plant, NonlinearPlant):
             return Setting(factors, values, self.shift(z))
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
         told = self.late(effects, values)
         shared = min(told.get(column, 0.0) for column in self.records[0].columns)
         left = [
-            {**v, e.delay: v[e.delay] - shared} if site.kind == "output" and e.delay else v
+            {**v, e.delay: max(0.0, v[e.delay] - shared)} if site.kind == "output" and e.delay else v
             for (e, site), v in zip(effects, values, strict=True)
         ]
         shift = self.shift(z) or (0.0,) * len(self.plant.inputs)

@@ -24,6 +24,7 @@ from robustlab.identification.naming.discovery_result import Discovery, Verdict
 from robustlab.identification.naming.held_out_gaps import Gaps, held_out_gaps
 from robustlab.identification.naming.materiality import Matter, errors_of, matter_of, strained, without_effects
 from robustlab.identification.naming.named_effects import (
+    INTERVAL,
     EffectValue,
     InputClock,
     NamedEffect,
@@ -40,7 +41,7 @@ from robustlab.identification.naming.residual_after_naming import LeftOver, left
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.tuning import AS_LARGE, TUNING
+from robustlab.identification.tuning import AS_LARGE
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from robustlab.identification.experiment.next_experiment import NextExperiment
 
 
-INTERVAL = 1.96  # standard deviations of a 95 % interval
 T = TypeVar("T")
 
 
@@ -115,10 +115,14 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         whole = settled(problem, whole, found.noise, 1)
     matters = stages.run("what matters", lambda: _matters(found, held, whole), {})
     slight = frozenset(key for key, m in matters.items() if not m.material)
-    kinds = _kinds(found, held, posterior, slight)
+    kinds = kinds_of(problem, posterior, slight)
+    if elsewhere := stages.run("what matters in other sets", lambda: _slight_elsewhere(found, held, kinds), None):
+        kinds = kinds_of(problem, posterior, slight | elsewhere)
     fit = whole
     if aside := slight | _doubtful(kinds, whole):
         fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
+        # Beside the error of the smaller set stands that of it without each of its names.
+        matters |= stages.run("what matters", lambda: _matters(found, held, fit), {})
     verdict = _verdict(found, kinds, fit, left.remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
@@ -126,7 +130,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     if named:
-        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)))
+        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), problem.tuning.material)
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
     if judged.verdict == "unknown" and not named:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
@@ -218,16 +222,15 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
     return told
 
 
-def _kinds(found: Found, held: Problem, posterior: Posterior, slight: frozenset[str]) -> Kinds:
-    """The kinds of the answer; what is open in other sets only, and brings nothing there, decides nothing either."""
-    kinds = kinds_of(found.problem, posterior, slight)
+def _slight_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
+    """Effects that are open in other sets than the best, and bring nothing there: they decide nothing either."""
+    slight = set[str]()
     for candidate in () if kinds.coarse else kinds.open():
-        if candidate.key in posterior.best.key:
-            continue
-        entry = next(w for w in posterior.sets if candidate.key in w.key)
-        if not _matters(found, held, entry.fit, {candidate.key})[candidate.key].material:
-            slight = slight | {candidate.key}
-    return kinds if slight == kinds.ignored else kinds_of(found.problem, posterior, slight)
+        if candidate.key not in kinds.posterior.best.key:
+            entry = next(w for w in kinds.posterior.sets if candidate.key in w.key)
+            if not _matters(found, held, entry.fit, {candidate.key})[candidate.key].material:
+                slight.add(candidate.key)
+    return frozenset(slight)
 
 
 def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
@@ -252,14 +255,14 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
     return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.told(c) is None)
 
 
-def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool) -> _Judgement:
+def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
     """Names do not stand where the updated model is clearly further from held-out data than the refitted one.
 
     Where it is further by what may be chance, they are not sure. A refit that has left its tolerances (``strained``) is
-    no model to be compared with but where it is materially nearer: its parameters do what the names say.
+    no model to be compared with but where it is nearer by the share ``material``: its parameters do what the names say.
     """
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
-    if strained and updated <= (1.0 + TUNING.material) * refitted:
+    if strained and updated <= (1.0 + material) * refitted:
         return judged
     if gaps.worse:
         return judged._replace(verdict="unknown", complete=False)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 
 from robustlab.result import Evidence
 
+INTERVAL = 1.96  # standard deviations of a 95 % interval
 SURE = 0.95  # probability of what is named
 WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of what is periodic in the position
 

@@ -22,7 +22,7 @@ from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, Kind, Qua
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
-from robustlab.identification.naming.named_effects import SURE, EffectValue, KindMember, NamedKind
+from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
 from robustlab.identification.naming.posterior import Posterior, Weighed
 from robustlab.identification.naming.quantities import Told, quantities
 
@@ -72,8 +72,10 @@ class Places:
 class Kinds:
     """Probabilities of kinds at places over the sets of a posterior."""
 
-    def __init__(self, posterior: Posterior, places: Places, ignored: frozenset[str] = frozenset()) -> None:
-        self.posterior, self.places, self.ignored = posterior, places, ignored
+    def __init__(
+        self, posterior: Posterior, places: Places, sure: float, ignored: frozenset[str] = frozenset()
+    ) -> None:
+        self.posterior, self.places, self.sure, self.ignored = posterior, places, sure, ignored
         self.probability: dict[Place, float] = defaultdict(float)
         for entry in posterior.sets:
             held = {n for c in entry.fit.hypothesis.candidates if c.key not in ignored for n in self.above(c)}
@@ -83,7 +85,7 @@ class Kinds:
     @property
     def coarse(self) -> bool:
         """Whether the best set leaves more than noise, and evidence counts in units of that."""
-        return self.posterior.temperature > 1.0
+        return self.posterior.coarse
 
     def above(self, candidate: Candidate) -> list[Place]:
         """The kinds of an effect, the narrowest first, each with its place."""
@@ -97,14 +99,14 @@ class Kinds:
         for kind, place in self.above(candidate):
             if KINDS[kind].wider is None and KIND_OF[candidate.effect.id] != kind:
                 return None  # "a force" is no name
-            if self.probability[kind, place] >= SURE:
+            if self.probability[kind, place] >= self.sure:
                 return (kind, place) if (kind, place) == self.above(candidate)[0] or self._alone(kind, place) else None
         return None
 
     def _alone(self, kind: str, place: str) -> bool:
         """Whether no kind within this one is sure there."""
         return not any(
-            p >= SURE and k != kind and at == place and kind in (w.id for w in upwards(k))
+            p >= self.sure and k != kind and at == place and kind in (w.id for w in upwards(k))
             for (k, at), p in self.probability.items()
         )
 
@@ -114,7 +116,7 @@ class Kinds:
         for entry in self.posterior.sets:
             for c in entry.fit.hypothesis.candidates:
                 narrow = self.above(c)[0]
-                if c.key in self.ignored or self.probability[narrow] <= 1.0 - SURE:
+                if c.key in self.ignored or self.probability[narrow] <= 1.0 - self.sure:
                     continue
                 if self.told(c) is None:
                     found.setdefault(c.key, c)
@@ -129,38 +131,37 @@ class Kinds:
         return tuple(self._named(problem, *node) for node in nodes)
 
     def _named(self, problem: Problem, kind: str, place: str) -> NamedKind:
-        holding = [(w, k) for w in self.posterior.sets if (k := self._member(w, kind, place)) is not None]
+        holding = [(w, own) for w in self.posterior.sets if (own := self._members(w, kind, place))]
         shares: dict[str, float] = defaultdict(float)
         sites: dict[str, Candidate] = {}
         whole = sum(w.probability for w, _ in holding)
-        for w, k in holding:
-            c = w.fit.hypothesis.candidates[k]
-            shares[c.key] += w.probability / whole
-            sites[c.key] = c
+        for w, own in holding:
+            for k in own:
+                c = w.fit.hypothesis.candidates[k]
+                shares[c.key] += w.probability / whole
+                sites[c.key] = c
         members = tuple(
             KindMember(c.effect.id, c.effect.title, c.site.name, min(1.0, share))
             for share, c in sorted(((s, sites[key]) for key, s in shares.items()), key=lambda m: -m[0])
         )
         asked = sorted(holding, key=lambda h: -h[0].probability)[:MOST_MEMBERS]
-        told = [(w.probability, quantities(problem, w.fit, k, KINDS[kind])) for w, k in asked]
+        told = [(w.probability, quantities(problem, w.fit, own, KINDS[kind])) for w, own in asked]
         values = [v for name in KINDS[kind].quantities if (v := _mixture(name, told)) is not None]
         return NamedKind(
             kind, KINDS[kind].title, place, min(1.0, self.probability[kind, place]), tuple(values), members,
             KINDS[kind].form,
         )  # fmt: skip
 
-    def _member(self, entry: Weighed, kind: str, place: str) -> int | None:
-        """Index of the set's first effect of this kind there."""
-        for k, c in enumerate(entry.fit.hypothesis.candidates):
-            if c.key not in self.ignored and (kind, place) in self.above(c):
-                return k
-        return None
+    def _members(self, entry: Weighed, kind: str, place: str) -> list[int]:
+        """Indices of the set's effects of this kind there."""
+        own = enumerate(entry.fit.hypothesis.candidates)
+        return [k for k, c in own if c.key not in self.ignored and (kind, place) in self.above(c)]
 
 
 def kinds_of(problem: Problem, posterior: Posterior, ignored: frozenset[str] = frozenset()) -> Kinds:
     """The kinds of a posterior; ``ignored``: keys of effects that decide nothing."""
     model = problem.simulators(Hypothesis(()))[0].model({}, [])
-    return Kinds(posterior, Places(problem.plant, model), ignored)
+    return Kinds(posterior, Places(problem.plant, model), problem.tuning.sure, ignored)
 
 
 def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Told]]]) -> EffectValue | None:

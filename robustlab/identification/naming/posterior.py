@@ -108,7 +108,8 @@ class Posterior:
 
     ``collection`` is the smallest of them with the probability that an answer needs, and whatever no test tells from
     the best. ``generalises`` is False where every more probable set than the empty one fails on held-out data.
-    ``left`` is what the best set leaves, place by place. ``temperature`` is above 1 where that is more than noise.
+    ``left`` is what the best set leaves, place by place. ``temperature`` is what log evidence was divided by,
+    and ``coarse`` says that it is so because something is left beside the best set.
     """
 
     sets: tuple[Weighed, ...]
@@ -116,6 +117,7 @@ class Posterior:
     generalises: bool
     left: tuple[Unnamed, ...]
     temperature: float = 1.0
+    coarse: bool = False
 
     @property
     def noise_ratio(self) -> float:
@@ -225,7 +227,7 @@ def weigh(found: Found) -> Posterior:
     twins = {key for key, d in distance.items() if d < tuning.cannot_tell} - renamed
     collection = tuple(_collected(sets, tuning.sure, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature)
+    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > tuning.temperature)
 
 
 def _temperature(best: Visited, weights: Mapping[Key, _Weight], tuning: NamingTuning) -> float:

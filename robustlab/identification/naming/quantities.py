@@ -16,7 +16,7 @@ differences (delta method).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Probl
 from robustlab.identification.naming.named_effects import wave_amplitude
 
 OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")
+OF_ONE: tuple[Quantity, ...] = ("amplitude", "period")  # two waves have none in common
 DIVIDES = ("inertia", "resistance")  # factors by whose inverse the path from input to sensor is scaled
 APART = 0.2  # standard deviations by which a parameter is moved for differences
 
@@ -41,19 +42,21 @@ class Told(NamedTuple):
     unit: str
 
 
-def quantities(problem: Problem, fit: Fit, k: int, kind: Kind) -> dict[Quantity, Told]:
-    """What the k-th effect of a fitted set says of its kind; without those that it cannot be asked for."""
-    candidate = fit.hypothesis.candidates[k]
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
-    own = slice(at, at + len(candidate.parameters))
-    middle = _at(problem, fit, fit.z, k, kind)
-    covariance = np.linalg.pinv(fit.hessian)[own, own] if fit.covariance is None else fit.covariance[own, own]
-    slopes = {name: np.zeros(len(candidate.parameters)) for name in middle}
-    for j, std in enumerate(fit.std[own]):
-        step = max(APART * float(std), 1e-6)
+def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Told]:
+    """What the effects of one kind in a fitted set say of it together; without what one of them cannot be asked for.
+
+    ``members``: their indices. Forces and times add up, factors multiply; an amplitude and a period are those of one.
+    """
+    starts = np.cumsum([len(problem.nuisances), *(len(c.parameters) for c in fit.hypothesis.candidates)])
+    own = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in members])
+    middle = _together(problem, fit, fit.z, members, kind)
+    covariance = (np.linalg.pinv(fit.hessian) if fit.covariance is None else fit.covariance)[np.ix_(own, own)]
+    slopes = {name: np.zeros(len(own)) for name in middle}
+    for j, at in enumerate(own):
+        step = max(APART * float(fit.std[at]), 1e-6)
         z = fit.z.copy()
-        z[at + j] += step
-        for name, (value, _) in _at(problem, fit, z, k, kind).items():
+        z[at] += step
+        for name, (value, _) in _together(problem, fit, z, members, kind).items():
             slopes[name][j] = (value - middle[name][0]) / step
     found = {}
     for name, (value, unit) in middle.items():
@@ -63,20 +66,31 @@ def quantities(problem: Problem, fit: Fit, k: int, kind: Kind) -> dict[Quantity,
     return found
 
 
-def _at(problem: Problem, fit: Fit, z: Array, k: int, kind: Kind) -> dict[Quantity, tuple[float, str]]:
-    """Value and unit of each quantity at these parameters."""
-    candidate = fit.hypothesis.candidates[k]
-    _, values = problem.split(fit.hypothesis, z)
-    own = values[k]
+def _together(
+    problem: Problem, fit: Fit, z: Array, members: Sequence[int], kind: Kind
+) -> dict[Quantity, tuple[float, str]]:
+    """Value and unit of each quantity of all members at these parameters."""
     found: dict[Quantity, tuple[float, str]] = {}
     for name in kind.quantities:
-        if name in OF_JOINT:
-            told = _coefficient(problem, candidate, own, name) or _along(problem, fit, z, k, name)
-        else:
-            told = _of_parameters(candidate, own, name)
-        if told is not None:
-            found[name] = told
+        told = [_of_member(problem, fit, z, k, name) for k in members]
+        each = [t for t in told if t is not None]
+        if len(each) < len(told) or len({unit for _, unit in each}) > 1:
+            continue
+        if len(each) == 1:
+            found[name] = each[0]
+        elif name not in OF_ONE:
+            values = [value for value, _ in each]
+            found[name] = (math.prod(values) if name == "factor" else sum(values)), each[0][1]
     return found
+
+
+def _of_member(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
+    """Value and unit of one effect's; None where it cannot be asked."""
+    candidate = fit.hypothesis.candidates[k]
+    own = problem.split(fit.hypothesis, z)[1][k]
+    if name in OF_JOINT:
+        return _coefficient(problem, candidate, own, name) or _along(problem, fit, z, k, name)
+    return _of_parameters(candidate, own, name)
 
 
 def _coefficient(

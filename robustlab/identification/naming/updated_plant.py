@@ -18,11 +18,10 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.named_effects import NamedKind
+from robustlab.identification.naming.named_effects import INTERVAL, NamedKind
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 
 ONE_FACTOR = "scaled by one factor"
-INTERVAL = 1.96  # standard deviations of a 95 % interval
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
 MOST = 0.99  # a tolerance stays below the value itself
 TIMES_RMS = 3.0  # of a force of which nothing is known but its mean square: nearly all of a normal one lies within

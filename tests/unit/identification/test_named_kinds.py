@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from naming_cases import AXIS, FRICTION, LOAD, T, U, machine, noisy, searched, usual
+from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, searched, usual
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, NoiseModel
+from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.naming import answer as module
 from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
@@ -60,8 +63,8 @@ def posterior_of(*sets):
     return SimpleNamespace(sets=tuple(entries))
 
 
-def judged(*sets, ignored=frozenset()):
-    kinds = Kinds(posterior_of(*sets), Places(AXIS, port_model(AXIS)), ignored)
+def judged(*sets, ignored=frozenset(), sure=0.95):
+    kinds = Kinds(posterior_of(*sets), Places(AXIS, port_model(AXIS)), sure, ignored)
     told = {n[0] for e in kinds.posterior.sets for c in e.fit.hypothesis.candidates if (n := kinds.told(c))}
     return told, {c.effect.id for c in kinds.open()}
 
@@ -86,6 +89,14 @@ def test_what_may_be_there_beside_what_is_sure_is_open():
     assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]), ignored=slight) == (
         {"dry-friction"}, set(),
     )  # fmt: skip
+
+
+def test_how_sure_a_name_must_be_is_the_tunings():
+    sets = (0.9, ["coulomb-friction"]), (0.1, ["constant-load"])
+    assert judged(*sets)[0] == set()
+    assert judged(*sets, sure=0.8) == ({"dry-friction"}, set())
+    found = usual(friction=20.0)
+    assert kinds_of(found.problem, weigh(found)).sure == TUNING.sure
 
 
 def test_a_parameter_stands_at_the_joint_whose_motion_it_changes():
@@ -129,7 +140,7 @@ def test_the_level_of_coulomb_friction_is_its_force_and_its_spread_that_of_the_p
     found = usual(friction=20.0)
     fit = found.best.fit
     k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
-    told = quantities(found.problem, fit, k, KINDS["dry-friction"])["level"]
+    told = quantities(found.problem, fit, [k], KINDS["dry-friction"])["level"]
     _, values = found.problem.split(fit.hypothesis, fit.z)
     assert told.value == pytest.approx(values[k]["Fc"], rel=2e-3)
     assert told.unit == "N"
@@ -153,7 +164,7 @@ def test_a_load_is_the_mean_of_its_force_against_the_motion():
     found = searched(machine(friction=20.0, load=8.0, seed=3), (FRICTION, LOAD))
     fit = found.best.fit
     k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == LOAD)
-    assert quantities(found.problem, fit, k, KINDS["load"])["force"].value == pytest.approx(8.0, rel=0.1)
+    assert quantities(found.problem, fit, [k], KINDS["load"])["force"].value == pytest.approx(8.0, rel=0.1)
 
 
 def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
@@ -168,6 +179,32 @@ def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     assert level.lower < level.value < level.upper
     assert level.value == pytest.approx(LEVEL, rel=0.05)  # less what the bristles give back at reversals
     assert sum(m.share for m in named.members) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_members_of_one_set_are_told_together():
+    """An input 4 ms late and a sensor 6 ms late are 10 ms late, with the spread of both; two gains multiply."""
+    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(5), U[:-5]]))
+    record = rl.Record(T, {"u": U}, noisy({k: run[k] for k in ("q", "v")}, 0), name="late")
+    fit_on, _, pool, _ = opened(record)
+    own = tuple(pool[k] for k in ("input-delay @ u", "sensor-delay @ q", GAIN_OF_Q))
+    hypothesis, n = Hypothesis(own), len(fit_on.nuisances)
+    z = np.concatenate(
+        [np.zeros(n), *(c.standardised(v) for c, v in zip(own, ({"d": 4e-3}, {"d": 6e-3}, {"s": 1.25})))]
+    )
+    starts = tuple(np.zeros((len(c), 2)) for c in fit_on.chosen)
+    noise = NoiseModel(np.ones(2), np.zeros((0, 2)))
+    curved = np.diag(np.r_[np.ones(n), 4.0, 9.0, 1.0])
+    fit = Fit(hypothesis, z, starts, 0.0, np.zeros(1), curved, noise, 0)
+    late = quantities(fit_on, fit, [0, 1], KINDS["lateness"])["delay"]
+    spread = [c.parameters[0].prior.spread for c in own]
+    assert late.value == pytest.approx(10e-3)
+    assert late.std == pytest.approx(np.hypot(4e-3 * spread[0] / 2, 6e-3 * spread[1] / 3), rel=0.1)
+    assert quantities(fit_on, fit, [0], KINDS["lateness"])["delay"].value == pytest.approx(4e-3)
+    twice = replace(fit, hypothesis=Hypothesis((*own, own[2])), z=np.append(z, own[2].standardised({"s": 0.8})),
+                    hessian=np.eye(len(z) + 1))  # fmt: skip
+    assert quantities(fit_on, twice, [2, 3], KINDS["factor"])["factor"].value == pytest.approx(1.0)
+    # One of them that cannot be asked: then neither can they together.
+    assert quantities(fit_on, fit, [0, 2], KINDS["lateness"]) == {}
 
 
 def test_a_mixture_has_the_mean_and_the_ends_of_its_members():
@@ -285,8 +322,6 @@ def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_mod
     without = {e.name: e.error_without for e in found.effects}
     assert without["coulomb-friction"] > without["constant-load"] > found.gap_after
     assert not found.also_detectable
-    from robustlab.identification.naming import answer as module
-
     real = module.matter_of
 
     def load_is_nothing(held, whole, less, needed):
@@ -323,6 +358,64 @@ def test_the_member_of_an_open_kind_is_as_wide_in_the_model_as_the_kind_is_known
         found.problem, fit, "test", (replace(wide, members=(replace(member, share=1.0),)),)
     ).effects
     assert settled.std == plain.std
+
+
+def test_a_fault_in_what_matters_does_not_lose_the_names(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(module, "matter_of", fails)
+    monkeypatch.setattr(module, "_slight_elsewhere", fails)
+    found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=tuple(set(catalogue()) - {"coulomb-friction"}))
+    assert found.names == ("coulomb-friction",)
+    assert found.verdict == "named"
+    assert {f.channel for f in found.findings if f.kind == "stage"} == {"what matters", "what matters in other sets"}
+
+
+# --- what may be an answer -------------------------------------------------------------------------------------------
+
+SEEN = Scales(speed=2.0, position=0.1, lowest=-0.05, highest=0.05, duration=4.0, position_unit="m")
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "outside"),
+    [
+        ("presliding", {"Fc": 20.0, "sigma0": 1e4}, {"Fc": 20.0, "sigma0": 100.0}),
+        ("bouc-wen", {"qy": 0.02}, {"qy": 0.73}),
+        ("stribeck-friction", {"vs": 0.1}, {"vs": 2.5}),
+        ("end-stop", {"q_min": -0.2, "q_max": 0.04}, {"q_min": -0.2, "q_max": 0.06}),
+        ("torque-ripple", {"f": 1.0}, {"f": 0.3}),
+        ("resistance-heating", {"T": 40.0}, {"T": 0.034}),
+    ],
+)
+def test_an_effect_whose_scale_the_record_does_not_visit_is_no_answer(name, inside, outside):
+    assert catalogue()[name].visited(inside, SEEN)
+    assert not catalogue()[name].visited(outside, SEEN)
+    if name in ("presliding", "bouc-wen", "end-stop"):  # of a joint whose position nobody knows nothing is said
+        assert catalogue()[name].visited(outside, Scales())
+
+
+def test_a_hysteretic_spring_that_never_yields_is_refused_by_the_search():
+    fit_on, held, pool, allowed = opened(machine(friction=20.0, seed=3))
+    own = pool["bouc-wen @ v"]
+    fit = fit_on.fit(Hypothesis((own,)), first_noise(fit_on), np.zeros(len(fit_on.nuisances) + 3), plan=FitPlan(1))
+    at = len(fit_on.nuisances)
+
+    def yielding(qy):
+        z = fit.z.copy()
+        z[at:] = own.standardised({"Fy": 20.0, "qy": qy, "rho": 0.3})
+        return allowed(fit_on, replace(fit, z=z))
+
+    assert yielding(0.1 * own.scales.position)
+    assert not yielding(3.0 * own.scales.position)
+
+
+def test_no_pair_is_believed_before_every_single_effect_was_fitted():
+    """A look that keeps one effect a round passes over most of them."""
+    short = {"kept_second": 1, "kept_last": 1, "kept_gains": 0, "most_scored": 1}
+    found = searched(machine(friction=20.0, load=8.0, seed=3), **short)
+    assert found.best.key == {FRICTION, LOAD}
+    assert {frozenset({key}) for key in POOL} <= {v.key for v in found.sets}
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

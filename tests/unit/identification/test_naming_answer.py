@@ -139,6 +139,6 @@ def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_jud
 def test_names_do_not_stand_against_held_out_data(updated, worse, strained, verdict):
     judged = module._Judgement("named", True)
     gaps = Gaps({"q": Gap("q", "m", 1.0, 5.0, 1.0, updated)}, {}, "test", worse, {})
-    said = module._on_held_out(judged, gaps, strained)
+    said = module._on_held_out(judged, gaps, strained, 0.05)
     assert said.verdict == verdict
     assert said.complete == (verdict != "unknown")
