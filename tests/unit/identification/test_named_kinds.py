@@ -189,7 +189,7 @@ def test_members_of_one_set_are_told_together():
     own = tuple(pool[k] for k in ("input-delay @ u", "sensor-delay @ q", GAIN_OF_Q))
     hypothesis, n = Hypothesis(own), len(fit_on.nuisances)
     z = np.concatenate(
-        [np.zeros(n), *(c.standardised(v) for c, v in zip(own, ({"d": 4e-3}, {"d": 6e-3}, {"s": 1.25})))]
+        [np.zeros(n), *(c.standardised(v) for c, v in zip(own, ({"d": 4e-3}, {"d": 6e-3}, {"s": 1.25}), strict=True))]
     )
     starts = tuple(np.zeros((len(c), 2)) for c in fit_on.chosen)
     noise = NoiseModel(np.ones(2), np.zeros((0, 2)))
@@ -396,7 +396,7 @@ def test_an_effect_whose_scale_the_record_does_not_visit_is_no_answer(name, insi
 
 
 def test_a_hysteretic_spring_that_never_yields_is_refused_by_the_search():
-    fit_on, held, pool, allowed = opened(machine(friction=20.0, seed=3))
+    fit_on, _, pool, allowed = opened(machine(friction=20.0, seed=3))
     own = pool["bouc-wen @ v"]
     fit = fit_on.fit(Hypothesis((own,)), first_noise(fit_on), np.zeros(len(fit_on.nuisances) + 3), plan=FitPlan(1))
     at = len(fit_on.nuisances)
