@@ -50,7 +50,8 @@ def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -
     starts = np.cumsum([len(problem.nuisances), *(len(c.parameters) for c in fit.hypothesis.candidates)])
     own = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in members])
     middle = _together(problem, fit, fit.z, members, kind)
-    covariance = (np.linalg.pinv(fit.hessian) if fit.covariance is None else fit.covariance)[np.ix_(own, own)]
+    whole = np.linalg.pinv(fit.hessian) if fit.covariance is None else fit.covariance
+    covariance = whole[own][:, own]
     slopes = {name: np.zeros(len(own)) for name in middle}
     for j, at in enumerate(own):
         step = max(APART * float(fit.std[at]), 1e-6)
