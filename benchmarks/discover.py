@@ -25,9 +25,10 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from discover_distance import distance
 from discover_figures import report
 from discover_truth import interval
-from hidden import FAMILIES, Family, make_case
+from hidden import FAMILIES, LAWS, Family, make_case
 
 __all__ = ["CONDITIONS", "Condition", "Setup", "Task", "main", "run_case", "tasks", "true_error"]
 
@@ -55,16 +56,20 @@ class Setup(NamedTuple):
 class Condition:
     """Classes of every family, measured in one way or several; ``poor`` carries the proposed experiment out, too.
 
-    ``usual`` conditions are run where none are asked for; ``families`` narrows a condition.
+    ``usual`` conditions are run where none are asked for; ``families`` narrows a condition. ``laws``: the classes that
+    have other formulas (`hidden.LAWS`), after each of them; a class is then "end-stop~hertz".
     """
 
     kind: Kind
     setups: tuple[Setup, ...]
     usual: bool = True
     families: tuple[str, ...] = tuple(FAMILIES)
+    laws: bool = False
 
     def classes(self, family: Family) -> tuple[tuple[str, ...], ...]:
         """Sets of effects to hide."""
+        if self.laws:
+            return tuple((f"{name}~{law}",) for name in family.classes for law in LAWS.get(name, ()))
         if self.kind == "pairs":
             return family.pairs
         names = {"none": ("none",), "outside": family.outside}.get(self.kind, family.classes)
@@ -104,6 +109,7 @@ CONDITIONS = {
     "none-closed-loop": Condition("none", tuple(Setup(n, "closed-loop") for n in LEVELS), families=IN_A_LOOP),
     "outside": Condition("outside", (RICH,)),
     "pairs": Condition("pairs", (RICH,)),
+    "laws": Condition("single", (RICH,), laws=True),
     "square": Condition("poor", (Setup("mid", "square"),)),
     "oneway": Condition("poor", (Setup("mid", "oneway"),)),
     "single-low": Condition("single", (Setup("low", "rich"),), usual=False),
@@ -161,17 +167,24 @@ def _head(task: Task) -> Line:
     """What is known of a case without running it."""
     return {
         "key": task.key, "who": task.who, "condition": task.condition, "kind": CONDITIONS[task.condition].kind,
-        "family": task.family, **task.setup._asdict(), "truth": [e for e in task.effects if e != "none"],
-        "seed": task.seed,
+        "family": task.family, **task.setup._asdict(), "truth": [e for e, _ in _hidden(task)],
+        "laws": [law for _, law in _hidden(task) if law], "seed": task.seed,
     }  # fmt: skip
+
+
+def _hidden(task: Task) -> list[tuple[str, str]]:
+    """The hidden effects, and the formula of each; empty for the usual one."""
+    names = [e.partition("~") for e in task.effects if e != "none"]
+    return [(name, law) for name, _, law in names]
 
 
 def _case(task: Task) -> Any:
     noise, excitation, hold = task.setup
     family, closed = FAMILIES[task.family], excitation == "closed-loop"
     return make_case(
-        task.effects,
+        [e for e, _ in _hidden(task)] or "none",
         task.seed,
+        laws={e: law for e, law in _hidden(task) if law},
         plant=family.plant,
         current=family.current,
         noise=noise,
@@ -193,11 +206,16 @@ def _peer(task: Task) -> Line:
 def _named(task: Task) -> Line:
     case = _case(task)
     found, line = _discovered(case, [case.record])
-    line |= {"status": "ok", "intervals": [x for e in found.effects if (x := interval(e, case))]}
+    line |= {
+        "status": "ok",
+        "truth": [e for e, _ in _hidden(task)],
+        "intervals": [x for e in found.effects if (x := interval(e, case))],
+    }
     try:
         line["true_error"] = true_error(case, found)
+        line["distance"] = distance(case, found, case.effects) if case.effects else float("inf")
     except Exception:  # noqa: BLE001 - the yardstick failed, not the naming
-        line |= {"true_error": None, "true_error_failed": traceback.format_exc(limit=-4)}
+        line |= {"true_error_failed": traceback.format_exc(limit=-4)}
     if CONDITIONS[task.condition].kind == "poor" and found.next_experiment is not None:
         line |= _after_experiment(case, found.next_experiment)
     return line

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 import robustlab as rl
 from robustlab import Record
 
-from .effects import ALL_EFFECTS, Setting, hidden_effect
+from .effects import ALL_EFFECTS, Setting
 from .excitation import HOLDS, KINDS, Drive, drive, reference
 from .families import possible
+from .laws import hidden_law
 from .machine import Array, Machine, Run
 from .plants import LEVELS, PLANTS, Setup
 from .rig import Rig, generator
@@ -101,6 +102,7 @@ def make_case(
     closed_loop: bool = False,
     hold: str = "held",
     parameters: Mapping[str, Mapping[str, float]] | None = None,
+    laws: Mapping[str, str] | None = None,
 ) -> Case:
     """Draw a case; the same arguments give the same case, bit by bit, on the same machine.
 
@@ -124,6 +126,8 @@ def make_case(
         A position controller follows a drawn reference and its voltage is logged as u; ``excitation`` is not used.
     parameters
         Effect -> parameters to set instead of their draws, for example ``{"coulomb-friction": {"Fc": 0.02}}``.
+    laws
+        Effect -> another formula of it (`hidden.laws.LAWS`), for example ``{"end-stop": "kelvin-voigt"}``.
 
     Raises
     ------
@@ -131,7 +135,7 @@ def make_case(
         Unknown names, a current where the plant has none, an effect that the plant cannot have.
     """
     given = parameters or {}
-    names = _checked(effects, plant, noise, excitation, current, given)
+    names = _checked(effects, plant, noise, excitation, current, given, laws or {})
     setup = PLANTS[plant]
     if closed_loop and (setup.feedback is None or hold != "held"):
         raise ValueError(f"no controller that holds its output works on {plant} with a {hold} input")
@@ -157,11 +161,10 @@ def make_case(
     setting = Setting(setup, bare, first.samples, second.samples, dt, feedback)
     machine, true = bare, {}
     for name in names:
-        true[name] = {
-            key: float(v)
-            for key, v in {**hidden_effect(plant, name).draw(draw, setting), **given.get(name, {})}.items()
-        }
-        machine = hidden_effect(plant, name).put(machine, true[name], setting)
+        hidden = hidden_law(plant, name, (laws or {}).get(name))
+        drawn = {**hidden.draw(draw, setting), **given.get(name, {})}
+        true[name] = {key: float(v) for key, v in drawn.items()}
+        machine = hidden.put(machine, true[name], setting)
     rig = Rig(setup, machine, bare, true, seed, noise, dt, feedback)
     record = rig.measured(first, RECORD, closed=closed_loop)
     held_out = rig.measured(second, HELD_OUT, closed=closed_loop)
@@ -204,6 +207,7 @@ def _checked(
     excitation: str,
     current: bool,
     parameters: Mapping[str, Mapping[str, float]],
+    laws: Mapping[str, str],
 ) -> tuple[str, ...]:
     """The effects' names, without "none"; refuses what does not exist."""
     if plant not in PLANTS:
@@ -222,8 +226,8 @@ def _checked(
             raise ValueError(f"effect {name!r}: 'none' or one of {', '.join(ALL_EFFECTS)}")
         if not possible(plant, name):
             raise ValueError(f"{name} makes no sense on {plant}")
-    if len(set(names)) < len(names) or set(parameters) - set(names):
-        raise ValueError("every effect once, and parameters only for effects of the case")
+    if len(set(names)) < len(names) or {*parameters, *laws} - set(names):
+        raise ValueError("every effect once, and parameters and laws only for effects of the case")
     return names
 
 

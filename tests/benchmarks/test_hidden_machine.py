@@ -291,3 +291,52 @@ def test_only_record_and_plant_come_from_robustlab():
                 assert (node.module, [a.name for a in node.names]) == ("robustlab", ["Record"])
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "rl":
                 assert node.attr == "plant"
+
+
+# --- other formulas (`hidden.laws`) ---
+
+
+def test_smoothed_friction_balances_the_push_at_any_speed():
+    """F tanh(v / w) + b v = u, from creeping to sliding."""
+    machine = PUSHED._replace(b_pos=1e-4, b_neg=1e-4, Fc=0.01, smooth=2.0)
+    for push in (0.002, -0.009, 0.02):
+        speed = settled(machine, push, 3.0).omega[-1]
+        assert 0.01 * np.tanh(speed / 2.0) + 1e-4 * speed == pytest.approx(push, rel=1e-6)
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0])
+def test_the_fall_of_stribeck_friction_has_its_exponent(power):
+    machine = PUSHED._replace(b_pos=1e-3, b_neg=1e-3, Fc=0.01, dF=0.004, vs=5.0, smooth=0.01, bend_vs=power)
+    speed = settled(machine, 0.02, 3.0).omega[-1]
+    assert 0.01 + 0.004 * np.exp(-((speed / 5.0) ** power)) + 1e-3 * speed == pytest.approx(0.02, rel=1e-6)
+
+
+def test_a_stop_of_kelvin_and_voigt_rings_as_a_linear_oscillator():
+    """Held in contact by a push: the body's distance from where it comes to rest is a damped sine."""
+    k, ratio, push = 50.0, 0.1, 0.5
+    c = 2 * ratio * np.sqrt(k * J)
+    machine = PUSHED._replace(x_high=0.0, k_stop=k, kelvin=c)
+    got = simulate(machine, np.full(100, push), 1e-4)
+    w = np.sqrt(k / J)
+    wd, t = w * np.sqrt(1 - ratio**2), np.arange(100) * 1e-4
+    depth = push / k * (1 - np.exp(-ratio * w * t) * (np.cos(wd * t) + ratio * w / wd * np.sin(wd * t)))
+    assert np.abs(got.phi - depth).max() < 1e-4 * push / k
+
+
+def test_a_stop_of_hertz_carries_the_three_halves_power_of_its_depth():
+    machine = PUSHED._replace(x_high=0.01, k_stop=50.0, hertz=0.002, c_stop=2.0, b_pos=1e-3, b_neg=1e-3)
+    depth = settled(machine, 0.5, 3.0).phi[-1] - 0.01
+    assert 50.0 * depth * np.sqrt(depth / 0.002) == pytest.approx(0.5, rel=1e-6)
+
+
+def test_teeth_of_kelvin_and_voigt_push_only_and_carry_their_springs_load():
+    """Both bodies accelerate together behind the closed gap; parting, the damper does not hold them."""
+    from hidden.machine import _shaft
+
+    machine = PUSHED._replace(J2=J, k_s=80.0, gap=0.02, kelvin_teeth=0.01)
+    got = simulate(machine, np.full(4000, 0.1), 1e-4)
+    assert (got.phi - got.load_phi)[-1] - 0.01 == pytest.approx(0.05 / 80.0, rel=1e-5)
+    for e in (0.012, -0.012):
+        assert _shaft(machine, e, -np.sign(e) * 1e3) == 0.0
+        assert _shaft(machine, e, np.sign(e)) == pytest.approx(np.sign(e) * (80.0 * 0.002 + 0.01))
+    assert _shaft(machine, 0.005, 1e3) == 0.0

@@ -1,0 +1,57 @@
+r"""What a case's records can tell: the refit distance between what is hidden and what was answered.
+
+The hidden effects are fitted as the catalogue knows them, the answer from where it stands; the distance is that of
+`robustlab.identification.hypotheses.effect_fit.refit_distance`, in standard deviations of the noise that the hidden
+ones leave. Below 3 no test on these records tells the two apart, and a first answer cannot be asked for.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["RESOLVABLE", "distance"]
+
+RESOLVABLE = 3.0
+MOST_STARTS = 24  # combinations of places and starts of the hidden effects
+
+
+def distance(case: Any, found: Any, truth: Sequence[str]) -> float:
+    """Refit distance from the hidden effects to the answer; NaN where the catalogue cannot say one of them here."""
+    from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+    from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+    from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
+    from robustlab.identification.hypotheses.noise import first_noise, whitening
+    from robustlab.identification.hypotheses.prepared_record import prepare
+
+    plant = linear_plant_of(case.plant, "bench")
+    ports, length = port_model(plant), round(found.window / case.rig.dt)
+    problem = Problem(
+        plant, [prepare(plant, ports, case.record, length)], nuisance_parameters(plant, stated_tolerances(plant, None))
+    )
+    pool, noise = candidates(plant, ports, problem.records), first_noise(problem)
+    own = [[(c, start) for c in pool if c.effect.id == name for start in c.starts] for name in truth]
+    fits = [
+        problem.fit(Hypothesis(tuple(c for c, _ in chosen)), noise, _point(problem, chosen), plan=FitPlan(12))
+        for chosen in itertools.islice(itertools.product(*own), MOST_STARTS)
+    ]
+    if not fits:
+        return float("nan")
+    true = min(fits, key=lambda f: f.cost)
+    noise = whitening(problem, true)
+    true = problem.fit(true.hypothesis, noise, true.z, true.starts, FitPlan(12))
+    told = [(c, {v.name: v.value for v in e.parameters}) for e in found.effects for c in _alike(pool, e)]
+    rival = problem.fit(Hypothesis(tuple(c for c, _ in told)), noise, _point(problem, told), true.starts, FitPlan(12))
+    return refit_distance(problem, true, rival)
+
+
+def _alike(pool: Iterable[Any], effect: Any) -> list[Any]:
+    return [c for c in pool if c.effect.id == effect.name and c.site.name == effect.site][:1]
+
+
+def _point(problem: Any, chosen: Sequence[tuple[Any, Any]]) -> Any:
+    """Standardised parameters: nominal ones at their values, each effect where it begins."""
+    return np.concatenate([np.zeros(len(problem.nuisances)), *(c.standardised(start) for c, start in chosen)])
