@@ -213,7 +213,8 @@ def _named(task: Task) -> Line:
     }
     try:
         line["true_error"] = true_error(case, found)
-        line["distance"] = distance(case, found, case.effects) if case.effects else float("inf")
+        told = [(e.name, e.site, {v.name: v.value for v in e.parameters}) for e in found.effects]
+        line["distance"] = distance(case, case.effects, told) if case.effects else float("inf")
     except Exception:  # noqa: BLE001 - the yardstick failed, not the naming
         line |= {"true_error_failed": traceback.format_exc(limit=-4)}
     if CONDITIONS[task.condition].kind == "poor" and found.next_experiment is not None:

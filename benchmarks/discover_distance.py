@@ -8,7 +8,7 @@ ones leave. Below 3 no test on these records tells the two apart, and a first an
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,15 @@ import numpy as np
 __all__ = ["RESOLVABLE", "distance"]
 
 RESOLVABLE = 3.0
+WINDOWS = 12  # into which a record is cut
 MOST_STARTS = 24  # combinations of places and starts of the hidden effects
 
 
-def distance(case: Any, found: Any, truth: Sequence[str]) -> float:
-    """Refit distance from the hidden effects to the answer; NaN where the catalogue cannot say one of them here."""
+Told = tuple[str, str, Mapping[str, float]]  # an effect by its id, its place, its parameters
+
+
+def distance(case: Any, truth: Sequence[str], answer: Sequence[Told]) -> float:
+    """Refit distance from the hidden effects to those of the answer; NaN where the catalogue cannot say one here."""
     from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
     from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
     from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
@@ -28,7 +32,7 @@ def distance(case: Any, found: Any, truth: Sequence[str]) -> float:
     from robustlab.identification.hypotheses.prepared_record import prepare
 
     plant = linear_plant_of(case.plant, "bench")
-    ports, length = port_model(plant), round(found.window / case.rig.dt)
+    ports, length = port_model(plant), case.record.n // WINDOWS
     problem = Problem(
         plant, [prepare(plant, ports, case.record, length)], nuisance_parameters(plant, stated_tolerances(plant, None))
     )
@@ -43,13 +47,13 @@ def distance(case: Any, found: Any, truth: Sequence[str]) -> float:
     true = min(fits, key=lambda f: f.cost)
     noise = whitening(problem, true)
     true = problem.fit(true.hypothesis, noise, true.z, true.starts, FitPlan(12))
-    told = [(c, {v.name: v.value for v in e.parameters}) for e in found.effects for c in _alike(pool, e)]
+    told = [(c, values) for name, place, values in answer for c in _alike(pool, name, place)]
     rival = problem.fit(Hypothesis(tuple(c for c, _ in told)), noise, _point(problem, told), true.starts, FitPlan(12))
     return refit_distance(problem, true, rival)
 
 
-def _alike(pool: Iterable[Any], effect: Any) -> list[Any]:
-    return [c for c in pool if c.effect.id == effect.name and c.site.name == effect.site][:1]
+def _alike(pool: Iterable[Any], name: str, place: str) -> list[Any]:
+    return [c for c in pool if c.effect.id == name and c.site.name == place][:1]
 
 
 def _point(problem: Any, chosen: Sequence[tuple[Any, Any]]) -> Any:

@@ -1,0 +1,56 @@
+"""The form in which a program answers, and what it may say.
+
+::
+
+    {"schema": "robustlab.naming.answers/1", "program": "mine 1.0",
+     "answers": {"0001": {"verdict": "named", "complete": true, "seconds": 3.2, "named": [
+         {"kind": "dry-friction", "at": "omega", "effect": "coulomb-friction", "probability": 0.99}],
+       "possible": ["dry-friction", "load"]}}}
+
+``verdict``: "named" (these kinds, and sure), "open" (among ``possible``, none of them sure or not all), "unknown"
+(something is missing that has no name here), "nothing". ``kind`` is one of `robustlab.dynamics.effects.kinds.KINDS`;
+``effect``, ``at`` (a joint's velocity, an input, an output) and ``probability`` may be left out. ``possible``: every
+kind that may be there. ``complete``: false where something remains beside what is named. ``seconds``: of CPU.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from robustlab.dynamics.effects.kinds import KINDS
+
+__all__ = ["SCHEMA", "VERDICTS", "read_answers", "write_answers"]
+
+SCHEMA = "robustlab.naming.answers/1"
+VERDICTS = ("named", "open", "unknown", "nothing")
+
+
+def write_answers(path: Path, program: str, answers: Mapping[str, Any]) -> None:
+    """Write the answers of a program, case by case."""
+    data = {"schema": SCHEMA, "program": program, "answers": dict(sorted(answers.items()))}
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def read_answers(path: Path) -> tuple[str, dict[str, Any]]:
+    """The program and its answers, checked.
+
+    Raises ValueError: an answer that cannot be judged, with its case and what is wrong with it.
+    """
+    data = json.loads(path.read_text(encoding="utf-8"))
+    if data.get("schema") != SCHEMA or not isinstance(data.get("answers"), dict):
+        raise ValueError(f"{path}: schema {data.get('schema')!r}, expected {SCHEMA!r} with answers")
+    for case, said in data["answers"].items():
+        if said.get("verdict") not in VERDICTS:
+            raise ValueError(
+                f"{path}: case {case}: verdict {said.get('verdict')!r}, expected one of {', '.join(VERDICTS)}"
+            )
+        named, possible = said.setdefault("named", []), said.setdefault("possible", [])
+        for kind in [*(one.get("kind") for one in named), *possible]:
+            if kind not in KINDS:
+                raise ValueError(f"{path}: case {case}: kind {kind!r}, expected one of {', '.join(KINDS)}")
+        if (said["verdict"] == "named") != bool(named):
+            raise ValueError(f"{path}: case {case}: verdict {said['verdict']!r} with {len(named)} names")
+    return str(data.get("program", path.stem)), data["answers"]

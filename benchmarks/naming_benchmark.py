@@ -1,0 +1,148 @@
+"""An open benchmark of naming: ``python benchmarks/naming_benchmark.py make|answer|score`` (docs/naming-benchmark.md).
+
+``make DIR`` writes the data set (some 300 cases; ``truth.json`` apart from what a program may read). ``answer DIR
+--program robustlab --out FILE.json`` lets one of three programs answer (robustlab, stepwise, sindy; the last needs
+``pip install robustlab[bench]``); it goes on where it was cut short. ``score DIR FILE.json ...`` prints one table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from naming.answers import read_answers, write_answers
+from naming.composition import composition
+from naming.dataset import make
+from naming.regression import PROGRAMS
+from naming.regression import answer as regressed
+from naming.scoring import is_right, table
+
+SEED = 2026
+
+
+def robustlab(folder: Path) -> dict[str, Any]:
+    """The answer of `robustlab data discover` to a case."""
+    import robustlab as rl
+    from robustlab.budget import one_thread
+
+    plant = rl.load(folder / "model.h5")
+    inputs = [s.name for s in plant.inputs]
+    record, held_out = (rl.Record.read(folder / "records.h5", name, inputs) for name in ("record", "held_out"))
+    with one_thread():
+        began = time.process_time()
+        found = rl.discover(plant, record, held_out)
+        seconds = time.process_time() - began
+    verdict = {"no missing effect": "nothing", "ambiguous": "open"}.get(found.verdict, found.verdict)
+    kinds = [
+        {"kind": k.kind, "at": k.place, "effect": k.members[0].name if k.settled else None,
+         "probability": k.probability}
+        for k in found.kinds
+    ]  # fmt: skip
+    return {
+        "verdict": verdict,
+        "named": kinds if verdict == "named" else [],
+        "considered": [] if verdict == "named" else kinds,
+        "possible": sorted({_kind(name) for name in found.answer}),
+        "complete": found.complete,
+        "effects": [{"name": e.name, "at": e.site, "values": {v.name: v.value for v in e.parameters}}
+                    for e in found.effects],
+        "gap": [found.gap_before, found.gap_refitted, found.gap_after],
+        "seconds": round(seconds, 2),
+    }  # fmt: skip
+
+
+def _kind(effect: str) -> str:
+    from robustlab.dynamics.effects.kinds import KIND_OF
+
+    return KIND_OF[effect]
+
+
+def _answered(job: tuple[Path, str]) -> tuple[str, dict[str, Any]]:
+    folder, program = job
+    try:
+        return folder.name, robustlab(folder) if program == "robustlab" else regressed(folder, program)
+    except Exception:  # noqa: BLE001 - a lost case is an answer that is not right, and is told
+        return folder.name, {"verdict": "open", "complete": False, "failed": traceback.format_exc(limit=-3)}
+
+
+def answer(folder: Path, program: str, out: Path, minutes: float, workers: int) -> None:
+    """Let a program answer all cases that the file has no answer of."""
+    version = ""
+    if program == "robustlab":
+        from robustlab.provenance import library_versions
+
+        version = f" {library_versions()['robustlab']}"
+    done = read_answers(out)[1] if out.exists() else {}
+    jobs = [(path, program) for path in sorted((folder / "cases").iterdir()) if path.name not in done]
+    began = time.monotonic()
+    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=50) as pool:
+        for key, said in pool.imap_unordered(_answered, jobs):
+            done[key] = said
+            write_answers(out, program + version, done)
+            print(f"# {len(done)} {time.monotonic() - began:5.0f} s  {key}: {said['verdict']} "
+                  f"{[n['kind'] for n in said.get('named', [])]}", flush=True)  # fmt: skip
+            if time.monotonic() - began > 60 * minutes:
+                pool.terminate()
+                break
+
+
+def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: int) -> dict[str, float]:
+    """Case -> refit distance of truth and answer, of singles and pairs that are not right; kept beside the answers."""
+    from discover_distance import distance
+    from naming.composition import drawn
+
+    entries = {e.id: e for e in composition(seed)}
+    found = {}
+    for key, said in answers.items():
+        t = truth.get(key)
+        if t and t["condition"] in ("single", "pair") and not is_right(said, t) and "effects" in said:
+            told = [(e["name"], e["at"], e["values"]) for e in said["effects"]]
+            found[key] = distance(drawn(entries[key]), t["effects"], told)
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """The three commands."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    made = commands.add_parser("make", help="write the data set")
+    made.add_argument("folder", type=Path)
+    made.add_argument("--seed", type=int, default=SEED)
+    made.add_argument("--case", nargs="+", help="only these")
+    asked = commands.add_parser("answer", help="let a program answer")
+    asked.add_argument("folder", type=Path)
+    asked.add_argument("--program", choices=("robustlab", *PROGRAMS), default="robustlab")
+    asked.add_argument("--out", type=Path, required=True)
+    asked.add_argument("--minutes", type=float, default=float("inf"), help="begin no case after this time")
+    asked.add_argument("--workers", type=int, default=2, help="cases at the same time, one thread each")
+    judged = commands.add_parser("score", help="the table of all programs")
+    judged.add_argument("folder", type=Path)
+    judged.add_argument("answers", type=Path, nargs="+")
+    judged.add_argument("--answered", action="store_true", help="only the cases that all programs answered")
+    given = parser.parse_args(argv)
+    if given.command == "make":
+        print(f"{len(make(given.folder, given.seed, set(given.case) if given.case else None))} cases in {given.folder}")
+    elif given.command == "answer":
+        answer(given.folder, given.program, given.out, given.minutes, given.workers)
+    else:
+        _score(given.folder, given.answers, given.answered)
+
+
+def _score(folder: Path, files: Sequence[Path], answered: bool) -> None:
+    data = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    truth, read = data["cases"], [read_answers(path) for path in files]
+    if answered:
+        truth = {key: t for key, t in truth.items() if all(key in answers for _, answers in read)}
+    programs = {name: (answers, apart(folder, truth, answers, data["seed"])) for name, answers in read}
+    print(f"{len(truth)} cases, seed {data['seed']}")
+    print(table(truth, programs))
+
+
+if __name__ == "__main__":
+    main()
