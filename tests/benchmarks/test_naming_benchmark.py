@@ -1,0 +1,170 @@
+"""The open benchmark of naming: its cases follow from the seed, and its scorer judges by hand-made answers."""
+
+import json
+from dataclasses import replace
+
+import h5py
+import naming_benchmark
+import numpy as np
+import pytest
+from hidden import FAMILIES
+from naming.answers import SCHEMA, read_answers
+from naming.composition import accepted, composition, drawn
+from naming.dataset import digest, make
+from naming.regression import answer
+from naming.scoring import is_right, score, table
+
+import robustlab as rl
+
+
+def entry(family, condition, *effects):
+    own = next(e for e in composition(1) if (e.family, e.condition) == (family, condition))
+    return replace(own, effects=effects)
+
+
+def test_every_class_of_every_family_is_there_once_and_the_seed_says_all():
+    cases = composition(5)
+    assert cases == composition(5) != composition(6)
+    assert len(cases) == 308
+    assert [c.id for c in cases] == [f"{k:04d}" for k in range(1, 309)]
+    for name, family in FAMILIES.items():
+        own = [c.effects[0] for c in cases if (c.family, c.condition) == (name, "single")]
+        assert sorted(own) == sorted(family.classes)
+    counts = {c: sum(e.condition == c for e in cases) for c in ("pair", "nothing", "outside", "poor")}
+    assert counts == {"pair": 48, "nothing": 30, "outside": 24, "poor": 30}
+
+
+def test_a_data_set_is_the_same_files_twice_and_holds_what_was_measured(tmp_path):
+    ids = {"0002", "0005"}
+    first, second = (make(tmp_path / name, 3, ids) for name in ("a", "b"))
+    assert first == second
+    for a in (tmp_path / "a").rglob("*.*"):
+        assert a.read_bytes() == (tmp_path / "b" / a.relative_to(tmp_path / "a")).read_bytes()
+    case = drawn(next(e for e in composition(3) if e.id == "0002"))
+    assert first["0002"] == digest(case)
+    folder = tmp_path / "a" / "cases" / "0002"
+    plant = rl.load(folder / "model.h5")
+    assert {n: (p.value, p.tolerance) for n, p in plant.parameters.items()} == {
+        n: (p.value, p.tolerance) for n, p in case.plant.parameters.items()
+    }
+    for name, record in (("record", case.record), ("held_out", case.held_out)):
+        read = rl.Record.read(folder / "records.h5", name, [s.name for s in plant.inputs])
+        assert read.units == record.units
+        for signal in (*record.inputs, *record.outputs):
+            np.testing.assert_array_equal(read[signal], record[signal])
+    with h5py.File(folder / "records.h5") as file:  # nothing of what is hidden is in what a program reads
+        assert sorted(file) == ["held_out", "record"]
+    assert b"truth" not in (folder / "model.h5").read_bytes()
+
+
+def test_the_sets_of_kinds_that_are_right():
+    motor = ("motor", "single")
+    assert accepted(entry(*motor, "coulomb-friction")) == [["dry-friction"]]
+    assert accepted(entry(*motor, "asymmetric-coulomb-friction")) == [["dry-friction"], ["dry-friction", "load"]]
+    assert accepted(entry("motor", "pair", "coulomb-friction", "constant-load")) == [["dry-friction", "load"]]
+    assert accepted(entry("oscillator", "single", "sensor-bias")) == [["load"], ["sensor-error"]]
+    assert accepted(entry("oscillator", "single", "constant-load")) == [["load"], ["sensor-error"]]
+    assert accepted(entry("motor", "nothing")) == [[]]
+    assert accepted(entry("motor", "outside", "telegraph-load")) == []
+
+
+def said(verdict, *kinds, possible=(), complete=True, **more):
+    return {
+        "verdict": verdict, "named": [{"kind": k} for k in kinds], "possible": list(possible), "complete": complete
+    } | more  # fmt: skip
+
+
+DRY = {"condition": "single", "family": "motor", "kinds": [["dry-friction"]], "effects": ["coulomb-friction"]}
+PAIR = {"condition": "pair", "family": "motor", "kinds": [["dry-friction", "load"]], "effects": []}
+NOTHING = {"condition": "nothing", "family": "motor", "kinds": [[]], "effects": []}
+OUTSIDE = {"condition": "outside", "family": "motor", "kinds": [], "effects": ["telegraph-load"]}
+
+
+@pytest.mark.parametrize(
+    ("answer", "truth", "right"),
+    [
+        (said("named", "dry-friction"), DRY, True),
+        (said("named", "resisting-force"), DRY, True),  # a level above, below the root
+        (said("named", "force"), DRY, False),  # says nothing
+        (said("named", "speed-friction"), DRY, False),
+        (said("named", "dry-friction", "load"), DRY, False),  # a third one
+        (said("open", possible=["dry-friction"]), DRY, False),
+        (said("named", "load", "dry-friction"), PAIR, True),
+        (said("named", "dry-friction", "dry-friction"), PAIR, False),
+        (said("named", "dry-friction"), PAIR, False),
+        (said("nothing"), NOTHING, True),
+        (said("named", "load"), NOTHING, False),
+        (said("unknown"), NOTHING, False),
+        (said("unknown"), OUTSIDE, True),
+        (said("named", "load", complete=False), OUTSIDE, True),
+        (said("named", "load"), OUTSIDE, False),
+        (said("nothing"), OUTSIDE, False),
+    ],
+)
+def test_what_is_right(answer, truth, right):
+    assert is_right(answer, truth) is right
+
+
+def test_the_table_counts_what_it_says():
+    truth = {"1": DRY, "2": DRY, "3": DRY, "4": PAIR, "5": NOTHING, "6": OUTSIDE}
+    answers = {
+        "1": {**said("named", "dry-friction", seconds=2.0), "named": [{"kind": "dry-friction", "probability": 0.99}]},
+        "2": said("named", "load", seconds=4.0),
+        "3": said("open", possible=["load", "dry-friction"], seconds=6.0),
+        "5": said("named", "load"),
+        "6": said("named", "load"),
+    }  # the pair has no answer
+    rows = dict(score(truth, answers, {"2": 1.5, "3": 12.0}))
+    assert rows["singles: right"] == "1/3"
+    assert rows["singles that the records can tell: right"] == "1/2"
+    assert rows["singles: right, or open with the truth in the answer"] == "2/3"
+    assert rows["singles: sure and wrong"] == "1/3"
+    assert rows["pairs: both, and no third"] == "0/1"
+    assert rows["nothing missing: said so"] == "0/1"
+    assert rows["nothing missing: a name all the same"] == "1/1"
+    assert rows["outside the catalogue: unknown, or something remains"] == "0/1"
+    assert rows["kinds stated at 0.95 to 1, on average: in the machine"] == "0.99: 1/1"
+    assert rows["CPU s a case: median, at 95 %"] == "4, 5.8"
+    assert "mine" in table(truth, {"mine": (answers, {})}).splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"verdict": "sure"}, "verdict 'sure'"),
+        ({"verdict": "named", "named": [{"kind": "friction"}]}, "kind 'friction'"),
+        ({"verdict": "named"}, "with 0 names"),
+        ({"verdict": "nothing", "named": [{"kind": "load"}]}, "with 1 names"),
+    ],
+)
+def test_an_answer_that_cannot_be_judged_is_refused(tmp_path, change, told):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"schema": SCHEMA, "program": "x", "answers": {"0001": change}}))
+    with pytest.raises(ValueError, match=told) as refused:
+        read_answers(path)
+    assert "0001" in str(refused.value)
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="schema None"):
+        read_answers(path)
+
+
+def test_the_regression_finds_what_is_large_and_linear_in_its_terms(tmp_path):
+    """A cubic spring of an oscillator is a force of the position, whatever else is named beside it."""
+    from naming.dataset import _write
+
+    _write(tmp_path / "c", drawn(entry("oscillator", "single", "cubic-stiffness")))
+    found = answer(tmp_path / "c", "stepwise")
+    assert found["verdict"] == "named"
+    assert "spring" in [one["kind"] for one in found["named"]]
+
+
+def test_the_commands_from_making_to_the_table(tmp_path, capsys, monkeypatch):
+    folder, out = tmp_path / "set", tmp_path / "stepwise.json"
+    naming_benchmark.main(["make", str(folder), "--case", "0001", "0003"])
+    naming_benchmark.main(["answer", str(folder), "--program", "stepwise", "--out", str(out), "--workers", "1"])
+    assert set(read_answers(out)[1]) == {"0001", "0003"}
+    naming_benchmark.main(["score", str(folder), str(out)])
+    printed = capsys.readouterr().out
+    assert "2 cases in" in printed
+    assert "singles: right" in printed
+    assert "stepwise" in printed
