@@ -1,6 +1,7 @@
-"""``robustlab explain``: the paragraph on a status, a verdict, an exit code or an effect.
+"""``robustlab explain``: the paragraph on a status, a verdict, an exit code, a kind of effects or an effect.
 
-The words are those of ``words.md`` beside this module, which the documentation shows, too; effects explain themselves.
+The words are those of ``words.md`` beside this module, which the documentation shows, too; kinds and effects explain
+themselves.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ def explained() -> dict[str, str]:
 def explain(
     word: Annotated[
         str | None,
-        typer.Argument(help="A status, a verdict, an exit code (4, or 'exit code 4'), or the id of an effect."),
+        typer.Argument(help="A status, a verdict, an exit code (4, or 'exit code 4'), the id of a kind or an effect."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a status, a verdict, an exit code or an effect means.
+    """Say what a status, a verdict, an exit code, a kind of effects or an effect means.
 
     Example: robustlab explain inconclusive
     """
@@ -48,14 +49,32 @@ def explain(
         raise UsageError("robustlab explain", "WORD is missing", "one of these, or an effect", hint, lines)
     asked = " ".join(word.lower().replace("_", " ").split())
     asked = f"exit code {asked}" if asked.isdigit() else asked
-    found = words.get(asked) or _effect(asked.replace(" ", "-"))
+    name = asked.replace(" ", "-")
+    found = words.get(asked) or _kind(name) or _effect(name)
     if found is None:
         from robustlab.dynamics.effects.catalogue import catalogue
+        from robustlab.dynamics.effects.kinds import KINDS
 
-        known = [*words, *catalogue()]
+        known = [*words, *KINDS, *catalogue()]
         hint = did_you_mean(asked, known) or "robustlab explain lists the words"
-        raise UsageError("robustlab explain", f"{word!r}", "a status, a verdict, an exit code or an effect", hint)
+        expected = "a status, a verdict, an exit code, a kind or an effect"
+        raise UsageError("robustlab explain", f"{word!r}", expected, hint)
     emit("explain", {"word": asked, "meaning": found}, "\n".join(_lines(found)), as_json)
+
+
+def _kind(name: str) -> str | None:
+    """What the tree of kinds says of one of its nodes."""
+    from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
+
+    kind = KINDS.get(name)
+    if kind is None:
+        return None
+    members = [effect for effect, own in KIND_OF.items() if name in [k.id for k in upwards(own)]]
+    wider = f", a part of: {KINDS[kind.wider].title}" if kind.wider else ""
+    said = [f"A kind of effects: {kind.title}{wider}.", f"Its members: {', '.join(members)}."]
+    if kind.quantities:
+        said.append(f"All can be asked for: {'; '.join(f'{q} ({MEANINGS[q]})' for q in kind.quantities)}.")
+    return " ".join([*said, f"What tells them apart: {kind.form}."] if kind.form else said)
 
 
 def _effect(name: str) -> str | None:
@@ -70,4 +89,4 @@ def _effect(name: str) -> str | None:
 
 
 def _lines(text: str) -> list[str]:
-    return textwrap.wrap(text, 96)
+    return textwrap.wrap(text, 96, break_on_hyphens=False)

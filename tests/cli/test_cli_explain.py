@@ -11,6 +11,7 @@ from robustlab.cli.ending import main_guard
 from robustlab.cli.explain import explained
 from robustlab.cli.main import run
 from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, upwards
 from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber, UsageError
 from robustlab.identification.naming.discovery_result import Verdict
 from robustlab.result import Status
@@ -57,3 +58,15 @@ def test_robustlab_alone_says_five_things_to_do_first(capsys):
     assert (code, len(commands)) == (2, 5)
     for first, *_ in commands:
         assert told(capsys, first, "--help")[0] == 0
+
+
+def test_every_kind_says_its_members_and_what_they_can_be_asked_for(capsys):
+    for name, kind in KINDS.items():
+        code, out, _ = told(capsys, "explain", name)
+        assert code == 0
+        text = " ".join(out.split())
+        assert kind.title in text
+        assert all(q in text for q in kind.quantities)
+        own = {effect for effect, narrow in KIND_OF.items() if name in [k.id for k in upwards(narrow)]}
+        assert own <= set(text.replace(",", " ").replace(".", " ").split())
+    assert told(capsys, "explain", "dry friction")[0] == 0
