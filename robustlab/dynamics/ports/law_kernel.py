@@ -11,8 +11,8 @@ along that motion add; of a linear one there is one row, and c = 0.
 Each law answers with a force that fits the motion *at the end of the step that this very force brings about*: it is
 given the motion at the port without it, ``q, v``, and the port's compliance ``gq = p^T Gamma, gv = c^T Gamma``, so that
 the motion with it is ``q + gq f, v + gv f``. A set-valued law (dry friction, a contact) solves its own inclusion in
-closed form: Coulomb's law sticks with the velocity exactly zero. Several laws are swept (Gauss-Seidel) until they
-agree.
+closed form: Coulomb's law sticks with the velocity exactly zero. Several laws are swept (Gauss-Seidel, relaxed after
+Aitken where they approach each other slowly) until they agree.
 
 That is second order in h. Every step is done at once and in two halves, and the states are extrapolated
 (Richardson): :math:`x = x_{h/2} + (x_{h/2} - x_h) / 3`, fourth order where the forces are smooth. A step too long
@@ -28,7 +28,8 @@ the files that use it.
 References
 ----------
 Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), chapters 9 and 10 (time stepping);
-Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation).
+Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation); Irons, Tuck,
+*A version of the Aitken accelerator for computer iteration* (1969).
 """
 
 # pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false, reportCallIssue=false
@@ -51,6 +52,9 @@ N_SEEN = 8
 NUMBERS = types.CPointer(types.float64)  # handing over arrays would count their references at every call
 LAW_SIGNATURE = types.float64(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
 SWEEPS = 100
+RELAXED_FROM, RELAXED_TO = 4, 60  # sweeps that are relaxed
+LEAST_RELAXED, MOST_RELAXED = 0.1, 100.0
+SLOW = 0.1  # share of its square that the last change has left, from which the sweeps are relaxed
 AGREED = 1e-9  # relative to the largest force of the step
 UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ where the step is too long for the law
 
@@ -173,6 +177,7 @@ def step_windows(  # type: ignore[no-untyped-def]
     row_p, row_z = np.uintp(8 * parameters.shape[1]), np.uintp(8 * n_z)
     q0, v0, q_free, v_free = np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws)
     q_asked, v_asked = np.zeros(n_laws), np.zeros(n_laws)
+    f_before, moved = np.zeros(n_laws), np.zeros(n_laws)  # forces before a sweep; by what the one before moved them
     gq, gv = np.zeros((3, n_laws, n_laws)), np.zeros((3, n_laws, n_laws))  # what force k does to the motion at port j
     moving = drift.shape[1] > 0
     rows = (length * sub + stride - 1) // stride  # of the table a window
@@ -226,9 +231,12 @@ def step_windows(  # type: ignore[no-untyped-def]
                     seen[STEP] = h if part == 0 else 0.5 * h
                     seen[TIME] = t0 + (row + 0.5 if part == 2 else row) * h
                     least = -1.0  # of a motion at a port for its law to be asked again
-                    for _sweep in range(sweeps):
+                    relaxed = 1.0
+                    for sweep in range(sweeps):
                         change = 0.0
                         largest = 0.0
+                        for j in range(n_laws):
+                            f_before[j] = f[part, j]
                         for j in range(n_laws):
                             a, b = q_free[j], v_free[j]
                             for other in range(n_laws):
@@ -257,8 +265,11 @@ def step_windows(  # type: ignore[no-untyped-def]
                             largest = max(largest, abs(force) * compliance)
                             f[part, j] = force
                         least = AGREED * largest
-                        if change <= least:
+                        if change <= least or sweeps == 1:
                             break
+                        relaxed = _relaxed(f[part], f_before, moved, relaxed, sweep)
+                        if relaxed != 1.0:
+                            least = -1.0  # no force is a law's answer now: all are asked
                     for j in range(n_laws):
                         for i in range(n):
                             x[end, i] += gamma_f[part, at, j, i] * f[part, j]
@@ -278,6 +289,29 @@ def step_windows(  # type: ignore[no-untyped-def]
                     half = 0.5 * (f[1, j] + f[2, j])
                     f[0, j] = half + weight * (half - f[0, j])
                     mean[j] += f[0, j] / sub
+
+
+@nb.njit(cache=True, nogil=True)
+def _relaxed(f, before, moved, relaxed, sweep):  # type: ignore[no-untyped-def]
+    """Forces f further along the way that a sweep moved them (Aitken's relaxation of Irons and Tuck), and how far.
+
+    Two stiff laws at one port give way to each other by little in a sweep, always in one direction. The first sweeps
+    and the last ones stay as they are: those mostly suffice, and these end what the relaxation does not.
+    """
+    along, apart, now, last = 0.0, 0.0, 0.0, 0.0
+    for j in range(len(f)):
+        step = f[j] - before[j]
+        along += moved[j] * (step - moved[j])
+        apart += (step - moved[j]) ** 2
+        now += step * step
+        last += moved[j] * moved[j]
+        moved[j] = step
+    if not RELAXED_FROM <= sweep < RELAXED_TO or now < SLOW * last or apart == 0.0:
+        return 1.0
+    relaxed = min(max(-relaxed * along / apart, LEAST_RELAXED), MOST_RELAXED)
+    for j in range(len(f)):
+        f[j] = before[j] + relaxed * moved[j]
+    return relaxed
 
 
 @nb.njit(cache=True, nogil=True)

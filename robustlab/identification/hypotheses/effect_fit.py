@@ -160,6 +160,22 @@ class FitPlan:
     ceiling: float = np.inf
 
 
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Normal prior of the standardised parameters: mean (n,) and precision, the inverse of the covariance, (n, n)."""
+
+    mean: Array
+    precision: Array
+
+    def cost(self, z: Array) -> float:
+        """Its share of V."""
+        return float((z - self.mean) @ self.precision @ (z - self.mean))
+
+    def gradient(self, z: Array) -> Array:
+        """Of its share of V / 2."""
+        return self.precision @ (z - self.mean)
+
+
 class Problem:
     """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows.
 
@@ -379,14 +395,17 @@ class Problem:
         starts: Sequence[Array] | None = None,
         plan: FitPlan = FitPlan(),
         borrowed: Sequence[tuple[Array, Array]] | None = None,
+        prior: Prior | None = None,
     ) -> Fit:
         """Levenberg-Marquardt from z.
 
         ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from elsewhere
-        (`derivatives`) to save their simulations in a first look.
+        (`derivatives`) to save their simulations in a first look. ``prior``: of the standardised parameters; what other
+        data told of them. The standard normal one where left out.
         """
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
+        own = Prior(np.zeros(len(z)), np.eye(len(z))) if prior is None else prior
         n_x = len(self.plant.states)
         xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
         simulators = self.simulators(hypothesis)
@@ -394,8 +413,8 @@ class Problem:
         quick = self.quick(hypothesis) if forced else simulators
         damping, count, rounds = self.tuning.damping, 0, plan.iterations
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
-        cost = _total(residual, xi, z)
-        hessian = np.eye(len(z))
+        cost = _total(residual, xi) + own.cost(z)
+        hessian = own.precision
         parts: list[Linearised] = []
         while rounds > 0 or not plan.draft:
             parts = [
@@ -405,21 +424,21 @@ class Problem:
                 for k in range(len(xi))
             ]
             count += 1
-            hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
-            fall = self._expected(z, xi, parts, fixed)
+            hessian = own.precision + sum(p.reduced(0.0).hessian for p in parts)
+            fall = self._expected(own.gradient(z), hessian, parts, fixed)
             if rounds <= 0 or fall < tolerance or (count > 1 and cost - self.tuning.hope * fall > plan.ceiling):
                 break
             improved = 0.0
             for _ in range(self.tuning.tries):
-                dz, dxi = self._step(z, xi, parts, damping, fixed)
+                dz, dxi = self._step(z, own, parts, damping, fixed)
                 if not fixed and not borrowed:
-                    bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping)
+                    bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there, moved = self._within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
                 trial, found = residual, np.inf
                 for near in (z, None) if isinstance(self.plant, NonlinearPlant) else (None,):  # first at little cost
                     trial = self.whitened(self.errors(hypothesis, there, moved, simulators, near), noise)
-                    found = _total(trial, moved, there)
+                    found = _total(trial, moved) + own.cost(there)
                     if not found < cost:
                         break
                 if found < cost:
@@ -436,14 +455,13 @@ class Problem:
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
 
     @staticmethod
-    def _expected(z: Array, xi: Sequence[Array], parts: Sequence[Linearised], fixed: bool) -> float:
-        """By how much V would fall in an undamped step, were the errors linear."""
+    def _expected(slope: Array, hessian: Array, parts: Sequence[Linearised], fixed: bool) -> float:
+        """By how much V would fall in an undamped step, were the errors linear; ``slope`` of the prior."""
         reduced = [p.reduced(0.0) for p in parts]
         fall = sum(float(np.sum(p.xr * r.offset)) for p, r in zip(parts, reduced, strict=True))
         if fixed:
             return fall
-        gradient = z + sum(r.gradient for r in reduced)
-        hessian = np.eye(len(z)) + sum(r.hessian for r in reduced)
+        gradient = slope + sum(r.gradient for r in reduced)
         try:
             return fall + float(gradient @ np.linalg.solve(hessian, gradient))
         except np.linalg.LinAlgError:  # so little noise that the prior is lost in rounding
@@ -453,13 +471,14 @@ class Problem:
         return np.clip(z, -self.tuning.farthest, self.tuning.farthest)
 
     def _step(
-        self, z: Array, xi: Sequence[Array], parts: Sequence[Linearised], damping: float, fixed: bool
+        self, z: Array, prior: Prior, parts: Sequence[Linearised], damping: float, fixed: bool
     ) -> tuple[Array, list[Array]]:
         """The damped step of the parameters and of the window starts."""
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:
-            dz = -np.linalg.solve(damped(reduced, parts, damping), z + sum(r.gradient for r in reduced))
+            equations = damped(reduced, parts, damping, prior.precision)
+            dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
             dz = self._within(z + np.clip(dz, -self.tuning.longest_step, self.tuning.longest_step)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
@@ -474,6 +493,7 @@ class Problem:
         noise: NoiseModel,
         step: tuple[Array, list[Array]],
         damping: float,
+        prior: Prior,
     ) -> tuple[Array, Sequence[Array]]:
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
@@ -485,7 +505,8 @@ class Problem:
         ]
         reduced = [p.reduced(damping) for p in curved]
         gradient = sum((r.gradient for r in reduced), np.zeros_like(z))
-        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(damped(reduced, parts, damping), gradient), dtype=float)
+        equations = damped(reduced, parts, damping, prior.precision)
+        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(equations, gradient), dtype=float)
         bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
         straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
@@ -544,9 +565,8 @@ def _whiten(errors: Array, noise: NoiseModel) -> Array:
     return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
 
 
-def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
-    squares = sum(float((r**2).sum()) for r in residual) + sum(float((x**2).sum()) for x in xi)
-    return squares + float(z @ z)
+def _total(residual: Sequence[Array], xi: Sequence[Array]) -> float:
+    return sum(float((r**2).sum()) for r in residual) + sum(float((x**2).sum()) for x in xi)
 
 
 def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:

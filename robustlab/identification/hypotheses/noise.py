@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from robustlab.arrays import Array
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, NoiseModel, Prior, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
 
@@ -92,6 +92,23 @@ def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
 
 
+def predictive(held: Problem, fit: Fit, noise: NoiseModel) -> float:
+    r"""Log-likelihood of other windows given those that were fitted, up to a constant common to all hypotheses.
+
+    .. math:: \log p(y_h | y_f) = -\tfrac12 \min_{z, \xi} \bigl(V_h + (z - \hat z)^T H (z - \hat z)\bigr)
+        - \tfrac12 \log\det(H + H_h) + \tfrac12 \log\det H
+
+    with :math:`\hat z`, H of the fit: its parameters are known as well as it tells them, and no better. Another motion
+    may be far more sensitive to them than the one that was fitted; at the fitted values alone a set that is right would
+    then be further away than what bends itself to that motion.
+    """
+    told = Prior(fit.z, fit.hessian)
+    placed = held_out_fit(held, fit, noise)
+    there = held.fit(fit.hypothesis, noise, fit.z, placed.starts, FitPlan(PREDICTED, 0.5), prior=told)
+    before, after = (float(np.linalg.slogdet(h)[1]) for h in (fit.hessian, there.hessian))
+    return -0.5 * (there.cost + after - before)
+
+
 def window_errors(problem: Problem, fit: Fit) -> Array:
     """Mean square of the errors of each chosen window over all outputs, shares of their measured ranges; (n_windows,).
 
@@ -164,6 +181,7 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     return found
 
 
+PREDICTED = 4  # iterations of a fit to windows of which the parameters are known already
 PHASES = 8  # looked at before the best one is made finer
 PRICE = float(np.log(2 * PHASES))  # in log evidence, of a phase that was looked for in data to be judged on
 

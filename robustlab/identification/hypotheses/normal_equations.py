@@ -86,10 +86,11 @@ class Linearised:
         return Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
 
 
-def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float) -> Array:
-    """Hessian of V / 2 over z with the prior and the damping."""
-    hessian = sum((r.hessian for r in reduced), np.eye(len(parts[0].jr)))
-    hessian[np.diag_indices(len(hessian))] += damping * (1.0 + sum(p.diagonal for p in parts))
+def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float, precision: Array) -> Array:
+    """Hessian of V / 2 over z with the precision of the prior and the damping."""
+    hessian = precision + sum(r.hessian for r in reduced)
+    own = np.diag(precision) + sum(p.diagonal for p in parts)
+    hessian[np.diag_indices(len(hessian))] += damping * own
     return hessian
 
 

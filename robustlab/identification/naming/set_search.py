@@ -5,8 +5,8 @@ A hypothesis is a set S of effects at their places. With the chain rule
 .. math:: \log p(S | y) = \log p(y_f | S) + \log p(y_h | y_f, S) + \log p(S) + \text{const}
 
 the first term is Laplace's evidence of the fitted windows, the second the likelihood of the held-out ones with the
-parameters as fitted, the third the prior: a constant for each effect, less for a refinement of another effect, and for
-a ripple divided among all periods that were looked through.
+parameters as well known as the fit tells them, the third the prior: a constant for each effect, less for a refinement
+of another effect, and for a ripple divided among all periods that were looked through.
 
 From the empty set on the most probable set that was not looked at yet is expanded by one effect, all promising ones
 fitted. When nothing that is added to the best set makes it more probable, each of its effects (and, of three, each two)
@@ -44,10 +44,10 @@ from robustlab.identification.hypotheses.effect_fit import (
 from robustlab.identification.hypotheses.noise import (
     careful,
     first_noise,
-    held_out_fit,
     in_phase,
     least_squares,
     noise_ratio,
+    predictive,
     whitening,
 )
 from robustlab.identification.hypotheses.nuisance import Nuisance
@@ -104,7 +104,7 @@ class Visited:
 
     fit: Fit  # under the noise model of the search
     prior: float  # log prior of the set
-    held_out: float  # log-likelihood of the held-out windows, parameters as fitted, up to a constant common to all sets
+    held_out: float  # log-likelihood of the held-out windows given the fitted ones, up to a constant common to all sets
     # false where it may not be the answer: a parameter within its tolerance, a ripple of which too little is seen
     allowed: bool
 
@@ -294,8 +294,8 @@ class _Search:
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
 
     def _explains(self, told: Visited) -> bool:
-        """Whether a set leaves a nonlinear plant no more than noise: then no other beginning can lead further."""
-        if not isinstance(self.problem.plant, NonlinearPlant) or not self.sharpened:
+        """Whether a set leaves no more than noise: then no other beginning can lead further."""
+        if not self.sharpened:
             return False
         if told.fit not in self.explained:
             try:
@@ -459,11 +459,10 @@ class _Search:
 
     def _judged(self, fit: Fit) -> Visited:
         held, price = in_phase(self.held, fit, self.problem.records)
-        judged = held_out_fit(held, fit, self.noise)
         return Visited(
             fit,
             log_prior(fit.hypothesis, self.tuning),
-            -0.5 * (judged.cost - float(fit.z @ fit.z)) - price,
+            predictive(held, fit, self.noise) - price,
             self.allowed(self.problem, fit),
         )
 
