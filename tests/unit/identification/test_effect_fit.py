@@ -44,7 +44,7 @@ def problem_of(record, plant=AXIS, length=100, tolerances=None) -> tuple[Problem
 
 def cost(problem, hypothesis, noise, z, starts):
     """V at a point."""
-    return _total(problem.whitened(problem.errors(hypothesis, z, starts), noise), starts, z)
+    return _total(problem.whitened(problem.errors(hypothesis, z, starts), noise), starts) + float(z @ z)
 
 
 def noisy(record, seed=0, share=1e-3):

@@ -22,11 +22,12 @@ from naming_cases import (
     usual,
     values,
 )
+from scipy.linalg import block_diag
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
-from robustlab.identification.hypotheses.noise import noise_ratio
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, noise_ratio, predictive
 from robustlab.identification.naming import first_look
 from robustlab.identification.naming import set_search as module
 from robustlab.identification.naming.set_search import Key, log_prior, search_sets
@@ -120,18 +121,42 @@ def test_all_sets_are_judged_under_one_noise_and_in_the_order_of_their_evidence(
 
 
 def test_the_held_out_likelihood_is_that_of_the_dense_gaussian():
+    """Windows and parameters jointly normal: the parameters as the fit left them, each window's start integrated out.
+
+    The determinant of the windows alone is common to all sets and left out.
+    """
     found = usual()
     fit, noise, held = found.empty.fit, found.noise, found.held
-    zero = np.zeros((len(held.chosen[0]), 2))
+    zero, n = np.zeros((len(held.chosen[0]), 2)), len(fit.z)
 
-    def residual(xi):
-        return held.whitened(held.errors(fit.hypothesis, fit.z, [xi]), noise)[0]
+    def residual(z, xi):
+        return held.whitened(held.errors(fit.hypothesis, z, [xi]), noise)[0]
 
-    r = residual(zero)
-    x = np.stack([residual(zero + e) - r for e in np.eye(2)], axis=2)
-    spread = np.eye(r.shape[1]) + x @ np.swapaxes(x, 1, 2)  # of a window's points, its start integrated out
-    expected = -0.5 * sum(a @ np.linalg.solve(s, a) for a, s in zip(r, spread, strict=True))
+    r = residual(fit.z, zero)
+    x = np.stack([residual(fit.z, zero + e) - r for e in np.eye(2)], axis=2)
+    j = np.stack([(residual(fit.z + 1e-3 * e, zero) - r) / 1e-3 for e in np.eye(n)], axis=2).reshape(-1, n)
+    windows = block_diag(*(np.eye(r.shape[1]) + x @ np.swapaxes(x, 1, 2)))
+    spread = windows + j @ np.linalg.solve(fit.hessian, j.T)
+    change = np.linalg.slogdet(spread)[1] - np.linalg.slogdet(windows)[1]
+    expected = -0.5 * (r.ravel() @ np.linalg.solve(spread, r.ravel()) + change)
     assert found.empty.held_out == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("friction", [0.0, 20.0])
+def test_fitted_and_held_out_windows_together_are_as_probable_as_one_after_the_other(friction):
+    """The chain rule: p(y_f) p(y_h | y_f) = p(y_f, y_h); at the fitted values alone it is not."""
+    fit_on, held, pool, _ = opened(machine(friction=friction))
+    own = Hypothesis((pool[FRICTION],) if friction else ())
+    z, noise = np.zeros(len(fit_on.nuisances) + len(own.candidates)), first_noise(fit_on)
+    fit_on = fit_on.on(fit_on.records, [c[::4] for c in fit_on.chosen])  # few: the parameters are not well known
+    fit = fit_on.fit(own, noise, z, plan=FitPlan(30, 1e-6))
+    both = fit_on.on([*fit_on.records, *held.records], [*fit_on.chosen, *held.chosen])
+    joint = both.fit(own, noise, fit.z, plan=FitPlan(30, 1e-6))
+    told = predictive(held, fit, noise)
+    assert told == pytest.approx(joint.evidence - fit.evidence, abs=0.5)
+    fixed = held_out_fit(held, fit, noise)
+    if friction:
+        assert told > -0.5 * (fixed.cost - float(fit.z @ fit.z)) + 0.5
 
 
 def test_the_prior_pays_for_each_effect_more_for_a_refinement_and_for_the_choice_of_a_period():
