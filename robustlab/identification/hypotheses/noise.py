@@ -92,6 +92,11 @@ def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
 
 
+def as_fitted(held: Problem, fit: Fit, noise: NoiseModel) -> float:
+    """Log-likelihood of other windows at the fitted parameters, up to a constant common to all hypotheses."""
+    return -0.5 * (held_out_fit(held, fit, noise).cost - float(fit.z @ fit.z))
+
+
 def predictive(held: Problem, fit: Fit, noise: NoiseModel) -> float:
     r"""Log-likelihood of other windows given those that were fitted, up to a constant common to all hypotheses.
 

@@ -5,8 +5,9 @@ A hypothesis is a set S of effects at their places. With the chain rule
 .. math:: \log p(S | y) = \log p(y_f | S) + \log p(y_h | y_f, S) + \log p(S) + \text{const}
 
 the first term is Laplace's evidence of the fitted windows, the second the likelihood of the held-out ones with the
-parameters as well known as the fit tells them, the third the prior: a constant for each effect, less for a refinement
-of another effect, and for a ripple divided among all periods that were looked through.
+parameters as well known as the fit tells them (of models far beyond the sensors' noise at the fitted values alone: what
+a wrong model says of its own accuracy is wrong, too), the third the prior: a constant for each effect, less for a
+refinement of another effect, and for a ripple divided among all periods that were looked through.
 
 From the empty set on the most probable set that was not looked at yet is expanded by one effect, all promising ones
 fitted. When nothing that is added to the best set makes it more probable, each of its effects (and, of three, each two)
@@ -42,6 +43,7 @@ from robustlab.identification.hypotheses.effect_fit import (
     refit_distance,
 )
 from robustlab.identification.hypotheses.noise import (
+    as_fitted,
     careful,
     first_noise,
     in_phase,
@@ -189,6 +191,7 @@ class _Search:
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     sharpened: bool = False
+    near: bool = False  # whether the leader leaves little beyond the sensors' noise
 
     @property
     def tuning(self) -> NamingTuning:
@@ -458,13 +461,11 @@ class _Search:
             self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
+        """What a set is worth; of a model that is far off nothing is granted for how well its fit says it knows."""
         held, price = in_phase(self.held, fit, self.problem.records)
-        return Visited(
-            fit,
-            log_prior(fit.hypothesis, self.tuning),
-            predictive(held, fit, self.noise) - price,
-            self.allowed(self.problem, fit),
-        )
+        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
+        allowed = self.allowed(self.problem, fit)
+        return Visited(fit, log_prior(fit.hypothesis, self.tuning), seen - price, allowed)
 
     def _white(self, fit: Fit) -> bool:
         """Whether a fit's errors are as large as its noise model says."""
@@ -501,8 +502,8 @@ class _Search:
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
-        near = noise_ratio(self.problem, fit) < self.tuning.beyond_noise
-        return careful(self.problem, fit, whitening(self.problem, fit, self.tuning.ar_order if near else 1))
+        self.near = noise_ratio(self.problem, fit) < self.tuning.beyond_noise
+        return careful(self.problem, fit, whitening(self.problem, fit, self.tuning.ar_order if self.near else 1))
 
     def _again(self, fit: Fit) -> Fit:
         """The set fitted under the present noise and clock, from where it stands."""
