@@ -142,7 +142,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     curves = stages.run("residual force", force.curves, None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
     unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
-    sure = stages.run("kinds", lambda: kinds.named(problem), ()) if judged.verdict != "unknown" else ()
+    sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
     model = stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
     findings = [*case.findings, *_search_findings(found), *stages.findings]

@@ -132,7 +132,7 @@ def _sure_words(d: Any) -> list[str]:
         return [e.title for e in d.effects]
     words: list[str] = []
     for kind in d.kinds:
-        sure = [m.title for m in kind.members if m.share >= SURE]
+        sure = [m.title for m in kind.members if m.share >= SURE and kind.settled]
         size = f" of {_sized(kind.values[0].value, kind.values[0].unit)}" if kind.values else ""
         words += sure or [f"{kind.title}{size}"]
     return list(dict.fromkeys(words))
@@ -141,7 +141,7 @@ def _sure_words(d: Any) -> list[str]:
 def kind_words(kind: NamedKind) -> str:
     """Probability and quantities of a kind whose form is not settled, and what it may be."""
     values = [f"{v.name} {with_interval(v)}" for v in kind.values]
-    return "; ".join([chance(kind.probability), *values, f"its form is not settled: {_shares(kind)}"])
+    return "; ".join([chance(kind.probability), *values, f"its form is {kind.open_form}: {_shares(kind)}"])
 
 
 def _shares(kind: NamedKind) -> str:
@@ -192,7 +192,7 @@ def _kind_lines(kind: NamedKind, details: bool) -> list[str]:
         return []
     lines = [f"  {kind.words[:1].upper()}{kind.words[1:]}: probability {chance(kind.probability)}", *rows]
     if not kind.settled:
-        lines.append(_row("  form", f"not settled: {_shares(kind)}"))
+        lines.append(_row("  form", f"{kind.open_form}: {_shares(kind)}"))
         lines.append(_row("", f"what tells: {kind.form}"))
     return lines
 

@@ -109,6 +109,8 @@ class NamedKind(Evidence):
         The effects that it may be, the most probable first.
     form
         How to tell the members apart, as an instruction.
+    misfit
+        Whether more than noise is left beside it: that may be what its best form differs from the true one by.
     """
 
     kind: str
@@ -118,6 +120,7 @@ class NamedKind(Evidence):
     values: tuple[EffectValue, ...]
     members: tuple[KindMember, ...]
     form: str
+    misfit: bool = False
 
     quantities: ClassVar[Mapping[str, Any]] = {"probability": "1"}
 
@@ -128,8 +131,15 @@ class NamedKind(Evidence):
 
     @property
     def settled(self) -> bool:
-        """Whether one member has 95 % of it."""
-        return bool(self.members) and self.members[0].share >= SURE
+        """Whether one member alone has 95 % of it, and nothing is left that another could be told by."""
+        return [m.share >= SURE for m in self.members if m.share > 1.0 - SURE] == [True] and not self.misfit
+
+    @property
+    def open_form(self) -> str:
+        """Why the form is not told: several members at once, a misfit beside it, or records that do not settle it."""
+        if sum(m.share >= SURE for m in self.members) > 1:
+            return "more than one at once"
+        return "not settled beside what remains" if self.misfit else "not settled"
 
 
 def wave_amplitude(values: Mapping[str, float]) -> float | None:

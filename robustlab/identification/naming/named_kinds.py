@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -122,13 +123,13 @@ class Kinds:
                     found.setdefault(c.key, c)
         return list(found.values())
 
-    def named(self, problem: Problem) -> tuple[NamedKind, ...]:
-        """What is sure, in the order of the best set's effects."""
+    def named(self, problem: Problem, remains: bool = False) -> tuple[NamedKind, ...]:
+        """What is sure, in the order of the best set's effects; whether more than noise ``remains`` beside it."""
         nodes = dict.fromkeys(
             node for entry in self.posterior.sets for c in entry.fit.hypothesis.candidates
             if c.key not in self.ignored and (node := self.told(c)) is not None
         )  # fmt: skip
-        return tuple(self._named(problem, *node) for node in nodes)
+        return tuple(replace(self._named(problem, *node), misfit=remains or self.coarse) for node in nodes)
 
     def _named(self, problem: Problem, kind: str, place: str) -> NamedKind:
         holding = [(w, own) for w in self.posterior.sets if (own := self._members(w, kind, place))]
