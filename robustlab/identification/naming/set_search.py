@@ -428,6 +428,19 @@ class _Search:
         self.expanded.add(key)
         self.expansions += 1
         self._from_children(key)
+        self._within_tolerance()
+
+    def _within_tolerance(self) -> None:
+        """Fit promising sets that may not be the answer without what forbids it: a parameter within its tolerance.
+
+        Beside dry friction a misjudged viscous one that stood for it goes back to its nominal value; the two together
+        are then no answer, and the dry friction alone would not have been asked.
+        """
+        for there in [v for v in self.visited.values() if not v.allowed and v.evidence > self.best.evidence]:
+            for candidate in there.fit.hypothesis.candidates:
+                less = there.key - {candidate.key}
+                if candidate.site.kind == "parameter" and less not in self.visited:
+                    self._without(there.fit, less)
 
     def _from_children(self, key: Key) -> None:
         """Fit a set once more from where its best extension stands.

@@ -98,6 +98,23 @@ def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(seen_lat
     assert found.settled
 
 
+def test_what_stood_for_an_effect_and_goes_back_to_its_tolerance_leaves_the_effect_alone():
+    """Dry friction beside a viscous one within its tolerance is no answer; it alone is asked, and is the best."""
+    fit_on, held, pool, allowed = opened(machine(friction=20.0))
+    viscous, n = "viscous-friction @ Fv", len(fit_on.nuisances)
+    with ThreadPoolExecutor(1) as workers:
+        search = module._Search(fit_on, held, list(pool.values()), allowed, quiet, workers)
+        search.noise = first_noise(fit_on)
+        for keys in ((), (viscous, FRICTION)):
+            own = tuple(pool[k] for k in keys)
+            z = np.concatenate([np.zeros(n), *(c.standardised(c.starts[0]) for c in own)])
+            search._visit(fit_on.fit(Hypothesis(own), search.noise, z, plan=FitPlan(20)))
+        assert not search.visited[Key({viscous, FRICTION})].allowed
+        search._within_tolerance()
+        assert search.best.key == {FRICTION}
+        assert search.visited[Key({FRICTION})].fit.cost < 1.1 * search.visited[Key({viscous, FRICTION})].fit.cost
+
+
 def test_a_fit_is_not_held_in_a_wrong_minimum_by_the_noise_that_was_taken_from_it():
     """Dry friction alone leaves errors like a random walk; under that noise a wrong pair would have the lower V."""
     found = searched(machine(friction=20.0, load=8.0), (FRICTION, LOAD))
