@@ -16,6 +16,7 @@ __all__ = ["CONDITIONS", "Entry", "accepted", "composition", "drawn"]
 CONDITIONS = ("single", "pair", "nothing", "outside", "poor")
 RICH = ("rich", "multisine", "square", "oneway", "steps")  # excitations under which nothing is missing
 POOR = ("square", "oneway")
+BOTH_WAYS = ("end-stop", "one-sided-spring")  # is where both records come to: two that go apart have no such place
 PAIRS, OUTSIDE, POOR_ONES = 8, 4, 5  # cases a family; singles: every class
 
 
@@ -52,7 +53,7 @@ def _of_family(family: Family, draw: random.Random) -> Iterator[tuple[str, str, 
     for name in draw.sample(family.outside, OUTSIDE):
         yield "outside", "rich", (name,)
     for k, name in enumerate(draw.sample(family.classes, POOR_ONES)):
-        yield "poor", POOR[k % len(POOR)], (name,)
+        yield "poor", "square" if name in BOTH_WAYS else POOR[k % len(POOR)], (name,)
 
 
 def drawn(entry: Entry) -> Any:
