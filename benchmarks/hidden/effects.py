@@ -16,7 +16,17 @@ import numpy as np
 from .machine import Array, Machine, Run, simulate
 from .plants import Setup
 
-__all__ = ["ALL_EFFECTS", "EFFECTS", "MOTOR_ONLY", "OUTSIDE_EFFECTS", "Hidden", "Setting", "Timeline", "hidden_effect"]
+__all__ = [
+    "ALL_EFFECTS",
+    "EFFECTS",
+    "MOTOR_ONLY",
+    "OUTSIDE_EFFECTS",
+    "Hidden",
+    "NothingInCommon",
+    "Setting",
+    "Timeline",
+    "hidden_effect",
+]
 
 Parameters = dict[str, float]
 
@@ -85,6 +95,10 @@ class Setting:
     @property
     def top_speed(self) -> float:
         return float(np.abs(self.free.omega).max())
+
+
+class NothingInCommon(ValueError):
+    """A machine whose two records cannot both show the effect: another seed draws another one."""
 
 
 Draw = Callable[[np.random.Generator, Setting], Parameters]
@@ -235,6 +249,8 @@ def _one_sided(r: np.random.Generator, s: Setting) -> Parameters:
     up, down = min(s.free.phi.max(), other.max()), min(-s.free.phi.min(), -other.min())
     side = 1.0 if up > down else -1.0
     far = float(max(up, down))
+    if not far > 0.0:
+        raise NothingInCommon("the two records go apart: there is no place that both come to")
     return {"side": side, "place": side * far * r.uniform(0.1, 0.4), "k": s.torque * r.uniform(15e-3, 40e-3) / far}
 
 
