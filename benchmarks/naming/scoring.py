@@ -1,7 +1,8 @@
 """What the answers of a program are worth, as a table: each share with its counts.
 
 An answer is *right* where its kinds are a set that is right, each kind the hidden effect's own or a wider one
-below the root (a force against the motion, for dry friction); *sure and wrong* where it is named and not right. *Open*
+below the root (a force against the motion, for dry friction); *sure and wrong* where it is named and not right, unless
+it says that something remains and all that it names is hidden. *Open*
 is fair where the truth is among what is possible. Without a name in the catalogue ("outside") an answer is right where
 it is "unknown", or says that something remains.
 """
@@ -26,15 +27,20 @@ def _covers(told: str, kind: str) -> bool:
     return told not in ROOTS and told in [k.id for k in upwards(kind)]
 
 
-def _matches(told: Sequence[str], kinds: Sequence[str]) -> bool:
-    """Whether the kinds told are those of a set, one for one."""
+def _within(told: Sequence[str], kinds: Sequence[str]) -> bool:
+    """Whether the kinds told are some of a set, one for one."""
     left = list(kinds)
     for kind in told:
         own = next((k for k in left if _covers(kind, k)), None)
         if own is None:
             return False
         left.remove(own)
-    return not left
+    return True
+
+
+def _matches(told: Sequence[str], kinds: Sequence[str]) -> bool:
+    """Whether the kinds told are those of a set, one for one."""
+    return len(told) == len(kinds) and _within(told, kinds)
 
 
 def is_right(said: Said, truth: Mapping[str, Any]) -> bool:
@@ -52,7 +58,11 @@ def _named(said: Said, truth: Mapping[str, Any]) -> bool:
 
 
 def _wrong(said: Said, truth: Mapping[str, Any]) -> bool:
-    return said["verdict"] == "named" and not is_right(said, truth)
+    """Named and not right; names that are all hidden, and the word that something remains, are neither."""
+    if said["verdict"] != "named" or is_right(said, truth):
+        return False
+    told = [one["kind"] for one in said["named"]]
+    return said.get("complete", True) or not any(_within(told, kinds) for kinds in truth["kinds"])
 
 
 def _possible(said: Said, truth: Mapping[str, Any]) -> bool:

@@ -105,6 +105,20 @@ def test_what_is_right(answer, truth, right):
     assert is_right(answer, truth) is right
 
 
+@pytest.mark.parametrize(
+    ("answer", "wrong"),
+    [
+        (said("named", "dry-friction", complete=False), "0/1"),  # one of two, and that there is more
+        (said("named", "dry-friction"), "1/1"),
+        (said("named", "spring", complete=False), "1/1"),
+        (said("named", "dry-friction", "load"), "0/1"),
+        (said("open", possible=["spring"]), "0/1"),
+    ],
+)
+def test_what_is_sure_and_wrong(answer, wrong):
+    assert dict(score({"1": PAIR}, {"1": answer}, {}))["pairs: sure and wrong"] == wrong
+
+
 def test_the_table_counts_what_it_says():
     truth = {"1": DRY, "2": DRY, "3": DRY, "4": PAIR, "5": NOTHING, "6": OUTSIDE}
     answers = {
