@@ -208,7 +208,6 @@ def _named(task: Task) -> Line:
     found, line = _discovered(case, [case.record])
     line |= {
         "status": "ok",
-        "truth": [e for e, _ in _hidden(task)],
         "intervals": [x for e in found.effects if (x := interval(e, case))],
     }
     try:

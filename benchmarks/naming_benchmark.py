@@ -93,7 +93,10 @@ def answer(folder: Path, program: str, out: Path, minutes: float, workers: int) 
 
 
 def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: int) -> dict[str, float]:
-    """Case -> refit distance of truth and answer, of singles and pairs that are not right; kept beside the answers."""
+    """Case -> refit distance of truth and answer, of singles and pairs that are answered by something else.
+
+    An answer that has all that is hidden, and more or none of it sure, is no case that the records cannot tell.
+    """
     from discover_distance import distance
     from naming.composition import drawn
 
@@ -101,7 +104,9 @@ def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: in
     found = {}
     for key, said in answers.items():
         t = truth.get(key)
-        if t and t["condition"] in ("single", "pair") and not is_right(said, t) and "effects" in said:
+        if not t or t["condition"] not in ("single", "pair") or is_right(said, t) or "effects" not in said:
+            continue
+        if not {*t["effects"]} <= {e["name"] for e in said["effects"]}:
             told = [(e["name"], e["at"], e["values"]) for e in said["effects"]]
             found[key] = distance(drawn(entries[key]), t["effects"], told)
     return found

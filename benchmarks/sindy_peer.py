@@ -9,10 +9,10 @@ angle alone.
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
+from naming.regression import thresholded
 from numpy.typing import NDArray
 
 __all__ = ["WINDOWS", "peer_names"]
@@ -23,7 +23,6 @@ WINDOWS = (9, 15, 21, 31, 41, 61)  # samples of the Savitzky-Golay filter
 ORDERS = (1, 2, 4, 13, 26)  # lines over the position
 GEAR = 9.37  # of friction that follows the turns of what is driven, as in the thesis' actuator
 STRIBECK = 10.0  # rad/s
-THRESHOLDS = np.geomspace(3e-3, 0.5, 14)
 EDGE, EVERY = 60, 5  # samples left out at the ends; thinning
 
 NAMES = {
@@ -68,29 +67,15 @@ def peer_names(case: Any) -> dict[str, list[str]]:
 
 def _shares(case: Any, window: int) -> tuple[dict[str, float], dict[str, float]]:
     """Torque of each chosen name; the wrong parameter, if any, apart."""
-    import pysindy as ps
-
     columns, target, nominal = _library(case, window)
     labels = list(columns)
     used = slice(EDGE, -EDGE, EVERY)
-    X, y = np.column_stack([columns[label] for label in labels])[used], target[used]
-    scale = np.array([1.0 if label == "1" else X[:, k].std() + 1e-12 for k, label in enumerate(labels)])
-    height = y.std() + 1e-300
-    best, chosen = np.inf, np.zeros(len(labels))
-    for threshold in THRESHOLDS:
-        optimizer = ps.STLSQ(threshold=threshold, alpha=1e-6, max_iter=30)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "all coefficients eliminated" is an answer here
-            optimizer.fit(X / scale, (y / height)[:, None])
-        c = np.asarray(optimizer.coef_).ravel()
-        rest = y / height - (X / scale) @ c
-        bic = len(rest) * np.log(np.mean(rest**2) + 1e-30) + np.count_nonzero(c) * np.log(len(rest))
-        if bic < best:
-            best, chosen = bic, c * height / scale
+    X = np.column_stack([columns[label] for label in labels])[used]
+    chosen = thresholded(labels, X, target[used])
     shares: dict[str, float] = {}
     for k, label in enumerate(labels):
         if chosen[k] and label in NAMES:
-            size = abs(chosen[k]) * (scale[k] if label != "1" else 1.0)
+            size = abs(chosen[k]) * (X[:, k].std() if label != "1" else 1.0)
             shares[NAMES[label]] = max(shares.get(NAMES[label], 0.0), float(size))
     return shares, _wrong_parameter(dict(zip(labels, chosen, strict=True)), columns, nominal)
 

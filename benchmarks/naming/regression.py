@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PROGRAMS", "answer"]
+__all__ = ["PROGRAMS", "answer", "thresholded"]
 
 Array = NDArray[np.float64]
 
@@ -197,12 +198,13 @@ def stepwise(problem: Problem) -> list[str]:
     return _worth(problem, chosen)
 
 
-def sindy(problem: Problem) -> list[str]:
-    """Sequentially thresholded least squares, its threshold by BIC."""
+def thresholded(labels: Sequence[str], x: Array, y: Array) -> Array:
+    """Coefficients (n_terms,) of sequentially thresholded least squares (PySINDy), the threshold chosen by BIC.
+
+    Of terms x (n, n_terms), a constant called "1" among them, for y (n,).
+    """
     import pysindy as ps
 
-    labels = list(problem.columns)
-    x, y = np.column_stack([problem.columns[label] for label in labels]), problem.target
     scale = np.array([1.0 if label == "1" else x[:, k].std() + 1e-12 for k, label in enumerate(labels)])
     height = y.std() + 1e-300
     best, chosen = np.inf, np.zeros(len(labels))
@@ -213,10 +215,17 @@ def sindy(problem: Problem) -> list[str]:
             optimizer.fit(x / scale, (y / height)[:, None])
         c = np.asarray(optimizer.coef_).ravel()
         rest = y / height - (x / scale) @ c
-        bic = len(rest) * np.log(np.mean(rest**2) + 1e-300) + np.count_nonzero(c) * np.log(len(rest))
+        bic = len(rest) * np.log(np.mean(rest**2) + 1e-30) + np.count_nonzero(c) * np.log(len(rest))
         if bic < best:
-            best, chosen = float(bic), c
-    return _worth(problem, [label for label, c in zip(labels, chosen, strict=True) if c])
+            best, chosen = float(bic), c * height / scale
+    return chosen
+
+
+def sindy(problem: Problem) -> list[str]:
+    """The terms that thresholded least squares keeps."""
+    labels = list(problem.columns)
+    c = thresholded(labels, np.column_stack(list(problem.columns.values())), problem.target)
+    return _worth(problem, [label for label, value in zip(labels, c, strict=True) if value])
 
 
 PROGRAMS = {"stepwise": stepwise, "sindy": sindy}

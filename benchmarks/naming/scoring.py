@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from discover_distance import RESOLVABLE
 
 from robustlab.dynamics.effects.kinds import upwards
 
@@ -90,7 +91,7 @@ def score(truth: Mapping[str, Any], answers: Mapping[str, Said], resolvable: Map
         return f"{sum(hits)}/{len(hits)}" if hits else "-"
 
     def told(key: str) -> bool:
-        return not resolvable.get(key, np.inf) < 3.0
+        return not resolvable.get(key, np.inf) < RESOLVABLE
 
     rows = [
         ("singles: right", share(is_right, "single")),

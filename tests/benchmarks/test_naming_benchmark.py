@@ -142,6 +142,22 @@ def test_the_table_counts_what_it_says():
     assert "mine" in table(truth, {"mine": (answers, {})}).splitlines()[0]
 
 
+def test_only_another_explanation_is_one_that_the_records_cannot_tell(monkeypatch, tmp_path):
+    """What holds all that is hidden can be refitted to it whatever else it names: its distance would excuse it."""
+    monkeypatch.setattr("discover_distance.distance", lambda case, truth, told: 1.0)
+    own = {e.id: e for e in composition(1) if e.condition == "single"}
+    (first, *_), hidden = own, next(iter(own.values())).effects[0]
+    truth = {first: {**DRY, "effects": [hidden], "kinds": [["dry-friction"]]}}
+
+    def asked(verdict, *names):
+        found = [{"name": n, "at": "v", "values": {}} for n in names]
+        return naming_benchmark.apart(tmp_path, truth, {first: {**said(verdict), "named": [], "effects": found}}, 1)
+
+    assert asked("open", "another") == {first: 1.0}
+    assert asked("unknown") == {first: 1.0}
+    assert asked("open", hidden, "another") == {}
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
