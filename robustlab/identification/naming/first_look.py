@@ -33,11 +33,15 @@ NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """An effect on top of a set, and the standardised parameters from which a fit of both begins."""
+    """An effect on top of a set, and the standardised parameters from which a fit of both begins.
+
+    ``starts``: the windows' starts that go with them; None where those of the set do.
+    """
 
     candidate: Candidate
     hypothesis: Hypothesis
     z: Array
+    starts: Sequence[Array] | None = None
 
 
 def best_scored(
@@ -197,7 +201,7 @@ def promising(
     def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
         job, fit = entry
         plan = FitPlan(tuning.second, rough_fall, draft=True, ceiling=some_ceiling)
-        return job, some.fit(fit.hypothesis, noise, fit.z, some_base.starts, plan)
+        return job, some.fit(fit.hypothesis, noise, fit.z, _carried(fit, few, some, some_base), plan)
 
     looked = []
     for done, entry in enumerate(workers.map(first, jobs), start=1):
@@ -209,7 +213,21 @@ def promising(
     nearer = _best_of_each(workers.map(second, kept))
     known.update({job.candidate.key: fit for job, fit in nearer})
     kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
-    return [Start(job.candidate, fit.hypothesis, fit.z) for job, fit in kept]
+    return [Start(job.candidate, fit.hypothesis, fit.z, _carried(fit, some, problem, base)) for job, fit in kept]
+
+
+def _carried(fit: Fit, looked: Problem, there: Problem, base: Fit) -> list[Array]:
+    """The starts of a problem's windows: of those that were looked at as fitted, of the others those of the base.
+
+    Behind a gap the load rests at another place in each window; a fit that had found those would begin without them.
+    """
+    found = []
+    for own, seen, chosen, rest in zip(fit.starts, looked.chosen, there.chosen, base.starts, strict=True):
+        starts = rest.copy()
+        _, i, j = np.intersect1d(seen, chosen, return_indices=True)
+        starts[j] = own[i]
+        found.append(starts)
+    return found
 
 
 def _kept(

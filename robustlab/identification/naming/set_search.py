@@ -53,7 +53,7 @@ from robustlab.identification.hypotheses.noise import (
     whitening,
 )
 from robustlab.identification.hypotheses.nuisance import Nuisance
-from robustlab.identification.hypotheses.unnamed_force import UNTOLD, fitted_windows, unnamed_force
+from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.tuning import NamingTuning
 
@@ -158,6 +158,22 @@ def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
     return total
 
 
+def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
+    """An effect that makes a line, begun at that line; of a wave with its phase, too.
+
+    Where the motion follows the wave (a mass that rests in its valleys) a fit that begins without any comes to another
+    period: from the motion without it the derivatives lead there.
+    """
+    effect = candidate.effect
+    at = {"orders": (2.0 * np.pi / line.period,)} if effect.spatial else {"lines": (1.0 / line.period,)}
+    scales = replace(candidate.scales, **at)
+    starts = effect.starts(scales)
+    if {"Ac", "As"} <= set(starts[0]):
+        quarter = float(np.interp(0.25 * line.period, line.x, line.force))
+        starts = (*starts, {**starts[0], "Ac": float(line.force[0]), "As": quarter})
+    return Candidate(effect, candidate.site, effect.parameters(scales), starts, scales)
+
+
 def search_sets(
     problem: Problem, held: Problem, pool: Sequence[Candidate], allowed: Allowed, progress: Progress
 ) -> Found:
@@ -206,7 +222,7 @@ class _Search:
         try:
             self._expand(Key())
             self._sharpen()
-            while self.expansions < self.tuning.most_expansions and sum(self.problem.work) < self.tuning.most_work:
+            while not self._used_up():
                 best = self._told().key
                 key = self._next()
                 if self._told().key != best:  # a smaller set that had to be fitted first
@@ -233,6 +249,13 @@ class _Search:
             self.problem,
             self.held,
         )
+
+    def _used_up(self) -> bool:
+        """Whether the search ends here; a set that leaves only noise is still asked whether all of it is needed."""
+        work, most = sum(self.problem.work), self.tuning.most_work
+        if self.expansions >= self.tuning.most_expansions or work >= 2 * most:
+            return True
+        return work >= most and not self._explains(self._told())
 
     @property
     def best(self) -> Visited:
@@ -322,16 +345,12 @@ class _Search:
                 left = [unnamed_force(*there) for there in fitted_windows(self.problem, best.fit)]
         except UNTOLD:
             return False
-        told = {(f.port, f.over, f.period): None for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
+        told = {(f.port, f.over, f.period): f for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
-        for port, over, period in told:
+        for (port, over, period), force in told.items():
             for c in self.pool:
-                if c.site.name != port or not (c.effect.spatial if over == "line over position" else c.effect.timed):
-                    continue
-                line = {"orders": (2.0 * np.pi / period,)} if c.effect.spatial else {"lines": (1.0 / period,)}
-                scales = replace(c.scales, **line)
-                at = c.effect.parameters(scales), c.effect.starts(scales), scales
-                found[c.key, period] = Candidate(c.effect, c.site, *at)
+                if c.site.name == port and (c.effect.spatial if over == "line over position" else c.effect.timed):
+                    found[c.key, period] = _at_line(c, force)
         if found:
             self.pool = [*self.pool, *found.values()]
             self.looked, self.expanded = {}, self.expanded - {best.key}
@@ -419,7 +438,7 @@ class _Search:
             gain = start.candidate.effect.gain_like
             rounds = self.tuning.full if self.sharpened else self.tuning.rough_full
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
-            return self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
+            return self.problem.fit(start.hypothesis, self.noise, start.z, start.starts or base.starts, plan)
 
         self.progress(0, len(starts), f"full fits of what could be added to {text}")
         for done, fit in enumerate(self.workers.map(full, starts), 1):
