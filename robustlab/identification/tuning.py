@@ -110,6 +110,7 @@ class NamingTuning(Tuning):
     most_places: int = 2  # at which an unnamed force is looked for
     most_weighed: int = 5  # sets that are weighed again under a random force
     most_rivals: int = 5  # looked at for each named effect
+    out_of_sight: float = 100.0  # times the V that would come near a set that leaves only noise, after two looks
     far_behind: float = 40.0  # log evidence beyond which the distance is not worth its time
 
     # --- verdict

@@ -170,13 +170,14 @@ def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
 
 def promising(
     problem: Problem, base: Fit, best: Fit, pool: Sequence[Candidate], known: dict[str, Fit], workers: Executor,
-    said: Callable[[int, int], None],
+    said: Callable[[int, int], None], far: float = np.inf,
 ) -> list[Start]:  # fmt: skip
     """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
 
     ``best``: the most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
     ``known``: key of an effect -> fit of base and effect that an earlier look ended with; put down here. ``said``:
-    called with the number of short fits done and to do.
+    called with the number of short fits done and to do. ``far``: times the V that would come near ``best``: nothing
+    beyond is kept.
     """
     tuning, noise = problem.tuning, base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
@@ -191,6 +192,7 @@ def promising(
     borrowed = few.derivatives(few_base)
     # A few windows show a small part of what all of them may bring.
     rough_fall, least = tuning.rough / noise.excess, tuning.promising / noise.excess
+    some_far = some_ceiling
     few_ceiling = min(few_ceiling, few_base.cost - 2.0 * least)
     some_ceiling = min(some_ceiling, some_base.cost - 2.0 * least)
 
@@ -213,6 +215,7 @@ def promising(
     nearer = _best_of_each(workers.map(second, kept))
     known.update({job.candidate.key: fit for job, fit in nearer})
     kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
+    kept = [(job, fit) for job, fit in kept if fit.cost <= far * some_far]
     return [Start(job.candidate, fit.hypothesis, fit.z, _carried(fit, some, problem, base)) for job, fit in kept]
 
 

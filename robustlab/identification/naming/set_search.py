@@ -272,6 +272,16 @@ class _Search:
             told = max(less, key=lambda v: v.evidence)
         return told
 
+    def _whole(self) -> Visited:
+        """The set around which the search goes on: that which is told, or one effect of it that leaves only noise.
+
+        What is gained beside that one is judged with all sets, and leads no further.
+        """
+        told = self._told()
+        alone = [v for k, v in self.visited.items() if len(k) == 1 and k < told.key and v.allowed]
+        enough = [v for v in alone if self._explains(v)]
+        return max(enough, key=lambda v: v.evidence, default=told)
+
     def _tells(self, one: Visited, other: Visited) -> bool:
         """Whether the records tell a set from a smaller one by more than the smaller one's prior is ahead."""
         if one.evidence < other.evidence:
@@ -288,7 +298,8 @@ class _Search:
         Where the errors hang together something is missing, and which effect came first says little: then the next
         single effects are expanded, too, until two of them lead to the best set.
         """
-        whole = self._told()
+        told = self._told().key
+        whole = self._whole()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
         wanted = bool(begun) and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece
@@ -304,7 +315,7 @@ class _Search:
             for key in (best - {one} for one in sorted(best) if len(best) > 1):
                 if key not in self.visited:
                     self._without(whole.fit, key)
-            if self._told().key != best:
+            if self._told().key != told:
                 return self._next()
         if len(best) < self.tuning.most_effects and best not in self.expanded:
             return best
@@ -314,7 +325,7 @@ class _Search:
         for key in smaller:
             if key not in self.visited:
                 self._without(whole.fit, key)
-        if self._told().key != best:
+        if self._told().key != told:
             return self._next()
         left = [k for k in smaller if k not in self.expanded]
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
@@ -362,13 +373,13 @@ class _Search:
         A short look may miss an effect that explains by itself what two or three others share: no set of these is
         believed before. Of a nonlinear plant the search came to each set by all of its parts already.
         """
-        best, empty = self._told(), self.visited[Key()].fit
+        told, best, empty = self._told().key, self._whole(), self.visited[Key()].fit
         left = [c for c in self.pool if Key({c.key}) not in self.visited and c.key not in self.alone]
         if len(best.key) < 2 or not left or isinstance(self.problem.plant, NonlinearPlant):
             return False
         left = [c for c in left if may_follow(c, empty.hypothesis)]
         self.alone |= {c.key for c in left}
-        plan = FitPlan(self.tuning.full, 0.05, ceiling=empty.cost - 2.0 * self.tuning.promising)
+        plan = FitPlan(self.tuning.full, 0.05, ceiling=self._ceiling(empty))
         jobs = [(c, start) for c in left for start in c.starts]
 
         def full(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
@@ -379,7 +390,7 @@ class _Search:
         for done, fit in enumerate(self.workers.map(full, jobs), 1):
             self._visit(fit)
             self.progress(done, len(jobs), "single effects that were only looked at so far")
-        return self._told().key != best.key
+        return self._told().key != told
 
     def _unrefined(self, fit: Fit) -> None:
         """Fit a set with what a refinement refines in its stead: a simpler name must have been asked.
@@ -429,10 +440,12 @@ class _Search:
         wrong = stretched(self.problem, base, open_ones) if self.sharpened and key == self._told().key else []
         asked = {start.candidate.key for start in wrong}
         open_ones = [c for c in open_ones if c.key not in asked]
-        starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said)]
+        # Where something else leaves only noise, what is far from that after two looks would not come near it.
+        far = self.tuning.out_of_sight if key != self._told().key and self._explains(self._told()) else np.inf
+        starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said, far)]
         if not self.sharpened:
             starts = starts[: self.tuning.rough_fits]
-        ceiling = min(base.cost - 2.0 * self.tuning.promising, best.cost + 2.0 * self.tuning.far_behind)
+        ceiling = self._ceiling(base)
 
         def full(start: Start) -> Fit:
             gain = start.candidate.effect.gain_like
@@ -448,6 +461,11 @@ class _Search:
         self.expansions += 1
         self._from_children(key)
         self._within_tolerance()
+
+    def _ceiling(self, base: Fit) -> float:
+        """V that what is added to a set must come to, or it is neither promising nor near the best set."""
+        tuning = self.tuning
+        return min(base.cost - 2.0 * tuning.promising, self.best.fit.cost + 2.0 * tuning.far_behind)
 
     def _within_tolerance(self) -> None:
         """Fit promising sets that may not be the answer without what forbids it: a parameter within its tolerance.
