@@ -1,0 +1,173 @@
+r"""Blocks of Delta, the scalings that belong to them, and the form whose definiteness bounds mu.
+
+The loop is :math:`w = \Delta z,\ z = M w`, singular where :math:`\det(I - M \Delta) = 0`. Block i may have the norm
+:math:`1/\ell_i`, with :math:`\ell_i` its level; L is diag(level) on the channels of w.
+
+Theorem. Let D_w, D_z, G have the structure (below), D_w > 0, and
+
+.. math:: F = L D_w L - M^* D_z M - j (G M - M^* G^*) > 0 .
+
+Then :math:`\det(I - M \Delta) \ne 0` for all Delta of the structure with :math:`\|\Delta_i\| \le 1/\ell_i`.
+
+Proof. Else there is a z with :math:`z = M \Delta z \ne 0`; put :math:`w = \Delta z`, so z = M w and w is not zero. Then
+
+.. math:: w^* F w = w^* L D_w L w - z^* D_z z - j (w^* G z - z^* G^* w) ,
+
+a sum over the blocks. The part of a full block (both D a multiple d > 0 of the identity, G = 0) is
+:math:`d (\ell^2 |w_i|^2 - |z_i|^2) \le 0`. In a repeated scalar block :math:`w_i = \delta z_i` and D_w = D_z = D > 0:
+:math:`(\ell^2 |\delta|^2 - 1)\, z_i^* D z_i \le 0`; of a real one delta is real and G = G^*, and the last term is
+:math:`-j \delta z_i^* (G - G^*) z_i = 0`; of a complex one G = 0. So the sum is not above zero: a contradiction. The
+sign before j is of no importance, as -G has the structure too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from flint import acb, arb
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.verify.balls import Matrix, adjoint, definite, diagonal, exact, identity, part, zeros
+from robustlab.verify.claim import Claim, Work, real, whole
+
+REAL, COMPLEX, FULL = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block of Delta: its kind, its rows (channels of w), its columns (of z), its level."""
+
+    kind: int
+    w: slice
+    z: slice
+    level: float
+
+
+def read_blocks(claim: Claim, q: int, p: int) -> list[Block]:
+    """The blocks of a Delta (q, p) with their levels; InputError where they do not fill it exactly."""
+    table = whole(claim, "blocks", (None, 3)).tolist()
+    level = _levels(claim, len(table))
+    result: list[Block] = []
+    row = col = 0
+    for (kind, rows, cols), value in zip(table, level, strict=True):
+        square = rows == cols or kind == FULL
+        if kind not in (REAL, COMPLEX, FULL) or rows < 1 or cols < 1 or not square:
+            raise InputError("blocks", f"{[kind, rows, cols]}", "kind 0, 1 (square) or 2 with its rows and columns")
+        result.append(Block(kind, slice(row, row + rows), slice(col, col + cols), value))
+        row, col = row + rows, col + cols
+    if (row, col) != (q, p):
+        raise InputError("blocks", f"rows and columns in all {(row, col)}", f"{(q, p)}")
+    return result
+
+
+def _levels(claim: Claim, k: int) -> list[float]:
+    shape = () if np.ndim(claim.numbers.get("level", 0.0)) == 0 else (k,)
+    values = np.broadcast_to(real(claim, "level", shape), (k,)).tolist()
+    if not all(value > 0 for value in values):
+        raise InputError("level", "a number not above zero", "numbers above zero")
+    return values
+
+
+def common_level(blocks: Sequence[Block]) -> float | None:
+    """The level of all blocks; None where they differ."""
+    levels = {block.level for block in blocks}
+    return levels.pop() if len(levels) == 1 else None
+
+
+@dataclass(frozen=True)
+class Form:
+    """F of the theorem as a function of M, from scalings whose structure was checked."""
+
+    weighted: Matrix  # L D_w L, (q, q)
+    D_z: Matrix  # (p, p)
+    G: Matrix | None  # (q, p); None: zero
+
+    def of(self, M: Sequence[Matrix]) -> list[Matrix]:
+        r"""The coefficients of F(e) where :math:`M(e) = \sum_k e^k M_k` with real e: twice the degree of M."""
+        degree = len(M) - 1
+        weighted = [self.D_z * X for X in M]
+        result = [self.weighted - adjoint(M[0]) * weighted[0]]
+        for k in range(1, 2 * degree + 1):
+            total = zeros(self.weighted.nrows(), self.weighted.nrows())
+            for a in range(max(0, k - degree), k // 2 + 1):
+                product = adjoint(M[a]) * weighted[k - a]
+                total = total - (product if 2 * a == k else product + adjoint(product))
+            result.append(total)
+        if self.G is not None:
+            for k, X in enumerate(M):
+                cross = self.G * X
+                result[k] = result[k] - acb(0, 1) * (cross - adjoint(cross))
+        return result
+
+
+def form(blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any], G: NDArray[Any], work: Work) -> Form | None:
+    """The form of these scalings; None where D_w > 0 was not proved. InputError: they do not have the structure."""
+    check_scalings(blocks, D_w, D_z, G)
+    work.spend(len(D_w))
+    if not definite([exact(D_w)]).proved:
+        return None
+    L = diagonal([arb(block.level) for block in blocks for _ in range(block.w.start, block.w.stop)])
+    return Form(L * exact(D_w) * L, exact(D_z), exact(G) if G.any() else None)
+
+
+def gain_form(m: int, p: int, gamma: float) -> Form:
+    """The form of one full block (m, p) of level gamma, D = 1: :math:`gamma^2 I - M^* M`, the norm itself."""
+    return Form(identity(m) * arb(gamma) ** 2, identity(p), None)
+
+
+def check_scalings(blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any], G: NDArray[Any]) -> None:
+    """InputError where D_w, D_z, G do not have the theorem's structure to the last bit (D_w > 0 is not looked at)."""
+    for i, block in enumerate(blocks):
+        w, z = D_w[block.w, block.w], D_z[block.z, block.z]
+        if block.kind == FULL:
+            d = w[0, 0]
+            fits = np.imag(d) == 0 and _equal(w, d * np.eye(len(w))) and _equal(z, d * np.eye(len(z)))
+        else:
+            fits = _equal(w, w.conj().T) and _equal(w, z)
+        if not fits:
+            raise InputError(f"D of block {i}", "not of the structure", "what belongs to its kind, to the last bit")
+        g = G[block.w, block.z]
+        if not (_equal(g, g.conj().T) if block.kind == REAL else not g.any()):
+            raise InputError(f"G of block {i}", "not of the structure", "Hermitian (real blocks), else zero")
+    pairs = [(D_w, "w", "w"), (D_z, "z", "z"), (G, "w", "z")]
+    for name, (X, rows, cols) in zip(("D_w", "D_z", "G"), pairs, strict=True):
+        rest = X.copy()
+        for block in blocks:
+            rest[getattr(block, rows), getattr(block, cols)] = 0
+        if rest.any():
+            raise InputError(name, "entries beside the blocks", "zeros there")
+
+
+def _equal(X: NDArray[Any], Y: NDArray[Any]) -> bool:
+    return X.shape == Y.shape and bool((X == Y).all())
+
+
+def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
+    """InputError where ``delta`` (q, p) does not have the blocks' structure to the last bit."""
+    rest = delta.copy()
+    for i, block in enumerate(blocks):
+        own = delta[block.w, block.z]
+        scalar = _equal(own, own[0, 0] * np.eye(len(own))) if block.kind != FULL else True
+        if not scalar or (block.kind == REAL and own.imag.any()):
+            raise InputError(f"delta of block {i}", "not of the structure", "what its kind allows, to the last bit")
+        rest[block.w, block.z] = 0
+    if rest.any():
+        raise InputError("delta", "entries beside the blocks", "zeros there")
+
+
+def within(blocks: Sequence[Block], delta: Matrix, allowance: arb, work: Work) -> bool:
+    """Whether every Delta in the balls (of the structure) has norms of at most ``allowance / level``, block by block."""
+    for block in blocks:
+        own, limit = part(delta, block.w, block.z), allowance / arb(block.level)
+        if block.kind != FULL:
+            if not own[0, 0].abs_upper() <= limit:
+                return False
+            continue
+        work.spend(own.ncols())
+        if not definite([identity(own.ncols()) * limit**2 - adjoint(own) * own]).proved:
+            return False
+    return True
