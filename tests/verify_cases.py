@@ -40,7 +40,9 @@ def norm(G, points=3000):
     best = max(values.max(), 0.0 if dt else gain(np.inf))
     for i in np.argsort(-values)[:3]:
         around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-        best = max(best, -minimize_scalar(lambda w: -gain(w), bounds=around, method="bounded", options={"xatol": 0}).fun)
+        best = max(
+            best, -minimize_scalar(lambda w: -gain(w), bounds=around, method="bounded", options={"xatol": 0}).fun
+        )
     return best
 
 
@@ -65,3 +67,29 @@ def bounded_real_solution(G, gamma):
     solver = solve_discrete_are if G["dt"] else solve_continuous_are
     P = -solver(A, B, -(C.T @ C + more), gamma**2 * np.eye(m) - D.T @ D, s=-C.T @ D)
     return (P + P.T) / 2
+
+
+STRUCTURES = {
+    "full": [[2, 2, 3], [2, 1, 1]],
+    "complex": [[1, 1, 1], [1, 2, 2]],
+    "real": [[0, 1, 1], [0, 1, 1], [0, 2, 2]],
+    "repeated real": [[0, 3, 3]],
+    "mixed": [[0, 2, 2], [1, 1, 1], [2, 2, 1], [0, 1, 1]],
+}
+
+
+def rows_of_mussv(blocks):
+    return [[-r, 0] if kind == 0 else [r, 0] if kind == 1 else [r, c] for kind, r, c in blocks]
+
+
+def sizes(blocks):
+    """(q, p) of Delta."""
+    return sum(b[1] for b in blocks), sum(b[2] for b in blocks)
+
+
+def delta_norms(blocks, delta):
+    result, row, col = [], 0, 0
+    for _, r, c in blocks:
+        result.append(np.linalg.norm(delta[row : row + r, col : col + c], 2))
+        row, col = row + r, col + c
+    return np.array(result)

@@ -47,17 +47,22 @@ class Block:
     level: float
 
 
+def read_shapes(claim: Claim, kinds: Sequence[int] = (REAL, COMPLEX, FULL)) -> list[list[int]]:
+    """``[kind, rows, cols]`` of each block; InputError where one is of no kind of these, or a scalar is not square."""
+    table = whole(claim, "blocks", (None, 3)).tolist()
+    for kind, rows, cols in table:
+        if kind not in kinds or rows < 1 or cols < 1 or not (rows == cols or kind == FULL):
+            raise InputError("blocks", f"{[kind, rows, cols]}", "kind 0, 1 (square) or 2 with its rows and columns")
+    return table
+
+
 def read_blocks(claim: Claim, q: int, p: int) -> list[Block]:
     """The blocks of a Delta (q, p) with their levels; InputError where they do not fill it exactly."""
-    table = whole(claim, "blocks", (None, 3)).tolist()
-    level = _levels(claim, len(table))
+    table = read_shapes(claim)
     result: list[Block] = []
     row = col = 0
-    for (kind, rows, cols), value in zip(table, level, strict=True):
-        square = rows == cols or kind == FULL
-        if kind not in (REAL, COMPLEX, FULL) or rows < 1 or cols < 1 or not square:
-            raise InputError("blocks", f"{[kind, rows, cols]}", "kind 0, 1 (square) or 2 with its rows and columns")
-        result.append(Block(kind, slice(row, row + rows), slice(col, col + cols), value))
+    for (kind, rows, cols), level in zip(table, _levels(claim, len(table)), strict=True):
+        result.append(Block(kind, slice(row, row + rows), slice(col, col + cols), level))
         row, col = row + rows, col + cols
     if (row, col) != (q, p):
         raise InputError("blocks", f"rows and columns in all {(row, col)}", f"{(q, p)}")
@@ -70,12 +75,6 @@ def _levels(claim: Claim, k: int) -> list[float]:
     if not all(value > 0 for value in values):
         raise InputError("level", "a number not above zero", "numbers above zero")
     return values
-
-
-def common_level(blocks: Sequence[Block]) -> float | None:
-    """The level of all blocks; None where they differ."""
-    levels = {block.level for block in blocks}
-    return levels.pop() if len(levels) == 1 else None
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,9 @@ class Form:
         return result
 
 
-def form(blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any], G: NDArray[Any], work: Work) -> Form | None:
+def scaled_form(
+    blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any], G: NDArray[Any], work: Work
+) -> Form | None:
     """The form of these scalings; None where D_w > 0 was not proved. InputError: they do not have the structure."""
     check_scalings(blocks, D_w, D_z, G)
     work.spend(len(D_w))

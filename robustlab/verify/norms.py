@@ -183,7 +183,9 @@ def prove_gramian(claim: Claim, work: Work) -> Verdict:
             return not_proved("P > 0 was not proved")
         answer = definite([lyapunov_form(G, P) - adjoint(G.C) * G.C])
         if not answer.proved:
-            return not_proved(f"Lyapunov's inequality was not proved: smallest eigenvalue {answer.least:.3g} of its size")
+            return not_proved(
+                f"Lyapunov's inequality was not proved: smallest eigenvalue {answer.least:.3g} of its size"
+            )
         square = sum((X[i, i] for X in (adjoint(G.B) * P * G.B, adjoint(G.D) * G.D) for i in range(G.m)), arb(0))
         if square <= arb(value) ** 2:
             return PROVED

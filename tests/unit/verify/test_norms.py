@@ -9,7 +9,13 @@ from robustlab.verify import Claim, Outcome, check
 
 
 def test_a_first_order_lag_has_its_closed_form():
-    G = {"A": np.array([[-2.0]]), "B": np.array([[3.0]]), "C": np.array([[1.0]]), "D": np.zeros((1, 1)), "dt": np.array(0.0)}
+    G = {
+        "A": np.array([[-2.0]]),
+        "B": np.array([[3.0]]),
+        "C": np.array([[1.0]]),
+        "D": np.zeros((1, 1)),
+        "dt": np.array(0.0),
+    }
     assert cases.outcome("norm", G, gamma=1.5 * (1 + 1e-9)) == "proved"
     assert cases.outcome("norm", G, gamma=1.5 * (1 - 1e-9)) == "refuted"
     answer = check(cases.claimed("norm", G, gamma=2.0))
@@ -97,10 +103,12 @@ def test_a_loop_and_a_difference():
     P["A"] = P["A"] - 9 * np.eye(3)
     K["A"] = K["A"] - 9 * np.eye(2)
     F = np.linalg.inv(np.eye(n_con) - K["D"] @ D22)  # u = F (C_K x_K + D_K (C_2 x + D_21 w)), by the other inverse
-    A = np.block([
-        [P["A"] + B2 @ F @ K["D"] @ C2, B2 @ F @ K["C"]],
-        [K["B"] @ (C2 + D22 @ F @ K["D"] @ C2), K["A"] + K["B"] @ D22 @ F @ K["C"]],
-    ])
+    A = np.block(
+        [
+            [P["A"] + B2 @ F @ K["D"] @ C2, B2 @ F @ K["C"]],
+            [K["B"] @ (C2 + D22 @ F @ K["D"] @ C2), K["A"] + K["B"] @ D22 @ F @ K["C"]],
+        ]
+    )
     B = np.vstack([B1 + B2 @ F @ K["D"] @ D21, K["B"] @ (D21 + D22 @ F @ K["D"] @ D21)])
     C = np.hstack([C1 + D12 @ F @ K["D"] @ C2, D12 @ F @ K["C"]])
     closed = {"A": A, "B": B, "C": C, "D": D11 + D12 @ F @ K["D"] @ D21, "dt": np.array(0.0)}

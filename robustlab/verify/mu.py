@@ -1,0 +1,119 @@
+r"""Bounds of mu from above: of one matrix, and of a model at every frequency of the axis or of a band."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from flint import arb
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.verify.axis import axis
+from robustlab.verify.balls import PRECISIONS, definite, exact, precision
+from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, refuted
+from robustlab.verify.forms import Form, read_blocks, scaled_form
+from robustlab.verify.members import singular_member, unstable_member
+from robustlab.verify.models import stored
+from robustlab.verify.norms import climb, evidence
+from robustlab.verify.stability import stable
+
+
+def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
+    """No Delta of the ``blocks`` with norms within 1/``level`` makes I - M Delta singular, by ``D_w``, ``D_z``, ``G``.
+
+    ``M`` (p, q). A dataset ``delta`` (q, p) may refute it.
+    """
+    M = complex_or_real(claim, "M", (None, None))
+    p, q = M.shape
+    blocks = read_blocks(claim, q, p)
+    D_w, D_z, G = (
+        complex_or_real(claim, name, shape) for name, shape in (("D_w", (q, q)), ("D_z", (p, p)), ("G", (q, p)))
+    )
+
+    def attempt() -> Verdict:
+        form = scaled_form(blocks, D_w, D_z, G, work)
+        if form is None:
+            return not_proved("D_w > 0 was not proved")
+        work.spend(q)
+        answer = definite(form.of([exact(M)]))
+        return (
+            PROVED if answer.proved else not_proved(f"smallest eigenvalue of the form {answer.least:.3g} of its size")
+        )
+
+    verdict = climb(attempt)
+    if verdict.proved or "delta" not in claim.numbers:
+        return verdict
+    return _opposed(verdict, singular_member(claim, exact(M), blocks, work, allowance=1.0))
+
+
+def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
+    """A is stable, and at every frequency no Delta within 1/``level`` makes I - M(jw) Delta singular.
+
+    Evidence: intervals ``low``, ``high`` (k,) in rad/s with their scalings ``D_w``, ``D_z``, ``G`` (k, ...); ``P`` may
+    prove that A is stable. A dataset ``band`` (2,) limits the claim to the band, and then nothing is said of stability.
+    A dataset ``delta`` (q, p) may refute a claim over all frequencies.
+    """
+    G = stored(claim)
+    blocks = read_blocks(claim, G.m, G.p)
+    low, high = covering(claim, G.dt)
+    k = len(low)
+    stacks = [
+        complex_or_real(claim, name, (k, rows, cols))
+        for name, rows, cols in (("D_w", G.m, G.m), ("D_z", G.p, G.p), ("G", G.m, G.p))
+    ]
+    whole_axis = "band" not in claim.numbers
+    P = evidence(claim, G.n)
+
+    def by_frequency() -> Verdict:
+        intervals: list[tuple[float, float, Form]] = []
+        for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+            form = scaled_form(blocks, *(stack[i] for stack in stacks), work)
+            if form is None:
+                return not_proved(f"interval {i}: D_w > 0 was not proved")
+            intervals.append((a, b, form))
+        return axis(stored(claim), intervals, work)
+
+    if whole_axis:
+        verdict = climb(lambda: stable(stored(claim), P, work))
+        if not verdict.proved:
+            return verdict
+    verdict = climb(by_frequency)
+    if verdict.proved or not whole_axis or "delta" not in claim.numbers:
+        return verdict
+    return _opposed(verdict, unstable_member(claim, blocks, work, allowance=1.0))
+
+
+def _opposed(verdict: Verdict, opposite: Verdict) -> Verdict:
+    """The refutation where the opposite was proved."""
+    return refuted("the given Delta, proved to be within the bound") if opposite.proved else verdict
+
+
+def covering(claim: Claim, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``low`` and ``high``, once they are known to cover all frequencies, or ``band``; InputError where they do not.
+
+    Covered is what lies between zero and infinity, of a discrete model pi/dt, with both ends.
+    """
+    low = real(claim, "low", (None,))
+    high = real(claim, "high", (len(low),), infinite=True)
+    start, stop = 0.0, math.inf
+    if "band" in claim.numbers:
+        start, stop = real(claim, "band", (2,), infinite=True).tolist()
+        if not 0 <= start <= stop or math.isinf(start):
+            raise InputError("band", f"{start}, {stop}", "two frequencies, the lower one first")
+    reached = start
+    for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+        if not 0 <= a <= b or (i and a < low[i - 1]):
+            raise InputError("low, high", f"interval {i}: {a}, {b}", "intervals sorted by low")
+        if a > reached:
+            raise InputError("low, high", f"a gap between {reached} and {a} rad/s", "intervals that cover all")
+        reached = max(reached, b)
+    if not len(low) or low[0] > start or not (reached >= stop or _beyond_nyquist(reached, dt)):
+        raise InputError("low, high", f"they end at {reached} rad/s", "intervals that cover all")
+    return low, high
+
+
+def _beyond_nyquist(w: float, dt: float) -> bool:
+    """Whether w dt >= pi of a discrete model, for certain."""
+    with precision(PRECISIONS[-1]):
+        return bool(dt > 0 and arb(w) * arb(dt) >= arb.pi())
