@@ -93,3 +93,12 @@ def delta_norms(blocks, delta):
         result.append(np.linalg.norm(delta[row : row + r, col : col + c], 2))
         row, col = row + r, col + c
     return np.array(result)
+
+
+def interval_numbers(margin):
+    """The intervals of a margin's proof with their scalings, and the largest level that they prove."""
+    pieces = sorted(margin.proof, key=lambda piece: piece.low)
+    assert len({piece.members for piece in pieces}) == 1  # all blocks are one coupled whole
+    numbers = {"low": [p.low for p in pieces], "high": [p.high for p in pieces]}
+    parts = {"D_w": [p.bound.Dw for p in pieces], "D_z": [p.bound.Dz for p in pieces], "G": [p.bound.G for p in pieces]}
+    return {k: np.array(v) for k, v in (numbers | parts).items()}, max(p.beta for p in pieces)

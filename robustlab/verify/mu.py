@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from flint import arb
-from numpy.typing import NDArray
 
 from robustlab.errors import InputError
 from robustlab.verify.axis import axis
@@ -56,8 +54,7 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
     """
     G = stored(claim)
     blocks = read_blocks(claim, G.m, G.p)
-    low, high = covering(claim, G.dt)
-    k = len(low)
+    pieces, k = covering(claim, G.dt), len(claim.numbers["low"])
     stacks = [
         complex_or_real(claim, name, (k, rows, cols))
         for name, rows, cols in (("D_w", G.m, G.m), ("D_z", G.p, G.p), ("G", G.m, G.p))
@@ -67,7 +64,7 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
 
     def by_frequency() -> Verdict:
         intervals: list[tuple[float, float, Form]] = []
-        for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+        for i, a, b in pieces:
             form = scaled_form(blocks, *(stack[i] for stack in stacks), work)
             if form is None:
                 return not_proved(f"interval {i}: D_w > 0 was not proved")
@@ -89,10 +86,11 @@ def _opposed(verdict: Verdict, opposite: Verdict) -> Verdict:
     return refuted("the given Delta, proved to be within the bound") if opposite.proved else verdict
 
 
-def covering(claim: Claim, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``low`` and ``high``, once they are known to cover all frequencies, or ``band``; InputError where they do not.
+def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
+    """Index, start and stop of what each interval has to prove, in rad/s: up to where the ones before it reach.
 
-    Covered is what lies between zero and infinity, of a discrete model pi/dt, with both ends.
+    Together they cover all frequencies, or ``band``: what lies between zero and infinity, of a discrete model pi/dt,
+    with both ends. InputError where ``low`` and ``high`` do not.
     """
     low = real(claim, "low", (None,))
     high = real(claim, "high", (len(low),), infinite=True)
@@ -101,16 +99,19 @@ def covering(claim: Claim, dt: float) -> tuple[NDArray[np.float64], NDArray[np.f
         start, stop = real(claim, "band", (2,), infinite=True).tolist()
         if not 0 <= start <= stop or math.isinf(start):
             raise InputError("band", f"{start}, {stop}", "two frequencies, the lower one first")
+    result: list[tuple[int, float, float]] = []
     reached = start
     for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
         if not 0 <= a <= b or (i and a < low[i - 1]):
             raise InputError("low, high", f"interval {i}: {a}, {b}", "intervals sorted by low")
         if a > reached:
             raise InputError("low, high", f"a gap between {reached} and {a} rad/s", "intervals that cover all")
-        reached = max(reached, b)
-    if not len(low) or low[0] > start or not (reached >= stop or _beyond_nyquist(reached, dt)):
-        raise InputError("low, high", f"they end at {reached} rad/s", "intervals that cover all")
-    return low, high
+        if b > reached or (b == reached and not result):
+            result.append((i, reached, min(b, stop)))
+            reached = b
+            if reached >= stop or _beyond_nyquist(reached, dt):
+                return result
+    raise InputError("low, high", f"they end at {reached} rad/s", "intervals that cover all")
 
 
 def _beyond_nyquist(w: float, dt: float) -> bool:
