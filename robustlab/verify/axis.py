@@ -2,13 +2,13 @@ r"""A form F(M(jw)) > 0 at every frequency: boxes of frequency, in each of which
 
 Around w0 with half width r, for :math:`\omega = \omega_0 + r e,\ |e| \le 1`, and :math:`R = (j\omega_0 - A)^{-1}`:
 
-.. math:: M(j\omega) = D + \sum_{k<K} (-j r e)^k\, C R^{k+1} B + (-j r e)^K\, C (I + j r e R)^{-1} R^{K+1} B .
+.. math:: M = D + C X(e), \quad X(e) = \sum_{k<K} (-j r e)^k R^{k+1} B + (-j r e)^K (I + j r e R)^{-1} R^{K+1} B .
 
 The rest is bounded entry by entry. Let X bound :math:`|r^K R^{K+1} B|` and N bound :math:`r |R|`. A matrix Y >= 0 with
 :math:`Y > X + N Y` (strictly in every entry; floating point proposes Y, balls check it) has
 :math:`Y \ge \sum_k N^k X`, and, as Y > N Y and Y > 0, the spectral radius of N is below 1. So :math:`I + j r e R` is
-regular, there is no pole in the box, and :math:`|(I + jreR)^{-1} r^K R^{K+1} B| \le Y`: the rest lies within
-:math:`|C| Y`, a ball in the coefficient of :math:`e^K`. `balls.definite` then judges F(e) for all e at once.
+regular, there is no pole in the box, and :math:`|(I + jreR)^{-1} r^K R^{K+1} B| \le Y`: Y is the radius of the
+coefficient of :math:`e^K`, a ball around zero. `balls.definite` then judges F(e) for all e at once.
 
 A box that fails is halved, so a lightly damped peak costs a number of boxes that grows with the logarithm of its
 width. High frequencies are those of the reciprocal model around 0, infinity included; a discrete model is mapped to
@@ -38,7 +38,7 @@ from robustlab.verify.balls import (
     rounded_up,
 )
 from robustlab.verify.claim import PROVED, Verdict, Work, not_proved
-from robustlab.verify.forms import Form
+from robustlab.verify.forms import Form, Quadratic
 from robustlab.verify.models import Model, modal, on_the_axis, reciprocal, shifted
 
 DEGREE = 3  # K: beyond it a box gets wider by less than its work grows
@@ -109,7 +109,7 @@ def _unwarped(t: float, dt: float) -> float:
 
 def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
     """Whether the form is positive definite on [a, b]; its ends are doubles that neighbouring boxes share."""
-    todo = [(a, b)]
+    todo, quadratic = [(a, b)], form.of_sum(chart.model.D, chart.model.C)
     while todo:
         a, b = todo.pop()
         w0 = min(max(a + (b - a) / 2, a), b)
@@ -117,7 +117,7 @@ def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
         distance = float(np.abs(1j * w0 - chart.poles).min(initial=math.inf))
         if r <= REACH * distance:
             work.spend(chart.model.size)
-            answer = _box(chart.model, w0, r, form)
+            answer = _box(chart.model, w0, r, quadratic)
             if answer.proved:
                 continue
             if answer.least < INDEFINITE or r <= NARROW * distance:
@@ -129,29 +129,24 @@ def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
     return PROVED
 
 
-def _box(G: Model, w0: float, r: float, form: Form) -> Definite:
+def _box(G: Model, w0: float, r: float, form: Quadratic) -> Definite:
     """Whether the form is positive definite for ``|w - w0| <= r``."""
-    response = _polynomial(G, w0, r)
-    return definite(form.of(response)) if response is not None else Definite(False, math.nan)
+    X = _polynomial(G, w0, r)
+    return definite(form.at(X[0]), lambda S: form.higher(X, S)) if X is not None else Definite(False, math.nan)
 
 
 def _polynomial(G: Model, w0: float, r: float) -> list[Matrix] | None:
-    """Coefficients of M(e) as in the module's text, the rest in the last; None where it was not bounded."""
+    """Coefficients of X(e) as in the module's text, the rest in the last; None where it was not bounded."""
     R = inverse(shifted(G, w0))
     if R is None:
         return None
-    step, X = R * acb(0, -r), R * G.B
-    coefficients = [G.D + G.C * X]
-    for k in range(1, DEGREE + 1):
-        X = step * X
-        if k < DEGREE:
-            coefficients.append(G.C * X)
-    Y = _neumann(magnitudes(step), magnitudes(X))
-    if Y is None:
+    step, X = R * acb(0, -r), [R * G.B]
+    for _ in range(DEGREE):
+        X.append(step * X[-1])
+    rest = _neumann(magnitudes(step), magnitudes(X.pop()))
+    if rest is None:
         return None
-    rest = magnitudes(G.C) * Y
-    ball = [acb(arb(0, x), arb(0, x)) for x in rest.entries()]
-    return [*coefficients, acb_mat(rest.nrows(), rest.ncols(), ball)]
+    return [*X, acb_mat(G.n, G.m, [acb(arb(0, x), arb(0, x)) for x in rest.entries()])]
 
 
 def _neumann(N: Matrix, X: Matrix) -> Matrix | None:

@@ -12,7 +12,7 @@ Rump, "Verification methods: rigorous results using floating-point arithmetic", 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -127,38 +127,40 @@ class Definite:
     least: float  # about the smallest eigenvalue in the middle, with a diagonal scaled to 1; a hint
 
 
-def definite(F: Sequence[Matrix]) -> Definite:
-    r"""Whether :math:`F(e) = \sum_k e^k F_k > 0` for every real e with :math:`|e| \le 1`.
+def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = None) -> Definite:
+    r"""Whether a matrix is positive definite, or :math:`F(e) = F + \sum_{k \ge 1} e^k F_k` for every real :math:`|e| \le 1`.
 
-    ``F``: ball matrices (n, n), so that the exact F(e) is Hermitian; one matrix alone is the test of a matrix.
+    ``F``: ball matrix (n, n) around a Hermitian one, as each F_k is.
+    ``higher``: gives ball matrices around :math:`S^* F_k S`, k = 1, 2, ..., for the S that it is called with.
 
-    Proof: for any square S, with ``Y(e) = S^* F(e) S``, if
+    Proof: for any square S, with :math:`Y_k = S^* F_k S`, if
 
     .. math:: \inf Y_{0,ii} > \sum_{(k, j) \ne (0, i)} \sup |Y_{k,ij}| \quad\text{for each } i ,
 
-    then Y(e) is Hermitian, strictly diagonally dominant with a positive diagonal, so Y(e) > 0 (Gershgorin). Then S is
-    regular (S v = 0 would give v^* Y v = 0), and F(e) > 0. Nothing is asked of S, so floating point may choose it: the
-    inverse square root of F_0's midpoint, repeated where one is not accurate enough.
+    then :math:`Y(e) = S^* F(e) S` is Hermitian, strictly diagonally dominant with a positive diagonal, so Y(e) > 0
+    (Gershgorin). Then S is regular (S v = 0 would give v^* Y v = 0), and F(e) > 0. Nothing is asked of S, so floating
+    point may choose it: the inverse square root of F's midpoint, repeated where one is not accurate enough.
     """
-    n = F[0].nrows()
+    n = F.nrows()
     if n == 0:
         return Definite(True, math.inf)
-    scale = [_root_scale(F[0][i, i]) for i in range(n)]
+    scale = [_root_scale(F[i, i]) for i in range(n)]
     if not all(scale):
         return Definite(False, -math.inf)
-    S, least = diagonal(scale), math.inf
+    scaled = type(F)(n, n, [F[i, j] * scale[i] * scale[j] for i in range(n) for j in range(n)])
+    S, Y, least = diagonal(scale), scaled, math.inf
     for _ in range(REPEATS):
-        first = adjoint(S) * F[0] * S
-        if _dominant([first]):
-            return Definite(_dominant([first, *(adjoint(S) * X * S for X in F[1:])]), least)
-        hint = midpoints(first)
+        if _dominant([Y]):
+            return Definite(higher is None or _dominant([Y, *higher(S)]), least)
+        hint = midpoints(Y)
         if not np.isfinite(hint).all():
             return Definite(False, -math.inf)
         values, vectors = np.linalg.eigh((hint + hint.conj().T) / 2)
-        least = min(least, float(values[0]))
         if values[0] < INDEFINITE * abs(values[-1]):
             return Definite(False, float(values[0]))
+        least = min(least, float(values[0]))
         S = S * exact(vectors / np.sqrt(np.maximum(values, CLIPPED * values[-1])))
+        Y = adjoint(S) * F * S
     return Definite(False, least)
 
 

@@ -85,21 +85,49 @@ class Form:
     D_z: Matrix  # (p, p)
     G: Matrix | None  # (q, p); None: zero
 
-    def of(self, M: Sequence[Matrix]) -> list[Matrix]:
-        r"""The coefficients of F(e) where :math:`M(e) = \sum_k e^k M_k` with real e: twice the degree of M."""
-        degree = len(M) - 1
-        weighted = [self.D_z * X for X in M]
-        result = [self.weighted - adjoint(M[0]) * weighted[0]]
-        for k in range(1, 2 * degree + 1):
-            total = zeros(self.weighted.nrows(), self.weighted.nrows())
-            for a in range(max(0, k - degree), k // 2 + 1):
-                product = adjoint(M[a]) * weighted[k - a]
-                total = total - (product if 2 * a == k else product + adjoint(product))
-            result.append(total)
+    def of(self, M: Matrix) -> Matrix:
+        """F of a matrix M (p, q), shape (q, q)."""
+        result = self.weighted - adjoint(M) * (self.D_z * M)
+        if self.G is None:
+            return result
+        cross = self.G * M
+        return result - acb(0, 1) * (cross - adjoint(cross))
+
+    def of_sum(self, D: Matrix, C: Matrix) -> Quadratic:
+        """F as a function of X (n, q), with ``M = D + C X``."""
+        C_star = adjoint(C)
+        linear = C_star * (self.D_z * D)
         if self.G is not None:
-            for k, X in enumerate(M):
-                cross = self.G * X
-                result[k] = result[k] - acb(0, 1) * (cross - adjoint(cross))
+            linear = linear - acb(0, 1) * (C_star * adjoint(self.G))
+        return Quadratic(self.of(D), linear, C_star * (self.D_z * C))
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """``constant - (X^* linear + linear^* X) - X^* square X``, constant and square Hermitian."""
+
+    constant: Matrix
+    linear: Matrix
+    square: Matrix
+
+    def at(self, X: Matrix) -> Matrix:
+        """Its value, shape (q, q)."""
+        half = adjoint(X) * (self.linear + self.square * X * arb(0.5))
+        return self.constant - half - adjoint(half)
+
+    def higher(self, X: Sequence[Matrix], S: Matrix) -> list[Matrix]:
+        r"""With :math:`X(e) = \sum_k e^k X_k`, e real: the coefficients of :math:`S^* F(e) S` from e^1 on."""
+        X = [x * S for x in X]
+        into, degree = [self.square * x for x in X], len(X) - 1
+        lowest = self.linear * S + into[0]
+        result: list[Matrix] = []
+        for k in range(1, 2 * degree + 1):
+            half = zeros(S.nrows(), S.nrows()) if k > degree else adjoint(X[k]) * lowest
+            for a in range(max(1, k - degree), (k + 1) // 2):
+                half = half + adjoint(X[a]) * into[k - a]
+            if k % 2 == 0:
+                half = half + adjoint(X[k // 2]) * into[k // 2] * arb(0.5)
+            result.append(-half - adjoint(half))
         return result
 
 
@@ -109,7 +137,7 @@ def scaled_form(
     """The form of these scalings; None where D_w > 0 was not proved. InputError: they do not have the structure."""
     check_scalings(blocks, D_w, D_z, G)
     work.spend(len(D_w))
-    if not definite([exact(D_w)]).proved:
+    if not definite(exact(D_w)).proved:
         return None
     L = diagonal([arb(block.level) for block in blocks for _ in range(block.w.start, block.w.stop)])
     return Form(L * exact(D_w) * L, exact(D_z), exact(G) if G.any() else None)
@@ -169,6 +197,6 @@ def within(blocks: Sequence[Block], delta: Matrix, allowance: arb, work: Work) -
                 return False
             continue
         work.spend(own.ncols())
-        if not definite([identity(own.ncols()) * limit**2 - adjoint(own) * own]).proved:
+        if not definite(identity(own.ncols()) * limit**2 - adjoint(own) * own).proved:
             return False
     return True

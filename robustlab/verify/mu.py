@@ -34,7 +34,7 @@ def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
         if form is None:
             return not_proved("D_w > 0 was not proved")
         work.spend(q)
-        answer = definite(form.of([exact(M)]))
+        answer = definite(form.of(exact(M)))
         return (
             PROVED if answer.proved else not_proved(f"smallest eigenvalue of the form {answer.least:.3g} of its size")
         )

@@ -92,7 +92,7 @@ def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Ver
         if P is None:
             return not_proved("no P", final=True)
         work.spend(G.size)
-        proved = definite([exact(P)]).proved and definite([bounded_real_form(G, exact(P), gamma)]).proved
+        proved = definite(exact(P)).proved and definite(bounded_real_form(G, exact(P), gamma)).proved
         return PROVED if proved else not_proved("P is no proof")
 
     def stability() -> Verdict:
@@ -179,9 +179,9 @@ def prove_gramian(claim: Claim, work: Work) -> Verdict:
         if not G.dt and any(x != 0 for x in G.D.entries()):
             return refuted("D is not zero, so the H2 norm is infinite")
         work.spend(G.n)
-        if not definite([P]).proved:
+        if not definite(P).proved:
             return not_proved("P > 0 was not proved")
-        answer = definite([lyapunov_form(G, P) - adjoint(G.C) * G.C])
+        answer = definite(lyapunov_form(G, P) - adjoint(G.C) * G.C)
         if not answer.proved:
             return not_proved(
                 f"Lyapunov's inequality was not proved: smallest eigenvalue {answer.least:.3g} of its size"

@@ -47,7 +47,7 @@ def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
 def has_lyapunov(G: Model, P: Matrix, work: Work) -> bool:
     """Whether P proves stability."""
     work.spend(G.n)
-    return definite([P]).proved and definite([lyapunov_form(G, P)]).proved
+    return definite(P).proved and definite(lyapunov_form(G, P)).proved
 
 
 def eigenvalues(A: Matrix) -> list[acb]:

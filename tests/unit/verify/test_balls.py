@@ -10,7 +10,7 @@ from flint import acb, acb_mat, arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verify import axis, balls, models
+from robustlab.verify import axis, balls, forms, models
 
 BITS = 128
 
@@ -79,21 +79,49 @@ def test_the_polynomial_of_a_box_holds_the_response(kind, seed, w0, e, r):
         if kind == "defective":
             G = models.Model(balls.exact(np.diag(np.ones(3), 1) - np.eye(4)), G.B, G.C, G.D, 0.0)
         G = models.modal(G)[0] if kind == "modal" else G
+        G = models.Model(G.A, G.B, balls.identity(4), balls.zeros(4, 2), 0.0)
         coefficients = axis._polynomial(G, w0, r)
         if coefficients is None:
             return
         w = arb(w0) + arb(r) * arb(e)
         truth = response(G, acb(0, 1) * w)
-        value = sum((X * arb(e) ** k for k, X in enumerate(coefficients)), acb_mat(3, 2))
+        value = sum((X * arb(e) ** k for k, X in enumerate(coefficients)), acb_mat(4, 2))
         assert overlap(value, truth)
         # the rest is not merely wide: without it the polynomial misses, within it the truth lies
-        rest = truth - sum((X * arb(e) ** k for k, X in enumerate(coefficients[:-1])), acb_mat(3, 2))
+        rest = truth - sum((X * arb(e) ** k for k, X in enumerate(coefficients[:-1])), acb_mat(4, 2))
         bound = [float(x.abs_upper()) for x in coefficients[-1].entries()]
         assert all(float(x.abs_lower()) <= b for x, b in zip(rest.entries(), bound, strict=True))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_form_of_a_polynomial_is_that_of_its_matrix(seed):
+    rng = np.random.default_rng(seed)
+
+    def entries(*shape):
+        return balls.exact(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+
+    with balls.precision(BITS):
+        H = [x + balls.adjoint(x) for x in (entries(3, 3), entries(2, 2))]
+        form = forms.Form(H[0], H[1], entries(3, 2))
+        C, D, S, X = entries(2, 4), entries(2, 3), entries(3, 3), [entries(4, 3) for _ in range(4)]
+        quadratic = form.of_sum(D, C)
+        higher = quadratic.higher(X, S)
+        assert len(higher) == 6
+        e = arb(0.75)
+        M = D + C * sum((x * e**k for k, x in enumerate(X)), acb_mat(4, 3))
+        truth = balls.adjoint(S) * H[0] * S - balls.adjoint(M * S) * H[1] * M * S
+        cross = balls.adjoint(S) * form.G * M * S * acb(0, 1)
+        truth = truth - cross - balls.adjoint(cross)
+        value = balls.adjoint(S) * quadratic.at(X[0]) * S
+        value = sum((y * e ** (k + 1) for k, y in enumerate(higher)), value)
+        assert overlap(value, truth)
+        assert narrow(value)
+
+
 def test_a_box_with_a_pole_in_it_has_no_polynomial():
-    G = models.Model(*(balls.exact(np.array(x)) for x in ([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), np.eye(2), np.eye(2))), 0.0)
+    G = models.Model(
+        *(balls.exact(np.array(x)) for x in ([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), np.eye(2), np.eye(2))), 0.0
+    )
     with balls.precision(BITS):
         assert axis._polynomial(G, 0.9, 0.099) is not None
         assert axis._polynomial(G, 0.9, 0.1000001) is None
@@ -118,25 +146,25 @@ def test_definiteness_is_inertia(seed, n, least, definite):
     X = balls.exact(signed(seed, n, np.round(values)))
     with balls.precision(BITS):
         if definite and least == 1.0:
-            assert balls.definite([X]).proved
+            assert balls.definite(X).proved
         else:  # singular, or lost in the rounding of values: nothing to prove
-            assert not balls.definite([X]).proved
+            assert not balls.definite(X).proved
         values[0] = -1.0
-        assert not balls.definite([balls.exact(signed(seed, n, values))]).proved
+        assert not balls.definite(balls.exact(signed(seed, n, values))).proved
 
 
 def test_ill_conditioned_and_badly_scaled_matrices():
     with balls.precision(BITS):
         hilbert = flint.arb_mat.hilbert(16, 16)  # condition 1e22
-        assert balls.definite([hilbert]).proved
+        assert balls.definite(hilbert).proved
         scale = balls.diagonal([arb(2) ** (200 * (-1) ** i * i) for i in range(16)])
-        assert balls.definite([scale * hilbert * scale]).proved
+        assert balls.definite(scale * hilbert * scale).proved
         wide = hilbert + balls.identity(16) * arb(0, 1e-18)
-        assert not balls.definite([wide]).proved
-        assert balls.definite([balls.zeros(0, 0)]).proved
-        assert not balls.definite([balls.zeros(1, 1)]).proved
-        assert not balls.definite([balls.exact(np.array([[np.nan]]))]).proved
-        assert not balls.definite([balls.exact(np.array([[np.inf]]))]).proved
+        assert not balls.definite(wide).proved
+        assert balls.definite(balls.zeros(0, 0)).proved
+        assert not balls.definite(balls.zeros(1, 1)).proved
+        assert not balls.definite(balls.exact(np.array([[np.nan]]))).proved
+        assert not balls.definite(balls.exact(np.array([[np.inf]]))).proved
 
 
 @settings(max_examples=100, deadline=None)
@@ -144,11 +172,12 @@ def test_ill_conditioned_and_badly_scaled_matrices():
 def test_definiteness_of_a_polynomial_holds_at_each_point(seed, size):
     rng = np.random.default_rng(seed)
     X = rng.standard_normal((3, 4, 4)) + 1j * rng.standard_normal((3, 4, 4))
-    X = (X + X.conj().transpose(0, 2, 1)) / 2 * np.array([0.2, size, size**2 / 4])[:, None, None] + np.eye(4) * np.array(
-        [3.0, 0, 0]
-    ).reshape(3, 1, 1)
+    X = (X + X.conj().transpose(0, 2, 1)) / 2 * np.array([0.2, size, size**2 / 4])[:, None, None] + np.eye(
+        4
+    ) * np.array([3.0, 0, 0]).reshape(3, 1, 1)
     with balls.precision(BITS):
-        if balls.definite([balls.exact(x) for x in X]).proved:
+        F = [balls.exact(x) for x in X]
+        if balls.definite(F[0], lambda S: [balls.adjoint(S) * x * S for x in F[1:]]).proved:
             for e in np.linspace(-1, 1, 41):
                 assert np.linalg.eigvalsh(X[0] + e * X[1] + e**2 * X[2])[0] > 0
 

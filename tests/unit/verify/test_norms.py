@@ -19,7 +19,11 @@ def test_a_first_order_lag_has_its_closed_form():
     assert cases.outcome("norm", G, gamma=1.5 * (1 + 1e-9)) == "proved"
     assert cases.outcome("norm", G, gamma=1.5 * (1 - 1e-9)) == "refuted"
     answer = check(cases.claimed("norm", G, gamma=2.0))
-    assert (answer.claim, answer.bound, answer.where) == ("stable, and H-infinity norm <= 2", 2.0, "")
+    assert (answer.claim, answer.bound, answer.where) == (
+        "the model is stable: H-infinity norm over all frequencies <= 2",
+        2.0,
+        "",
+    )
     assert answer.boxes > 0
 
 
