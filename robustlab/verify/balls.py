@@ -43,7 +43,7 @@ def precision(bits: int) -> Iterator[None]:
 
 def exact(X: NDArray[Any]) -> Matrix:
     """A matrix of doubles as balls of radius zero: the conversion from binary is exact in every precision."""
-    kind = acb_mat if np.iscomplexobj(X) else arb_mat
+    kind: Any = acb_mat if np.iscomplexobj(X) else arb_mat
     return kind(*X.shape, X.ravel().tolist())
 
 
@@ -128,7 +128,7 @@ class Definite:
 
 
 def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = None) -> Definite:
-    r"""Whether a matrix is positive definite, or :math:`F(e) = F + \sum_{k \ge 1} e^k F_k` for every real :math:`|e| \le 1`.
+    r"""Whether F is positive definite; with ``higher`` :math:`F + \sum_{k \ge 1} e^k F_k` for every real |e| <= 1.
 
     ``F``: ball matrix (n, n) around a Hermitian one, as each F_k is.
     ``higher``: gives ball matrices around :math:`S^* F_k S`, k = 1, 2, ..., for the S that it is called with.
@@ -139,7 +139,7 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
 
     then :math:`Y(e) = S^* F(e) S` is Hermitian, strictly diagonally dominant with a positive diagonal, so Y(e) > 0
     (Gershgorin). Then S is regular (S v = 0 would give v^* Y v = 0), and F(e) > 0. Nothing is asked of S, so floating
-    point may choose it: the inverse square root of F's midpoint, repeated where one is not accurate enough.
+    point may choose it: a root of the inverse of F's midpoint, repeated where one is not accurate enough.
     """
     n = F.nrows()
     if n == 0:
@@ -155,11 +155,15 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
         hint = midpoints(Y)
         if not np.isfinite(hint).all():
             return Definite(False, -math.inf)
-        values, vectors = np.linalg.eigh((hint + hint.conj().T) / 2)
-        if values[0] < INDEFINITE * abs(values[-1]):
-            return Definite(False, float(values[0]))
-        least = min(least, float(values[0]))
-        S = S * exact(vectors / np.sqrt(np.maximum(values, CLIPPED * values[-1])))
+        hint = (hint + hint.conj().T) / 2
+        try:
+            S = S * exact(np.linalg.inv(np.linalg.cholesky(hint)).conj().T)
+        except np.linalg.LinAlgError:
+            values, vectors = np.linalg.eigh(hint)
+            least = float(values[0])
+            if least < INDEFINITE * abs(values[-1]):
+                return Definite(False, least)
+            S = S * exact(vectors / np.sqrt(np.maximum(values, CLIPPED * values[-1])))
         Y = adjoint(S) * F * S
     return Definite(False, least)
 

@@ -1,4 +1,4 @@
-"""`check`: a claim in, its verdict out; never an exception, and "proved" only where a theorem's conditions were proved."""
+"""`check`: a claim in, its verdict out; never an exception, never more than a theorem whose conditions were proved."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ from robustlab.verify.sets import prove_set
 EFFORT = 20_000  # units of `Work`: about two minutes
 
 
+NORM = "H-infinity norm over all frequencies <="
+NONE = "no Delta of the structure within 1/level"
+SOME = "a Delta of the structure within (1 + 1e-9)/level"
+
+
 @dataclass(frozen=True)
 class _Kind:
     prove: Callable[[Claim, Work], Verdict]
@@ -30,49 +35,25 @@ class _Kind:
     below: bool = False  # a lower bound: the number is what the level says with a Delta as large as allowed
 
 
+# fmt: off
 KINDS: Mapping[str, _Kind] = {
     "stable": _Kind(prove_stable, "all eigenvalues of A lie inside the stability boundary"),
-    "norm": _Kind(
-        lambda c, w: prove_norm(c, stored, w), "the model is stable", "gamma", "H-infinity norm over all frequencies <="
-    ),
-    "loop-norm": _Kind(
-        lambda c, w: prove_norm(c, loop, w), "the loop is stable", "gamma", "H-infinity norm over all frequencies <="
-    ),
-    "difference-norm": _Kind(
-        lambda c, w: prove_norm(c, difference, w), "the difference is stable", "gamma", "H-infinity norm of it <="
-    ),
+    "norm": _Kind(lambda c, w: prove_norm(c, stored, w), "the model is stable", "gamma", NORM),
+    "loop-norm": _Kind(lambda c, w: prove_norm(c, loop, w), "the loop is stable", "gamma", NORM),
+    "difference-norm": _Kind(lambda c, w: prove_norm(c, difference, w), "the difference is stable", "gamma", NORM),
     "gramian": _Kind(prove_gramian, "the model is stable", "value", "H2 norm <="),
-    "mu-upper": _Kind(
-        prove_mu_upper, "no Delta of the structure within 1/level makes I - M Delta singular", "level", "mu <="
-    ),
+    "mu-upper": _Kind(prove_mu_upper, f"{NONE} makes I - M Delta singular", "level", "mu <="),
     "mu-axis": _Kind(
-        prove_mu_axis,
-        "stable, and at no frequency a Delta of the structure within 1/level makes I - M(jw) Delta singular",
-        "level",
-        "mu over all frequencies <=",
-    ),
-    "mu-lower": _Kind(
-        prove_mu_lower,
-        "a Delta of the structure within (1 + 1e-9)/level makes I - M Delta singular",
-        "level",
-        "mu >=",
-        below=True,
-    ),
+        prove_mu_axis, f"A is stable, {NONE} makes I - M(jw) Delta singular at any frequency", "level", "mu <="),
+    "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
     "unstable-member": _Kind(
-        prove_unstable_member,
-        "a Delta within (1 + 1e-9)/level gives a pole on or beyond the stability boundary, or no well-posed model",
-        "level",
-        "level",
-        below=True,
-    ),
+        prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",
+        "level", "level", below=True),
     "set": _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1, by every entry"),
 }
 BAND = _Kind(  # "mu-axis" where a band is given
-    prove_mu_axis,
-    "at no frequency of the band (below pi/dt) a Delta within 1/level makes I - M(jw) Delta singular",
-    "level",
-    "mu over the band <=",
-)
+    prove_mu_axis, f"{NONE} makes I - M(jw) Delta singular at a frequency of the band up to pi/dt", "level", "mu <=")
+# fmt: on
 
 
 def check(claim: Claim, *, effort: int = EFFORT) -> Verification:

@@ -100,7 +100,7 @@ def real(claim: Claim, name: str, shape: tuple[int | None, ...], *, infinite: bo
 
 def complex_or_real(claim: Claim, name: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """The named float64 or complex128 dataset of this shape, finite; real where no imaginary part is there."""
-    values = _values(claim, name, shape, (np.float64, np.complex128))
+    values: Any = _values(claim, name, shape, (np.float64, np.complex128))
     if not np.isfinite(values).all():
         raise InputError(name, "NaN or infinity", "finite numbers")
     return values if values.imag.any() else np.ascontiguousarray(values.real).reshape(values.shape)

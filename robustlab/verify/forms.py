@@ -70,7 +70,8 @@ def read_blocks(claim: Claim, q: int, p: int) -> list[Block]:
 
 
 def _levels(claim: Claim, k: int) -> list[float]:
-    shape = () if np.ndim(claim.numbers.get("level", 0.0)) == 0 else (k,)
+    level = claim.numbers.get("level")
+    shape = (k,) if isinstance(level, np.ndarray) and level.ndim else ()
     values = np.broadcast_to(real(claim, "level", shape), (k,)).tolist()
     if not all(value > 0 for value in values):
         raise InputError("level", "a number not above zero", "numbers above zero")
@@ -179,7 +180,7 @@ def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
     """InputError where ``delta`` (q, p) does not have the blocks' structure to the last bit."""
     rest = delta.copy()
     for i, block in enumerate(blocks):
-        own = delta[block.w, block.z]
+        own: Any = delta[block.w, block.z]
         scalar = _equal(own, own[0, 0] * np.eye(len(own))) if block.kind != FULL else True
         if not scalar or (block.kind == REAL and own.imag.any()):
             raise InputError(f"delta of block {i}", "not of the structure", "what its kind allows, to the last bit")
@@ -189,7 +190,7 @@ def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
 
 
 def within(blocks: Sequence[Block], delta: Matrix, allowance: arb, work: Work) -> bool:
-    """Whether every Delta in the balls (of the structure) has norms of at most ``allowance / level``, block by block."""
+    """Whether each block of every Delta in the balls (of the structure) has a norm of at most ``allowance / level``."""
     for block in blocks:
         own, limit = part(delta, block.w, block.z), allowance / arb(block.level)
         if block.kind != FULL:

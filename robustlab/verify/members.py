@@ -1,4 +1,4 @@
-r"""A Delta that makes the loop singular, and a member of the set that is not stable: proved to exist, near given numbers.
+r"""A Delta that makes the loop singular, a member of the set that is not stable: proved to exist, near given numbers.
 
 Numbers in a file never make a determinant zero exactly. What is proved is that a zero lies next to them: a family of
 matrices :math:`K(s) = K_0 + \sum_i s_i K_i`, affine in one or two real numbers, is singular for some
@@ -25,10 +25,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from flint import acb, arb
+from flint import acb, arb, arb_mat
 from numpy.typing import NDArray
 
-from robustlab.verify.balls import Matrix, exact, identity, inverse, midpoints, part, stack, zeros
+from robustlab.verify.balls import Matrix, exact, identity, inverse, magnitudes, midpoints, stack, zeros
 from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved
 from robustlab.verify.forms import COMPLEX, FULL, Block, check_delta, read_blocks, within
 from robustlab.verify.models import Model, on_the_axis, stored
@@ -43,7 +43,7 @@ CANDIDATES = 3  # poles next to the boundary that are tried
 
 
 def prove_mu_lower(claim: Claim, work: Work) -> Verdict:
-    """Some Delta of the ``blocks`` with norms within (1 + 1e-9)/``level`` makes I - M Delta singular, near ``delta``."""
+    """Some Delta of the ``blocks`` within (1 + 1e-9)/``level`` makes I - M Delta singular, near ``delta``."""
     M = complex_or_real(claim, "M", (None, None))
     blocks = read_blocks(claim, M.shape[1], M.shape[0])
     return singular_member(claim, exact(M), blocks, work, ALLOWANCE)
@@ -73,6 +73,8 @@ def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work
     def attempt() -> Verdict:
         K = identity(p) - M * exact(delta)
         directions = _directions(M, K, blocks)
+        for E in directions:
+            check_delta(blocks, E)
         radii = zero_within(K, [-(M * exact(E)) for E in directions], work)
         if radii is None:
             return not_proved("no Delta next to the given one was proved to make the loop singular")
@@ -86,7 +88,7 @@ def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work
     return climb(attempt)
 
 
-def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[NDArray[Any]]:
+def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[Any]:
     """Changes of Delta, of its structure to the last bit, that move g by about 1 and (complex) by j: hints.
 
     The smallest such changes, each block measured by what it may be.
@@ -99,16 +101,15 @@ def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[NDArray[A
     bordered = np.block([[middle, U[:, -1:]], [V[-1:], np.zeros((1, 1))]])
     last = np.eye(len(bordered))[-1]
     row, column = np.linalg.solve(bordered.T, last)[:-1] @ midpoints(M), np.linalg.solve(bordered, last)[:-1]
-    parts: list[NDArray[Any]] = []
+    parts: list[Any] = []
     for block in blocks:
         y, x = row[block.w], column[block.z]
         E = np.outer(y.conj(), x.conj()) if block.kind == FULL else np.eye(len(x), dtype=middle.dtype)
         unit = np.zeros((M.ncols(), M.nrows()), dtype=middle.dtype)
         unit[block.w, block.z] = E / (np.linalg.norm(E, 2) * block.level) if E.any() else 0.0
         parts += [unit] if real or block.kind not in (COMPLEX, FULL) else [unit, 1j * unit]
-    moves = np.array([row @ E @ column for E in parts])  # dg = -y^T (-M dDelta) x
-    equations = moves[None] if real else np.stack([moves.real, moves.imag])
-    weights = np.linalg.pinv(equations)
+    moves: Any = np.array([row @ E @ column for E in parts])  # dg = -y^T (-M dDelta) x
+    weights = np.linalg.pinv(moves[None] if real else np.stack([moves.real, moves.imag]))
     return [sum((w * E for w, E in zip(column, parts, strict=True)), np.zeros_like(parts[0])) for column in weights.T]
 
 
@@ -126,63 +127,46 @@ def zero_within(K: Matrix, directions: Sequence[Matrix], work: Work) -> list[arb
     U, _, V = np.linalg.svd(middle)
     border = exact(np.ascontiguousarray(U[:, -1:])), exact(np.ascontiguousarray(V[-1:]))
     work.spend(2 * n)
-    start = _value_and_slopes(K, directions, border, real)
+    start = _value_and_slopes(K, directions, border)
     if start is None:
         return None
     g, J = start
     slope = midpoints(J)
     if not np.isfinite(slope).all() or np.linalg.matrix_rank(slope) < len(slope):
         return None
-    C = exact(np.linalg.inv(slope))
-    newton = C * g
+    C, every = exact(np.linalg.inv(slope)), range(len(slope))
+    newton, floor = magnitudes(C * g), magnitudes(C) * arb_mat(len(slope), 1, [LEAST] * len(slope))
     for wider in WIDER:
-        r = [
-            (newton[i, 0].abs_upper() * wider + LEAST * sum((C[i, j].abs_upper() for j in range(len(slope))), arb(0)))
-            .upper() for i in range(len(slope))
-        ]  # fmt: skip
+        r = arb_mat(len(slope), 1, [(newton[i, 0] * wider + floor[i, 0]).upper() for i in every])
         box = K
-        for X, half in zip(directions, r, strict=True):
-            box = box + X * arb(0, half)
-        answer = _value_and_slopes(box, directions, border, real)
+        for i, X in enumerate(directions):
+            box = box + X * arb(0, r[i, 0])
+        answer = _value_and_slopes(box, directions, border)
         if answer is None:
             return None
-        rest = identity(len(r)) - C * answer[1]
-        reached = [
-            newton[i, 0].abs_upper() + sum((rest[i, j].abs_upper() * r[j] for j in range(len(r))), arb(0))
-            for i in range(len(r))
-        ]
-        if all(x < half for x, half in zip(reached, r, strict=True)):
-            return r
+        reached = newton + magnitudes(identity(len(slope)) - C * answer[1]) * r
+        if all(reached[i, 0] < r[i, 0] for i in every):
+            return [r[i, 0] for i in every]
     return None
 
 
 def _value_and_slopes(
-    K: Matrix, directions: Sequence[Matrix], border: tuple[Matrix, Matrix], real: bool
+    K: Matrix, directions: Sequence[Matrix], border: tuple[Matrix, Matrix]
 ) -> tuple[Matrix, Matrix] | None:
-    """g as a column of real numbers, and its derivatives, a column for each direction; None: the border is no help."""
-    n = K.nrows()
+    """The real equations g = 0: their values, a column, and slopes, one column each; None: the border is no help."""
+    n, kind = K.nrows(), type(K)
     bordered = stack([[K, border[0]], [border[1], zeros(1, 1)]])
-    last = zeros(n + 1, 1)
-    last[n, 0] = 1
+    last = kind(n + 1, 1, [0] * n + [1])
     try:
-        x, y = (X.solve(last if real else exact(np.eye(n + 1, dtype=complex)) * last)
-                for X in (bordered, bordered.transpose()))  # fmt: skip
+        x, y = bordered.solve(last), bordered.transpose().solve(last)
     except ZeroDivisionError:
         return None
-    column, rows = slice(0, 1), slice(0, n)
-    upper, lower = part(x, rows, column), part(y, rows, column).transpose()
+    upper, lower = kind(n, 1, x.entries()[:n]), kind(1, n, y.entries()[:n])
     slopes = [-(lower * X * upper)[0, 0] for X in directions]
-    values = [x[n, 0], *slopes]
-    table = [[v.real for v in values]] if real else [[v.real for v in values], [v.imag for v in values]]
-    g = stack([[_column([row[0] for row in table])]])
-    return g, stack([[_column([row[1 + i] for row in table]) for i in range(len(directions))]])
-
-
-def _column(entries: Sequence[arb]) -> Matrix:
-    result = zeros(len(entries), 1)
-    for i, x in enumerate(entries):
-        result[i, 0] = x
-    return result
+    if kind is arb_mat:
+        return arb_mat(1, 1, [x[n, 0]]), arb_mat(1, 1, slopes)
+    g = x[n, 0]
+    return arb_mat(2, 1, [g.real, g.imag]), arb_mat(2, 2, [v.real for v in slopes] + [v.imag for v in slopes])
 
 
 def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
@@ -193,14 +177,14 @@ def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance
     def attempt() -> Verdict:
         model = stored(claim)
         larger = exact(delta) * arb(LARGER if allowance > 1 else 1.0)
-        poles: list[complex] = []
         A = closed(model, larger)
-        if A is not None and within(blocks, larger, arb(allowance), work):
-            work.spend(2 * model.n)
-            enclosed = eigenvalues(A)
-            if any(outside(value, model.dt) for value in enclosed):
-                return PROVED
-            poles = np.linalg.eigvals(midpoints(A)).tolist() if np.isfinite(midpoints(A)).all() else []
+        if A is None or not np.isfinite(midpoints(A)).all():
+            return not_proved("the given Delta's member was not proved to be well posed")
+        work.spend(2 * model.n)
+        enlarged = within(blocks, larger, arb(allowance), work)
+        if enlarged and any(outside(value, model.dt) for value in eigenvalues(A)):
+            return PROVED
+        poles: list[complex] = np.linalg.eigvals(midpoints(A)).tolist()
         poles.sort(key=lambda value: -(abs(value) if model.dt else value.real))
         for pole in poles[:CANDIDATES]:
             size = _scale_at_boundary(model, exact(delta), pole, work)

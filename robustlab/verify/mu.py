@@ -65,7 +65,7 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
     def by_frequency() -> Verdict:
         intervals: list[tuple[float, float, Form]] = []
         for i, a, b in pieces:
-            form = scaled_form(blocks, *(stack[i] for stack in stacks), work)
+            form = scaled_form(blocks, stacks[0][i], stacks[1][i], stacks[2][i], work)
             if form is None:
                 return not_proved(f"interval {i}: D_w > 0 was not proved")
             intervals.append((a, b, form))

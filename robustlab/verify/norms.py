@@ -107,6 +107,7 @@ def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Ver
     if verdict.proved:
         return verdict
     with precision(PRECISIONS[0]):
+        work.spend(build(claim).size)
         counterexample = gain_above(build(claim), gamma, given)
     if counterexample is not None:
         return counterexample
@@ -149,7 +150,7 @@ def peaks(G: Model) -> list[float]:
 
     values = np.array([gain(w) for w in points])
     best = np.argsort(-values, kind="stable")[:PEAKS]
-    return [_climbed(gain, points[max(i - 1, 0)], points[min(i + 1, len(points) - 1)]) for i in best]
+    return [_climbed(gain, float(points[max(i - 1, 0)]), float(points[min(i + 1, len(points) - 1)])) for i in best]
 
 
 def _climbed(gain: Callable[[float], float], a: float, b: float) -> float:
@@ -186,7 +187,7 @@ def prove_gramian(claim: Claim, work: Work) -> Verdict:
             return not_proved(
                 f"Lyapunov's inequality was not proved: smallest eigenvalue {answer.least:.3g} of its size"
             )
-        square = sum((X[i, i] for X in (adjoint(G.B) * P * G.B, adjoint(G.D) * G.D) for i in range(G.m)), arb(0))
+        square: arb = sum((X[i, i] for X in (adjoint(G.B) * P * G.B, adjoint(G.D) * G.D) for i in range(G.m)), arb(0))
         if square <= arb(value) ** 2:
             return PROVED
         return not_proved(f"P proves {rounded_up(square.sqrt()):.17g}")

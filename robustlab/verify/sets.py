@@ -55,4 +55,5 @@ def _fraction(x: float) -> fmpq:
 
 
 def _rational(X: NDArray[np.float64]) -> fmpq_mat:
-    return fmpq_mat(*X.shape, [_fraction(x) for x in X.ravel().tolist()])
+    rows, cols = X.shape
+    return fmpq_mat(rows, cols, [_fraction(x) for x in X.ravel().tolist()])

@@ -30,6 +30,7 @@ def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
 
     ``P``: a symmetric matrix (n, n) that may be the proof; None where there is none.
     """
+    work.spend(G.n)
     for candidate in (P, lyapunov_hint(G)):
         if candidate is not None and has_lyapunov(G, exact(candidate), work):
             return PROVED

@@ -2,12 +2,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-import robustlab as rl
 import verify_cases as cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verify import Claim, Outcome, check
+import robustlab as rl
+from robustlab.verify import Outcome, check
 
 BUILD = {0: lambda i, r, c: rl.RealScalar(f"d{i}", repeats=r), 1: lambda i, r, c: rl.ComplexScalar(f"d{i}", repeats=r)}
 
