@@ -148,7 +148,7 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
     if not all(scale):
         return Definite(False, -math.inf)
     scaled = type(F)(n, n, [F[i, j] * scale[i] * scale[j] for i in range(n) for j in range(n)])
-    S, Y, least = diagonal(scale), scaled, math.inf
+    S, Y, least = diagonal(scale), scaled, 1.0
     for _ in range(REPEATS):
         if _dominant([Y]):
             return Definite(higher is None or _dominant([Y, *higher(S)]), least)
@@ -158,6 +158,7 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
         hint = (hint + hint.conj().T) / 2
         try:
             S = S * exact(np.linalg.inv(np.linalg.cholesky(hint)).conj().T)
+            least = min(least, float(np.linalg.eigvalsh(hint)[0]))
         except np.linalg.LinAlgError:
             values, vectors = np.linalg.eigh(hint)
             least = float(values[0])

@@ -35,9 +35,7 @@ def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
             return not_proved("D_w > 0 was not proved")
         work.spend(q)
         answer = definite(form.of(exact(M)))
-        return (
-            PROVED if answer.proved else not_proved(f"smallest eigenvalue of the form {answer.least:.3g} of its size")
-        )
+        return PROVED if answer.proved else not_proved(f"the form's smallest eigenvalue is {answer.least:.3g}")
 
     verdict = climb(attempt)
     if verdict.proved or "delta" not in claim.numbers:
