@@ -19,7 +19,7 @@ from typing import Any
 
 import flint
 import numpy as np
-from flint import acb, acb_mat, arb, arb_mat
+from flint import acb_mat, arb, arb_mat
 from numpy.typing import NDArray
 
 PRECISIONS = (96, 192, 384)  # bits; each is tried where the one before left a claim undecided
@@ -57,14 +57,10 @@ def zeros(rows: int, cols: int) -> Matrix:
     return arb_mat(rows, cols)
 
 
-def diagonal(entries: Sequence[Any]) -> Matrix:
+def diagonal(entries: Sequence[arb]) -> Matrix:
     """The diagonal matrix with these balls."""
     n = len(entries)
-    kind = acb_mat if any(isinstance(x, acb) for x in entries) else arb_mat
-    result = kind(n, n)
-    for i, x in enumerate(entries):
-        result[i, i] = x
-    return result
+    return arb_mat(n, n, [entries[i] if i == j else 0 for i in range(n) for j in range(n)])
 
 
 def adjoint(X: Matrix) -> Matrix:
@@ -76,12 +72,8 @@ def stack(grid: Sequence[Sequence[Matrix]]) -> Matrix:
     """One matrix out of blocks, given row by row of blocks."""
     kind = acb_mat if any(isinstance(X, acb_mat) for band in grid for X in band) else arb_mat
     rows, cols = sum(band[0].nrows() for band in grid), sum(X.ncols() for X in grid[0])
-    entries = [x for band in grid for i in range(band[0].nrows()) for X in band for x in _row(X, i)]
-    return kind(rows, cols, entries)
-
-
-def _row(X: Matrix, i: int) -> list[Any]:
-    return [X[i, j] for j in range(X.ncols())]
+    lines = (line for band in grid for line in zip(*(X.tolist() for X in band), strict=True))
+    return kind(rows, cols, [x for line in lines for cells in line for x in cells])
 
 
 def part(X: Matrix, rows: slice, cols: slice) -> Matrix:
