@@ -136,8 +136,8 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
     n = F.nrows()
     if n == 0:
         return Definite(True, math.inf)
-    scale = [_root_scale(F[i, i]) for i in range(n)]
-    if not all(scale):
+    scale = [root for i in range(n) if (root := _root_scale(F[i, i])) is not None]
+    if len(scale) < n:
         return Definite(False, -math.inf)
     scaled = type(F)(n, n, [F[i, j] * scale[i] * scale[j] for i in range(n) for j in range(n)])
     S, Y, least = diagonal(scale), scaled, 1.0
