@@ -15,6 +15,7 @@ from robustlab.verify.claim import PROVED, Verdict, Work, not_proved, refuted
 from robustlab.verify.models import Model
 
 DOUBLINGS = 60  # 2^60 steps of the recursion that a Lyapunov equation's sum is; slower decay is left to the eigenvalues
+SWEEPS = 20  # of the balancing before it
 
 
 def lyapunov_form(G: Model, P: Matrix) -> Matrix:
@@ -78,9 +79,8 @@ def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
     F is A, or :math:`(I + hA)(I - hA)^{-1}` of a continuous model: then P solves
     :math:`A^T P + P A = -(I - hA)^T (I - hA) / (2h)`.
     """
-    A = midpoints(G.A)
-    size = np.abs(A).max(initial=0.0)
-    if not G.n or not 1e-100 < size < 1e100:
+    A, d = _balanced(midpoints(G.A))
+    if not G.n or not 1e-100 < np.abs(A).max() < 1e100:
         return None
     F, one = A, np.eye(G.n)
     if not G.dt:
@@ -95,5 +95,18 @@ def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
             return None
         P, F = P + step, F @ F
         if np.abs(step).max() <= 1e-17 * np.abs(P).max():
-            return (P + P.T) / 2
+            return (P + P.T) / 2 * d * d[:, None]
     return None
+
+
+def _balanced(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``diag(d) A diag(1/d)`` with rows about as large as columns, and d, powers of two."""
+    d = np.ones(len(A))
+    for i in list(range(len(A))) * SWEEPS:
+        row, column = np.abs(A[i]).max(), np.abs(A[:, i]).max()
+        if row > 0 and column > 0:
+            factor = np.exp2(np.rint(np.log2(column / row) / 2))
+            A[i] *= factor
+            A[:, i] /= factor
+            d[i] *= factor
+    return A, d

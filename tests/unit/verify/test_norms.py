@@ -94,6 +94,7 @@ def test_badly_scaled_states():
     T = np.exp2([300, -300, 20, 0, -90, 150])
     scaled = G | {"A": G["A"] * T / T[:, None], "B": G["B"] / T[:, None], "C": G["C"] * T}
     assert cases.outcome("norm", scaled, gamma=peak * (1 - 1e-6)) != "proved"
+    assert cases.outcome("norm", scaled, gamma=peak * (1 + 1e-6)) == "proved"
     P = cases.bounded_real_solution(G, peak * (1 + 1e-6)) * T * T[:, None]
     assert cases.outcome("norm", scaled, gamma=peak * (1 + 2e-6), P=P) == "proved"
 
@@ -244,3 +245,10 @@ def test_no_evidence_at_all_proves_a_norm_below_the_true_one(data, seed, discret
             P[i, j] = P[j, i] = data.draw(NUMBERS | st.just(float(P[i, j])))
     factor = data.draw(st.sampled_from([1 - 1e-9, 1 - 1e-6, 0.9, 0.1]))
     assert cases.outcome("norm", G, gamma=peak * factor, P=P) != "proved"
+
+
+def test_a_slow_defective_chain_with_badly_scaled_states():
+    A = np.array([[-1e-9, 1.0], [0.0, -1e-9]])
+    G = {"A": A, "B": np.eye(2)[:, 1:], "C": np.eye(2)[:1], "D": np.zeros((1, 1)), "dt": np.array(0.0)}
+    assert cases.outcome("stable", G) == "proved"
+    assert cases.outcome("norm", G, gamma=1e18 * (1 - 1e-6)) == "refuted"
