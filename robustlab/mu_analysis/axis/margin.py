@@ -107,6 +107,8 @@ class Margin(Tabular, StabilityMargin):
     proof
         What ``lower`` rests on: pieces of the axis with the D, G that hold there, or, after branch and bound, the
         regions (boxes of parameters with frequencies) that were proved one by one.
+    system
+        The set that it is about, for `robustlab.verify`.
     """
 
     kind: ClassVar[str] = "robust stability margin"
@@ -120,6 +122,7 @@ class Margin(Tabular, StabilityMargin):
     open: tuple[tuple[float, float], ...]
     shares: Mapping[str, float]
     proof: tuple[Piece, ...] | tuple[Region, ...]
+    system: UncertainModel | None = None
 
     @property
     def gap(self) -> float:
@@ -165,8 +168,8 @@ class Margin(Tabular, StabilityMargin):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``; arrays stay arrays."""
-        names = [name for name in vars(self) if name != "proof"]
+        """All attributes but ``proof`` and ``system``; arrays stay arrays."""
+        names = [name for name in vars(self) if name not in ("proof", "system")]
         return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
 

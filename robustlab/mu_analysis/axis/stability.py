@@ -386,6 +386,7 @@ def _margin(
         shares=shares,
         proof=found.proof,
         notes=notes,
+        system=uncertain,
     )
 
 

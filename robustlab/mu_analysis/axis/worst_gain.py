@@ -80,6 +80,8 @@ class WorstCaseGain(Tabular, PeakGain):
         What ``upper`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency.
     notes
         Remarks for the reader of a report.
+    system
+        The set that it is about, for `robustlab.verify`.
     """
 
     delta: Mapping[str, Any]
@@ -92,9 +94,10 @@ class WorstCaseGain(Tabular, PeakGain):
     intervals: tuple[tuple[float, float, float], ...]
     open: tuple[tuple[float, float], ...]
     proof: tuple[Piece, ...] | tuple[Region, ...]
+    system: UncertainModel | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
-    unsaved: ClassVar[tuple[str, ...]] = ("proof",)
+    unsaved: ClassVar[tuple[str, ...]] = ("proof", "system")
 
     @property
     def gap(self) -> float:
@@ -137,7 +140,7 @@ class WorstCaseGain(Tabular, PeakGain):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``, and the gap; arrays stay arrays."""
+        """All attributes but ``proof`` and ``system``, and the gap; arrays stay arrays."""
         return {**super().to_json(), "gap": self.gap}
 
 
@@ -517,6 +520,7 @@ def _result(
         open=open_intervals,
         proof=known.proof,
         notes=notes,
+        system=uncertain,
     )
 
 

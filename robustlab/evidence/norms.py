@@ -1,0 +1,85 @@
+"""Claims about norms: of a model, of a loop with the controller as it is stored, of a difference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.evidence.bounded_real import norm_matrix
+from robustlab.evidence.numbers import ABOVE, Numbers, loop_numbers, model_numbers
+from robustlab.linear_analysis.matrix_equations import lyapunov
+from robustlab.norms import HinfNorm
+from robustlab.norms.hinfinity import hinf_norm
+from robustlab.norms.impulse_energy import H2Norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.design import Synthesis
+from robustlab.verify.claim import Claim
+
+
+def norm_claims(found: HinfNorm) -> list[Claim]:
+    """That the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
+    model = found.system
+    if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
+        return []
+    level = above(found.upper)
+    if found.band is None:
+        return [Claim("norm", {**model_numbers(model), "gamma": np.array(level), **_proof(model, level, found.upper)})]
+    q, p = model.n_inputs, model.n_outputs
+    low, high = found.band
+    whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
+    scalings = {"D_w": np.eye(q)[None], "D_z": np.eye(p)[None], "G": np.zeros((1, q, p))}
+    block = np.array([[2, q, p]], dtype=np.int64)
+    return [Claim("mu-axis", {**model_numbers(model), "blocks": block, "level": np.array(level), **whole, **scalings})]
+
+
+def above(number: float) -> float:
+    """What is claimed of a number that was found."""
+    return float(number * ABOVE) if number > 0 else 1e-300
+
+
+def _proof(model: StateSpaceModel, level: float, norm: float) -> Numbers:
+    P = norm_matrix(model, level, norm)
+    return {} if P is None else {"P": P}
+
+
+def loop_claims(found: Synthesis) -> list[Claim]:
+    """That plant and controller, as they are stored, make a stable loop with a norm below ``gamma``."""
+    plant = found.plant
+    level = above(found.gamma)
+    numbers = loop_numbers(plant.model, plant.n_meas, plant.n_con, found.K)
+    loop = found.closed_loop
+    if loop.n_states != plant.model.n_states + found.K.n_states:  # reduced: P would be of another state
+        loop = plant.close(found.K)
+    return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **_proof(loop, level, found.gamma)})]
+
+
+def h2_claims(found: H2Norm) -> list[Claim]:
+    """That the H2 norm is at most ``value``, by a Gramian that is a little too large."""
+    model = found.system
+    if model is None or not np.isfinite(found.value) or not found.status.trustworthy:
+        return []
+    return gramian_claims(model, found.value)
+
+
+def gramian_claims(model: StateSpaceModel, value: float) -> list[Claim]:
+    r"""``A'P + PA + C'C + e I = 0``: with e so small that P still proves ``value`` (1 + 1e-6)."""
+    n, level = model.n_states, above(value)
+    if not n:
+        return []
+    C = model.C
+    try:
+        # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
+        unit = lyapunov(model.A, np.eye(n), model.is_discrete, tolerance=1e-3)
+        cost = float(np.trace(model.B.T @ unit @ model.B))
+        e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
+        P = lyapunov(model.A, C.T @ C + e * np.eye(n), model.is_discrete)
+    except (InputError, NoTrustworthyNumber):
+        return []
+    numbers = {**model_numbers(model), "value": np.array(level), "P": 0.5 * (P + P.T)}
+    return [Claim("gramian", numbers)]
+
+
+def norm_of(model: StateSpaceModel) -> HinfNorm:
+    """The norm of a model, for claims about results that keep only the model."""
+    return hinf_norm(model)
