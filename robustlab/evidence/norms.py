@@ -9,7 +9,6 @@ from robustlab.evidence.bounded_real import norm_matrix
 from robustlab.evidence.numbers import ABOVE, Numbers, loop_numbers, model_numbers
 from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.norms import HinfNorm
-from robustlab.norms.hinfinity import hinf_norm
 from robustlab.norms.impulse_energy import H2Norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -70,16 +69,11 @@ def gramian_claims(model: StateSpaceModel, value: float) -> list[Claim]:
     C = model.C
     try:
         # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
-        unit = lyapunov(model.A, np.eye(n), model.is_discrete, tolerance=1e-3)
+        unit = lyapunov(model.A.T, np.eye(n), model.is_discrete, tolerance=1e-3)
         cost = float(np.trace(model.B.T @ unit @ model.B))
         e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
-        P = lyapunov(model.A, C.T @ C + e * np.eye(n), model.is_discrete)
+        P = lyapunov(model.A.T, C.T @ C + e * np.eye(n), model.is_discrete)
     except (InputError, NoTrustworthyNumber):
         return []
     numbers = {**model_numbers(model), "value": np.array(level), "P": 0.5 * (P + P.T)}
     return [Claim("gramian", numbers)]
-
-
-def norm_of(model: StateSpaceModel) -> HinfNorm:
-    """The norm of a model, for claims about results that keep only the model."""
-    return hinf_norm(model)
