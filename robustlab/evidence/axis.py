@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,13 +16,14 @@ from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
 from robustlab.mu_analysis.matrix.bounds import MuBounds
-from robustlab.mu_analysis.matrix.box import lowest
+from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_matrix
 from robustlab.verify.claim import Claim
 
 APART = 64  # binary digits between the scalings of parts of which one acts on the other, and not back
+SAME = 1e-10  # of a range: faces nearer than this are one face
 DEEPEST = 900  # binary digits in all: beyond them doubles end
 
 
@@ -45,40 +47,91 @@ def mu_claims(found: MuBounds) -> list[Claim]:
 def margin_claims(found: Margin) -> list[Claim]:
     """That the set ``lower`` times as large is stable, and that one ``upper`` times as large is not."""
     uncertain = found.system
+    if uncertain is None:
+        return []
     model, blocks = uncertain.delta_channels, uncertain.blocks
     if not blocks:
         return [Claim("stable", {"A": uncertain.M.A, "dt": np.array(float(uncertain.M.dt))})]
-    rows = block_rows(blocks)
+    common: Numbers = {**model_numbers(model), "blocks": block_rows(blocks)}
     claims: list[Claim] = []
     at = _frequencies(uncertain)
-    if 0 < found.lower < np.inf and all(isinstance(p, Piece) for p in found.proof):
-        symmetric = bool((lowest(blocks) == -1).all())
-        pieces = _of_the_whole(model, blocks, found.proof) if symmetric else found.proof
-        if pieces is not None:
-            level = ABOVE / found.lower
-            ends: Numbers = {"level": np.array(level)} if symmetric else {
-                "level": np.array(1.0), "size": np.array(found.lower / ABOVE), "ranges": _ranges(blocks)
-            }  # fmt: skip
-            claims.append(Claim("mu-axis", {**model_numbers(model), "blocks": rows, **ends, **_scalings(pieces, at)}))
+    if 0 < found.lower < np.inf:
+        level = ABOVE / found.lower
+        if found.boxes or not _symmetric(blocks):
+            proved = found.boxes or _whole_box(blocks, found.lower, found.proof)
+            claims.append(
+                Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": _levels(blocks, level)})
+            )
+        else:
+            pieces = _of_the_whole(model, blocks, found.proof)
+            if pieces is not None:
+                claims.append(Claim("mu-axis", {**common, "level": np.array(level), **_scalings(pieces, at)}))
     if found.delta and np.isfinite(found.upper):
         delta = np.asarray(delta_matrix(blocks, found.delta))
-        numbers = {**model_numbers(model), "blocks": rows, "level": _attained(blocks, delta), "delta": delta}
-        claims.append(Claim("unstable-member", numbers))
+        claims.append(Claim("unstable-member", {**common, "level": _attained(blocks, delta), "delta": delta}))
     return claims
 
 
 def gain_claims(found: WorstCaseGain) -> list[Claim]:
     """That no member has a larger gain than ``upper``."""
     uncertain = found.system
-    if not np.isfinite(found.upper) or not all(isinstance(p, Piece) for p in found.proof) or not found.proof:
+    if uncertain is None or not np.isfinite(found.upper) or not found.proof:
         return []
     performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
-    blocks = (*uncertain.blocks, performance)
-    level = np.append(np.ones(len(uncertain.blocks)), found.upper * ABOVE)
-    numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "level": level}
-    if not (lowest(uncertain.blocks) == -1).all():
-        numbers |= {"size": np.array(1.0), "ranges": _ranges(blocks)}
-    return [Claim("mu-axis", {**numbers, **_scalings(found.proof, _frequencies(uncertain))})]
+    blocks, at = (*uncertain.blocks, performance), _frequencies(uncertain)
+    gamma = np.array(found.upper * ABOVE)
+    numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
+    if found.boxes or not _symmetric(blocks):
+        proved = found.boxes or _whole_box(blocks, 1.0, found.proof)
+        return [Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})]
+    return [Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})]
+
+
+def _symmetric(blocks: Sequence[Block]) -> bool:
+    return bool((lowest(blocks) == -1).all())
+
+
+def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
+    """One of real blocks, whose ranges are told in the user's unit, and the level of the others."""
+    return np.array([1.0 if b.interval else level for b in blocks])
+
+
+def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> list[tuple[Box, Piece]]:
+    """Pieces of a set of this size in one box."""
+    box = root_box(blocks, size)
+    return [(box, piece) for piece in proof]
+
+
+def _boxes(
+    blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], size: float, at: Callable[[float], float]
+) -> Numbers:
+    """Boxes of parameters with the intervals and scalings that were proved in them, for a set of this size."""
+    sides = np.stack([np.stack([box.centre - box.half, box.centre + box.half], axis=1) for box, _ in proved])
+    ranges = _ranges(blocks)
+    for i, block in enumerate(blocks):
+        if block.interval:
+            sides[:, i] = _snapped(sides[:, i], size * ranges[i])
+        else:
+            sides[:, i] = (-1.0, 1.0)
+    kept = [k for k in range(len(proved)) if (sides[k, :, 0] < size * ranges[:, 1]).all()
+            and (sides[k, :, 1] > size * ranges[:, 0]).all()]  # fmt: skip
+    pieces = [proved[k][1] for k in kept]
+    stacks = {name: np.stack([getattr(p.bound, key) for p in pieces]).astype(complex)
+              for name, key in (("D_w", "Dw"), ("D_z", "Dz"), ("G", "G"))}  # fmt: skip
+    ends = {"low": np.array([at(p.low) for p in pieces]), "high": np.array([at(p.high) for p in pieces])}
+    return {"box": sides[kept], "ranges": ranges, "size": np.array(size), **ends, **stacks}
+
+
+def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Faces that differ by rounding brought to one number, those at the ends of the set a little beyond them."""
+    width = whole[1] - whole[0]
+    values, place = np.unique(sides, return_inverse=True)
+    groups = np.concatenate([[0], np.cumsum(np.diff(values) > SAME * width)])
+    first = values[np.searchsorted(groups, np.arange(groups[-1] + 1))]
+    found = first[groups][place.reshape(sides.shape)]
+    found[np.abs(found - whole[0]) < SAME * width] = whole[0] - SAME * width
+    found[np.abs(found - whole[1]) < SAME * width] = whole[1] + SAME * width
+    return found
 
 
 def _frequencies(uncertain: Any) -> Callable[[float], float]:
@@ -138,7 +191,7 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
     cuts = np.unique([end for p in pieces for end in (p.low, p.high)] + [0.0, np.inf])
     q, p_ = model.n_inputs, model.n_outputs
     result: list[Any] = []
-    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+    for low, high in itertools.pairwise(cuts):
         Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p_, dtype=complex), np.zeros((q, p_), dtype=complex)
         for i, (w, z) in enumerate(block_slices(blocks)):
             Dw[w, w] *= 2.0 ** (-APART * depth[i])

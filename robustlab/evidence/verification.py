@@ -127,7 +127,7 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
     claims = list(_claims_in(result)) if isinstance(result, (str, Path)) else claims_of(result)
     if not claims:
         what = f"a {type(result).__name__}"
-        hint = "docs/proved.md says what can be; a file of an older version, or a bound of another kind, holds no claims"
+        hint = "docs/proved.md says what can be; files of older versions hold no claims"
         raise InputError("verify", f"{what} without claims", "a result with evidence that can be checked", hint)
     found = tuple(check(claim, effort=max(1, round(EFFORT * effort))) for claim in claims)
     outcomes = {c.outcome for c in found}

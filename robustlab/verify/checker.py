@@ -11,10 +11,11 @@ from flint import arb
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.verify.balls import PRECISIONS, precision, rounded_down
+from robustlab.verify.boxes import prove_mu_boxes
 from robustlab.verify.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verify.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verify.models import difference, loop, stored
-from robustlab.verify.mu import prove_mu_axis, prove_mu_upper
+from robustlab.verify.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verify.norms import prove_gramian, prove_norm, prove_stable
 from robustlab.verify.sets import prove_set
 
@@ -22,6 +23,7 @@ EFFORT = 20_000  # units of `Work`: about two minutes
 
 
 NORM = "H-infinity norm over all frequencies <="
+GAIN = "every member is stable"
 NONE = "no Delta of the structure within 1/level"
 SOME = "a Delta of the structure within (1 + 1e-9)/level"
 
@@ -45,6 +47,11 @@ KINDS: Mapping[str, _Kind] = {
     "mu-upper": _Kind(prove_mu_upper, f"{NONE} makes I - M Delta singular", "level", "mu <="),
     "mu-axis": _Kind(
         prove_mu_axis, f"A is stable, {NONE} makes I - M(jw) Delta singular at any frequency", "level", "mu <="),
+    "mu-boxes": _Kind(
+        prove_mu_boxes, "A is stable, and so with all real parameters within size times their ranges, and the other "
+        "blocks within 1/level", "size", "size >="),
+    "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
+    "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
     "unstable-member": _Kind(
         prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",

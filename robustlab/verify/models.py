@@ -86,6 +86,11 @@ def loop(claim: Claim) -> Model:
     return Model(A, B, stack([[C1 + D12 * U_x, D12 * U_k]]), D11 + D12 * U_w, P.dt)
 
 
+def model_of(claim: Claim) -> Model:
+    """The model of a claim: the loop where it has a plant ``P_A ..``, else what is stored."""
+    return loop(claim) if "P_A" in claim.numbers else stored(claim)
+
+
 def difference(claim: Claim) -> Model:
     """G1 - G2 of ``A1 .. D1`` and ``A2 .. D2``, states in this order."""
     G1, G2 = stored(claim, "{}1"), stored(claim, "{}2")

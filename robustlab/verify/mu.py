@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from flint import arb
 
 from robustlab.errors import InputError
 from robustlab.verify.axis import axis
 from robustlab.verify.balls import PRECISIONS, definite, exact, precision
-from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, refuted
-from robustlab.verify.forms import Form, read_blocks, scaled_form
+from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, refuted, scalar
+from robustlab.verify.forms import FULL, Form, read_blocks, read_shapes, scaled_form
 from robustlab.verify.members import singular_member, unstable_member
-from robustlab.verify.models import stored
+from robustlab.verify.models import model_of
 from robustlab.verify.norms import climb, evidence
 from robustlab.verify.stability import stable
 
@@ -50,7 +51,7 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
     prove that A is stable. A dataset ``band`` (2,) limits the claim to the band, and then nothing is said of stability.
     A dataset ``delta`` (q, p) may refute a claim over all frequencies.
     """
-    G = stored(claim)
+    G = model_of(claim)
     blocks = read_blocks(claim, G.m, G.p)
     pieces, k = covering(claim, G.dt), len(claim.numbers["low"])
     stacks = [
@@ -67,16 +68,28 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
             if form is None:
                 return not_proved(f"interval {i}: D_w > 0 was not proved")
             intervals.append((a, b, form))
-        return axis(stored(claim), intervals, work)
+        return axis(model_of(claim), intervals, work)
 
     if whole_axis:
-        verdict = climb(lambda: stable(stored(claim), P, work))
+        verdict = climb(lambda: stable(model_of(claim), P, work))
         if not verdict.proved:
             return verdict
     verdict = climb(by_frequency)
     if verdict.proved or not whole_axis or "delta" not in claim.numbers:
         return verdict
     return _opposed(verdict, unstable_member(claim, blocks, work, allowance=1.0))
+
+
+def as_performance(claim: Claim) -> Claim:
+    """The claim that the gain of no member is above ``gamma``: the last block, a full one, closes the performance.
+
+    The other blocks have the level one; a performance block within 1/gamma that makes nothing singular says that the
+    gain from its w to its z is below gamma (main loop theorem).
+    """
+    rows = read_shapes(claim)
+    if not rows or rows[-1][0] != FULL:
+        raise InputError("blocks", f"{rows[-1:]}", "a full block, the performance, as the last one")
+    return Claim(claim.kind, {**claim.numbers, "level": np.array([1.0] * (len(rows) - 1) + [scalar(claim, "gamma")])})
 
 
 def _opposed(verdict: Verdict, opposite: Verdict) -> Verdict:
@@ -107,12 +120,12 @@ def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
         if b > reached or (b == reached and not result):
             result.append((i, reached, min(b, stop)))
             reached = b
-            if reached >= stop or _beyond_nyquist(reached, dt):
+            if reached >= stop or beyond_nyquist(reached, dt):
                 return result
     raise InputError("low, high", f"they end at {reached} rad/s", "intervals that cover all")
 
 
-def _beyond_nyquist(w: float, dt: float) -> bool:
+def beyond_nyquist(w: float, dt: float) -> bool:
     """Whether w dt >= pi of a discrete model, for certain."""
     with precision(PRECISIONS[-1]):
         return bool(dt > 0 and arb(w) * arb(dt) >= arb.pi())

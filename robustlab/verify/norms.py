@@ -34,7 +34,7 @@ from robustlab.verify.balls import (
 )
 from robustlab.verify.claim import PROVED, Claim, Outcome, Verdict, Work, not_proved, refuted, scalar, symmetric
 from robustlab.verify.forms import gain_form
-from robustlab.verify.models import Model, gain_exceeds, on_the_axis, stored
+from robustlab.verify.models import Model, gain_exceeds, model_of, on_the_axis, stored
 from robustlab.verify.stability import lyapunov_form, stable
 
 GRID = 60  # frequencies among which floating point looks for a peak
@@ -175,7 +175,7 @@ def prove_gramian(claim: Claim, work: Work) -> Verdict:
     value = scalar(claim, "value", zero=True)
 
     def attempt() -> Verdict:
-        G = stored(claim)
+        G = model_of(claim)
         P = exact(symmetric(claim, "P", G.n))
         if not G.dt and any(x != 0 for x in G.D.entries()):
             return refuted("D is not zero, so the H2 norm is infinite")
