@@ -63,9 +63,9 @@ def margin_claims(found: Margin) -> list[Claim]:
                 Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": _levels(blocks, level)})
             )
         else:
-            pieces = _of_the_whole(model, blocks, found.proof)
-            if pieces is not None:
-                claims.append(Claim("mu-axis", {**common, "level": np.array(level), **_scalings(pieces, at)}))
+            scalings = joined_scalings(model, blocks, found.proof, at)
+            if scalings is not None:
+                claims.append(Claim("mu-axis", {**common, "level": np.array(level), **scalings}))
     if found.delta and np.isfinite(found.upper):
         delta = np.asarray(delta_matrix(blocks, found.delta))
         claims.append(Claim("unstable-member", {**common, "level": _attained(blocks, delta), "delta": delta}))
@@ -85,6 +85,17 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
         proved = found.boxes or _whole_box(blocks, 1.0, found.proof)
         return [Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})]
     return [Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})]
+
+
+def joined_scalings(
+    model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
+) -> Numbers | None:
+    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined.
+
+    ``at``: what a frequency of the pieces is in rad/s.
+    """
+    whole = _of_the_whole(model, blocks, pieces)
+    return None if whole is None else _scalings(whole, at)
 
 
 def _symmetric(blocks: Sequence[Block]) -> bool:

@@ -1,4 +1,4 @@
-"""Claims about norms: of a model, of a loop with the controller as it is stored, of a difference."""
+"""Claims about norms of a model: H-infinity, over the axis or a band, and H2."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import numpy as np
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.evidence.bounded_real import norm_matrix
-from robustlab.evidence.numbers import ABOVE, Numbers, loop_numbers, model_numbers
+from robustlab.evidence.numbers import ABOVE, Numbers, model_numbers
 from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.norms import HinfNorm
 from robustlab.norms.impulse_energy import H2Norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.design import Synthesis
 from robustlab.verify.claim import Claim
 
 
@@ -23,7 +22,11 @@ def norm_claims(found: HinfNorm) -> list[Claim]:
         return []
     level = above(found.upper)
     if found.band is None:
-        return [Claim("norm", {**model_numbers(model), "gamma": np.array(level), **_proof(model, level, found.upper)})]
+        return [
+            Claim(
+                "norm", {**model_numbers(model), "gamma": np.array(level), **proof_of_norm(model, level, found.upper)}
+            )
+        ]
     q, p = model.n_inputs, model.n_outputs
     low, high = found.band
     whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
@@ -37,20 +40,10 @@ def above(number: float) -> float:
     return float(number * ABOVE) if number > 0 else 1e-300
 
 
-def _proof(model: StateSpaceModel, level: float, norm: float) -> Numbers:
+def proof_of_norm(model: StateSpaceModel, level: float, norm: float) -> Numbers:
+    """P, where one was found; the checker does without, by boxes of frequency."""
     P = norm_matrix(model, level, norm)
     return {} if P is None else {"P": P}
-
-
-def loop_claims(found: Synthesis) -> list[Claim]:
-    """That plant and controller, as they are stored, make a stable loop with a norm below ``gamma``."""
-    plant = found.plant
-    level = above(found.gamma)
-    numbers = loop_numbers(plant.model, plant.n_meas, plant.n_con, found.K)
-    loop = found.closed_loop
-    if loop.n_states != plant.model.n_states + found.K.n_states:  # reduced: P would be of another state
-        loop = plant.close(found.K)
-    return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **_proof(loop, level, found.gamma)})]
 
 
 def h2_claims(found: H2Norm) -> list[Claim]:
@@ -61,19 +54,21 @@ def h2_claims(found: H2Norm) -> list[Claim]:
     return gramian_claims(model, found.value)
 
 
-def gramian_claims(model: StateSpaceModel, value: float) -> list[Claim]:
-    r"""``A'P + PA + C'C + e I = 0``: with e so small that P still proves ``value`` (1 + 1e-6)."""
+def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None = None) -> list[Claim]:
+    r"""``A'P + PA + C'C + e I = 0``: with e so small that P still proves ``value`` (1 + 1e-6).
+
+    ``numbers``: what the model is made of, where it is a loop; else those of the model.
+    """
     n, level = model.n_states, above(value)
     if not n:
         return []
-    C = model.C
     try:
         # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
         unit = lyapunov(model.A.T, np.eye(n), model.is_discrete, tolerance=1e-3)
         cost = float(np.trace(model.B.T @ unit @ model.B))
         e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
-        P = lyapunov(model.A.T, C.T @ C + e * np.eye(n), model.is_discrete)
+        P = lyapunov(model.A.T, model.C.T @ model.C + e * np.eye(n), model.is_discrete)
     except (InputError, NoTrustworthyNumber):
         return []
-    numbers = {**model_numbers(model), "value": np.array(level), "P": 0.5 * (P + P.T)}
-    return [Claim("gramian", numbers)]
+    told = model_numbers(model) if numbers is None else numbers
+    return [Claim("gramian", {**told, "value": np.array(level), "P": 0.5 * (P + P.T)})]

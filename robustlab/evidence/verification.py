@@ -20,7 +20,15 @@ CLAIMS: Mapping[str, str] = {
     "MuBounds": "axis.mu_claims",
     "Margin": "axis.margin_claims",
     "WorstCaseGain": "axis.gain_claims",
-    "HinfSynthesis": "norms.loop_claims",
+    "HinfSynthesis": "designs.hinf_claims",
+    "NcfSynthesis": "designs.hinf_claims",
+    "H2Synthesis": "designs.h2_claims",
+    "FixedSynthesis": "designs.fixed_claims",
+    "DKSynthesis": "designs.dk_claims",
+    "ReducedModel": "designs.reduction_claims",
+    "DiskMargins": "designs.disk_claims",
+    "DiskMargin": "designs.one_disk_claims",
+    "BuiltModel": "designs.set_claims",
 }
 
 
