@@ -122,7 +122,7 @@ def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
                 continue
             if answer.least < INDEFINITE or r <= NARROW * distance:
                 found = f"at {chart.frequency(w0):.9g} rad/s the form's smallest eigenvalue is {answer.least:.3g}"
-                return not_proved(f"{found} of its size", final=answer.least < INDEFINITE)
+                return not_proved(f"{found} of its size")
         if not a < w0 < b:
             return not_proved(f"a pole on the axis, or nearly, at {chart.frequency(w0):.9g} rad/s")
         todo += [(w0, b), (a, w0)]
