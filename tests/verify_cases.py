@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from robustlab.verify import Claim, check
+from robustlab.verification import Claim, check
 
 
 def model(seed, n, m, p, dt=0.0, margin=0.1):

@@ -20,7 +20,7 @@ from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_matrix
-from robustlab.verify.claim import Claim
+from robustlab.verification.claim import Claim
 
 APART = 64  # binary digits between the scalings of parts of which one acts on the other, and not back
 SAME = 1e-10  # of a range: faces nearer than this are one face

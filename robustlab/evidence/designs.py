@@ -1,4 +1,4 @@
-"""Claims about loops with the controller as it is stored, about reduced models, and about sets and the models they hold.
+"""Claims about loops with the controller as it is stored, about reduced models, and about sets.
 
 What is claimed of a design is claimed of its plant and its K; the checker closes the loop itself, in balls.
 """
@@ -26,7 +26,7 @@ from robustlab.synthesis.h2.h2_synthesis import H2Synthesis
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.uncertainty.built import BuiltModel
-from robustlab.verify.claim import Claim
+from robustlab.verification.claim import Claim
 
 
 def _loop(found: Synthesis) -> tuple[StateSpaceModel, Numbers]:
@@ -144,10 +144,9 @@ def set_claims(found: BuiltModel) -> list[Claim]:
         **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
         **matrices(nominal, "{}0"), **matrices(perturbed, "{}1"), "blocks": block_rows(found.model.blocks),
     }  # fmt: skip
-    off = max(
-        (abs(float(Fraction(y) - Fraction(x) - Fraction(y - x)))
-         for name in "ABCD"
-         for x, y in zip(getattr(nominal, name).ravel().tolist(), getattr(perturbed, name).ravel().tolist(), strict=True)),
-        default=0.0,
-    )  # fmt: skip
+    pairs = [
+        pair for name in "ABCD"
+        for pair in zip(*(getattr(end, name).ravel().tolist() for end in found.ends), strict=True)
+    ]  # fmt: skip
+    off = max((abs(float(Fraction(y) - Fraction(x) - Fraction(y - x))) for x, y in pairs), default=0.0)
     return [Claim("set", numbers if off == 0 else {**numbers, "tolerance": np.array(off)})]

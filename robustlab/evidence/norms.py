@@ -12,7 +12,7 @@ from robustlab.norms import HinfNorm
 from robustlab.norms.impulse_energy import H2Norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.verify.claim import Claim
+from robustlab.verification.claim import Claim
 
 
 def norm_claims(found: HinfNorm) -> list[Claim]:

@@ -8,10 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, number
-from robustlab.verify.claim import Claim, Outcome, Verification
+from robustlab.shown import Facts, Shown
+from robustlab.verification.claim import Claim, Outcome, Verification
 
 # Class of a result -> what makes its claims. The first class that is met on the way up counts.
 CLAIMS: Mapping[str, str] = {
@@ -76,10 +76,6 @@ class Verified(Shown):
         """Each claim with what became of it."""
         return [(c.outcome.value, _said(c)) for c in self.claims]
 
-    def details(self) -> list[Part]:
-        """None: the facts are all there is."""
-        return []
-
     def to_json(self) -> dict[str, Any]:
         """All fields."""
         rows = [
@@ -90,9 +86,7 @@ class Verified(Shown):
 
 
 def _said(found: Verification) -> str:
-    bound = f"; proved: {number(found.bound, digits=17)}" if found.bound is not None else ""
-    where = f" ({found.where})" if found.where else ""
-    return f"{found.claim}{bound}{where}"
+    return f"{found.claim} ({found.where})" if found.where else found.claim
 
 
 def claims_of(result: Any) -> list[Claim]:
@@ -128,7 +122,7 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
     InputError
         Nothing that can be verified: a file without claims, a result of another kind.
     """
-    from robustlab.verify.checker import EFFORT, check
+    from robustlab.verification.checker import EFFORT, check
 
     if not 0 < effort < float("inf"):
         raise InputError("verify: effort", f"{effort}", "a positive number")
@@ -148,9 +142,6 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
 
 
 def _claims_in(path: str | Path) -> Iterator[Claim]:
-    from robustlab.verify.reading import claims_in_file
+    from robustlab.verification.reading import claims_in_file
 
     yield from claims_in_file(path)
-
-
-__all__ = ["CLAIMS", "NoTrustworthyNumber", "Verified", "claims_of", "verify"]

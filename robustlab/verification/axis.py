@@ -25,7 +25,7 @@ import numpy as np
 from flint import acb, acb_mat, arb
 
 from robustlab.errors import InputError
-from robustlab.verify.balls import (
+from robustlab.verification.balls import (
     INDEFINITE,
     Definite,
     Matrix,
@@ -37,9 +37,9 @@ from robustlab.verify.balls import (
     rounded_down,
     rounded_up,
 )
-from robustlab.verify.claim import PROVED, Verdict, Work, not_proved
-from robustlab.verify.forms import Form, Quadratic
-from robustlab.verify.models import Model, modal, on_the_axis, reciprocal, shifted
+from robustlab.verification.claim import PROVED, Verdict, Work, not_proved
+from robustlab.verification.forms import Form, Quadratic
+from robustlab.verification.models import Model, modal, on_the_axis, reciprocal, shifted
 
 DEGREE = 3  # K: beyond it a box gets wider by less than its work grows
 NARROW = 1e-9  # a box in which M changes by less than this part will not gain from another halving

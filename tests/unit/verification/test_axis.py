@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.verify import Outcome, check
+from robustlab.verification import Outcome, check
 
 BUILD = {0: lambda i, r, c: rl.RealScalar(f"d{i}", repeats=r), 1: lambda i, r, c: rl.ComplexScalar(f"d{i}", repeats=r)}
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.verify import Claim, Outcome, check
+from robustlab.verification import Claim, Outcome, check
 
 
 def matrix(seed, blocks, real=False):

@@ -9,8 +9,8 @@ from flint import fmpq, fmpq_mat
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError
-from robustlab.verify.claim import PROVED, Claim, Verdict, Work, real, refuted, scalar
-from robustlab.verify.forms import REAL, read_shapes
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, real, refuted, scalar
+from robustlab.verification.forms import REAL, read_shapes
 
 
 def prove_set(claim: Claim, work: Work) -> Verdict:

@@ -5,7 +5,7 @@ import verify_cases as cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verify import Claim, Outcome, check
+from robustlab.verification import Claim, Outcome, check
 
 
 def test_a_first_order_lag_has_its_closed_form():

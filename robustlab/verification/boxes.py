@@ -24,14 +24,14 @@ from typing import Any
 from flint import arb
 
 from robustlab.errors import InputError
-from robustlab.verify.axis import axis
-from robustlab.verify.balls import diagonal, identity, inverse, zeros
-from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, scalar
-from robustlab.verify.forms import REAL, Block, read_blocks, scaled_form
-from robustlab.verify.models import Model, model_of
-from robustlab.verify.mu import beyond_nyquist
-from robustlab.verify.norms import climb, evidence
-from robustlab.verify.stability import stable
+from robustlab.verification.axis import axis
+from robustlab.verification.balls import diagonal, identity, inverse, zeros
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, scalar
+from robustlab.verification.forms import REAL, Block, read_blocks, scaled_form
+from robustlab.verification.models import Model, model_of
+from robustlab.verification.mu import beyond_nyquist
+from robustlab.verification.norms import climb, evidence
+from robustlab.verification.stability import stable
 
 Sides = Sequence[tuple[Any, Any]]  # the ends of each block's interval: doubles, or exact fractions
 Region = tuple[Sides, float, float]  # a box, and the frequencies at which something is open in it

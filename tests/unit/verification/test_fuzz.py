@@ -6,7 +6,7 @@ import verify_cases as cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verify import Claim, Outcome, check
+from robustlab.verification import Claim, Outcome, check
 
 ONE = np.ones((1, 1))
 LAG = {"A": -ONE, "B": ONE, "C": ONE, "D": 0 * ONE, "dt": np.array(0.0)}

@@ -13,8 +13,19 @@ import numpy as np
 from flint import arb
 
 from robustlab.errors import InputError
-from robustlab.verify.balls import Matrix, adjoint, exact, identity, inverse, magnitudes, midpoints, part, stack, zeros
-from robustlab.verify.claim import Claim, real, scalar, whole
+from robustlab.verification.balls import (
+    Matrix,
+    adjoint,
+    exact,
+    identity,
+    inverse,
+    magnitudes,
+    midpoints,
+    part,
+    stack,
+    zeros,
+)
+from robustlab.verification.claim import Claim, real, scalar, whole
 
 CLOSE = 1e8  # condition of the eigenvectors, above which more is lost in cancellation than is gained
 SEPARATE = 1e-6  # modal coordinates are used where they leave no more than this beside the diagonal

@@ -4,7 +4,7 @@ Whoever finds a proof may be as clever as he likes; whoever checks it is short e
 criterion). Nothing here knows how a claim was found. `check` is the door.
 """
 
-from robustlab.verify.checker import check
-from robustlab.verify.claim import Claim, Outcome, Verification
+from robustlab.verification.checker import check
+from robustlab.verification.claim import Claim, Outcome, Verification
 
 __all__ = ["Claim", "Outcome", "Verification", "check"]

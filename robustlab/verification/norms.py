@@ -18,8 +18,8 @@ import numpy as np
 from flint import arb
 from numpy.typing import NDArray
 
-from robustlab.verify.axis import axis
-from robustlab.verify.balls import (
+from robustlab.verification.axis import axis
+from robustlab.verification.balls import (
     PRECISIONS,
     Matrix,
     adjoint,
@@ -32,10 +32,10 @@ from robustlab.verify.balls import (
     stack,
     zeros,
 )
-from robustlab.verify.claim import PROVED, Claim, Outcome, Verdict, Work, not_proved, refuted, scalar, symmetric
-from robustlab.verify.forms import gain_form
-from robustlab.verify.models import Model, gain_exceeds, model_of, on_the_axis, stored
-from robustlab.verify.stability import lyapunov_form, stable
+from robustlab.verification.claim import PROVED, Claim, Outcome, Verdict, Work, not_proved, refuted, scalar, symmetric
+from robustlab.verification.forms import gain_form
+from robustlab.verification.models import Model, gain_exceeds, model_of, on_the_axis, stored
+from robustlab.verification.stability import lyapunov_form, stable
 
 GRID = 60  # frequencies among which floating point looks for a peak
 PEAKS = 3  # of them are climbed

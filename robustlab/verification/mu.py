@@ -8,14 +8,24 @@ import numpy as np
 from flint import arb
 
 from robustlab.errors import InputError
-from robustlab.verify.axis import axis
-from robustlab.verify.balls import PRECISIONS, definite, exact, precision
-from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, refuted, scalar
-from robustlab.verify.forms import FULL, Form, read_blocks, read_shapes, scaled_form
-from robustlab.verify.members import singular_member, unstable_member
-from robustlab.verify.models import model_of
-from robustlab.verify.norms import climb, evidence
-from robustlab.verify.stability import stable
+from robustlab.verification.axis import axis
+from robustlab.verification.balls import PRECISIONS, definite, exact, precision
+from robustlab.verification.claim import (
+    PROVED,
+    Claim,
+    Verdict,
+    Work,
+    complex_or_real,
+    not_proved,
+    real,
+    refuted,
+    scalar,
+)
+from robustlab.verification.forms import FULL, Form, read_blocks, read_shapes, scaled_form
+from robustlab.verification.members import singular_member, unstable_member
+from robustlab.verification.models import model_of
+from robustlab.verification.norms import climb, evidence
+from robustlab.verification.stability import stable
 
 
 def prove_mu_upper(claim: Claim, work: Work) -> Verdict:

@@ -10,9 +10,9 @@ import numpy as np
 from flint import acb, acb_mat
 from numpy.typing import NDArray
 
-from robustlab.verify.balls import Matrix, adjoint, definite, exact, midpoints
-from robustlab.verify.claim import PROVED, Verdict, Work, not_proved, refuted
-from robustlab.verify.models import Model
+from robustlab.verification.balls import Matrix, adjoint, definite, exact, midpoints
+from robustlab.verification.claim import PROVED, Verdict, Work, not_proved, refuted
+from robustlab.verification.models import Model
 
 DOUBLINGS = 60  # 2^60 steps of the recursion that a Lyapunov equation's sum is; slower decay is left to the eigenvalues
 SWEEPS = 20  # of the balancing before it

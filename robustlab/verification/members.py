@@ -28,12 +28,12 @@ import numpy as np
 from flint import acb, arb, arb_mat
 from numpy.typing import NDArray
 
-from robustlab.verify.balls import Matrix, exact, identity, inverse, magnitudes, midpoints, stack, zeros
-from robustlab.verify.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved
-from robustlab.verify.forms import COMPLEX, FULL, Block, check_delta, read_blocks, within
-from robustlab.verify.models import Model, on_the_axis, stored
-from robustlab.verify.norms import climb
-from robustlab.verify.stability import eigenvalues, outside
+from robustlab.verification.balls import Matrix, exact, identity, inverse, magnitudes, midpoints, stack, zeros
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved
+from robustlab.verification.forms import COMPLEX, FULL, Block, check_delta, read_blocks, within
+from robustlab.verification.models import Model, on_the_axis, stored
+from robustlab.verification.norms import climb
+from robustlab.verification.stability import eigenvalues, outside
 
 ALLOWANCE = 1 + 1e-9  # a Delta may be so much larger than the level says
 LARGER = 1 + 5e-10  # half of it: by so much the given Delta is enlarged, so that its pole lies beyond the boundary

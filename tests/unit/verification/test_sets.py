@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import verify_cases as cases
 
-from robustlab.verify import Outcome, check
+from robustlab.verification import Outcome, check
 
 
 def example(seed=0, q=2, n=3, m=2, p=1, D11=None):

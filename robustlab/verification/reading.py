@@ -9,7 +9,7 @@ import numpy as np
 from robustlab.errors import InputError
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.tree import Dataset, Tree, Unread
-from robustlab.verify.claim import Claim
+from robustlab.verification.claim import Claim
 
 GROUP = "claims"
 

@@ -31,8 +31,8 @@ from flint import acb, arb
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError
-from robustlab.verify.balls import Matrix, adjoint, definite, diagonal, exact, identity, part, zeros
-from robustlab.verify.claim import Claim, Work, real, whole
+from robustlab.verification.balls import Matrix, adjoint, definite, diagonal, exact, identity, part, zeros
+from robustlab.verification.claim import Claim, Work, real, whole
 
 REAL, COMPLEX, FULL = 0, 1, 2
 

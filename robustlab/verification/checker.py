@@ -10,14 +10,14 @@ import numpy as np
 from flint import arb
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.verify.balls import PRECISIONS, precision, rounded_down
-from robustlab.verify.boxes import prove_mu_boxes
-from robustlab.verify.claim import Claim, Verdict, Verification, Work, not_proved
-from robustlab.verify.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
-from robustlab.verify.models import difference, loop, stored
-from robustlab.verify.mu import as_performance, prove_mu_axis, prove_mu_upper
-from robustlab.verify.norms import prove_gramian, prove_norm, prove_stable
-from robustlab.verify.sets import prove_set
+from robustlab.verification.balls import PRECISIONS, precision, rounded_down
+from robustlab.verification.boxes import prove_mu_boxes
+from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
+from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
+from robustlab.verification.models import difference, loop, stored
+from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
+from robustlab.verification.norms import prove_gramian, prove_norm, prove_stable
+from robustlab.verification.sets import prove_set
 
 EFFORT = 20_000  # units of `Work`: about two minutes
 
@@ -46,10 +46,10 @@ KINDS: Mapping[str, _Kind] = {
     "gramian": _Kind(prove_gramian, "the model is stable", "value", "H2 norm <="),
     "mu-upper": _Kind(prove_mu_upper, f"{NONE} makes I - M Delta singular", "level", "mu <="),
     "mu-axis": _Kind(
-        prove_mu_axis, f"A is stable, {NONE} makes I - M(jw) Delta singular at any frequency", "level", "mu <="),
+        prove_mu_axis, "stable for every Delta of the structure within 1/level", "level", "mu over all frequencies <="),
     "mu-boxes": _Kind(
-        prove_mu_boxes, "A is stable, and so with all real parameters within size times their ranges, and the other "
-        "blocks within 1/level", "size", "size >="),
+        prove_mu_boxes, "stable for all real parameters within size times their ranges and all other blocks within "
+        "1/level", "size", "size >="),
     "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
@@ -73,7 +73,7 @@ def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
     Examples
     --------
     >>> import numpy as np
-    >>> from robustlab.verify import Claim, check
+    >>> from robustlab.verification import Claim, check
     >>> one = np.ones((1, 1))
     >>> lag = {"A": -one, "B": one, "C": one, "D": 0 * one, "dt": np.array(0.0)}
     >>> check(Claim("norm", lag | {"gamma": np.array(1.001)})).outcome.value
