@@ -127,6 +127,7 @@ _PUBLIC = {
     "validate": "identification.validation",
     "FrequencyData": "identification.validation",
     # trust
+    "verify": "evidence",
     "Status": "result",
     "RobustlabError": "errors",
     "InputError": "errors",

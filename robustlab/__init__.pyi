@@ -18,6 +18,7 @@ from robustlab.dynamics.symbolic.equations import PlantEquations as PlantEquatio
 from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
 from robustlab.errors import RobustlabError as RobustlabError
+from robustlab.evidence import verify as verify
 from robustlab.identification.comparison.comparison import compare as compare
 from robustlab.identification.naming.discovery import discover as discover
 from robustlab.identification.naming.updated_plant import uncertain_from as uncertain_from
@@ -218,6 +219,7 @@ __all__ = [
     "uncertain_from",
     "validate",
     "FrequencyData",
+    "verify",
     "Status",
     "RobustlabError",
     "InputError",

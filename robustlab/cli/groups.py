@@ -23,6 +23,7 @@ GROUPS = {
     "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
     "recipe": ("robustlab.cli.recipe", "Check a recipe, list the kinds of steps, start a new one."),
     "report": ("robustlab.cli.report", "Write the report of a finished run again; compare two runs."),
+    "verify": ("robustlab.cli.verify", "Have results proved once more, from their files alone."),
     "explain": ("robustlab.cli.explain", "Say what a word of a result means."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }

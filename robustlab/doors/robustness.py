@@ -151,7 +151,7 @@ class Confirmed(Told):
     """The same, and a second look at the proof."""
 
     certify: Annotated[
-        bool, Flag(), "Confirm the scalings in ball arithmetic (needs robustlab[certify]).", Named(only="command")
+        bool, Flag(), "Confirm the scalings in ball arithmetic.", Named(only="command")
     ] = False
 
 

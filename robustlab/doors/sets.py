@@ -69,7 +69,7 @@ def elementwise(
     status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
     if rtol and not status.trustworthy:
         status = rl.Status.CONVERGED  # as near as was asked
-    found = BuiltModel(model, structure, status, residual)
+    found = BuiltModel(model, structure, status, residual, ends=(first, second))
     return InLoop(found, notes=() if model.blocks else (NOTHING,))
 
 

@@ -7,7 +7,7 @@ band of it, is infinite where a pole lies on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -65,13 +65,20 @@ class HinfNorm(PeakGain):
         CERTIFIED, or INACCURATE where rounding leaves the sign of a pole or a level test open.
     reason
         Why the norm is infinite or inaccurate; else empty.
+    system
+        The model that it is the norm of, for `robustlab.verify`.
+    band
+        The band in rad/s of a peak over the axis, which asks for no stability; None of a norm.
     """
 
     frequency: float
     reason: str = ""
+    system: StateSpaceModel | None = None
+    band: tuple[float, float] | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
     unstable: ClassVar[str] = "infinite"
+    unsaved: ClassVar[tuple[str, ...]] = ("system", "band")
 
     @property
     def value(self) -> float:
@@ -133,7 +140,9 @@ def _norm_of(
     if not 1e-12 <= rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 1e-12 and 1")
     ordinary = moderated(given, where)
-    return norm_as_given(bracketed_norm(ordinary, rtol, tuning, infinite, band), ordinary)
+    found = norm_as_given(bracketed_norm(ordinary, rtol, tuning, infinite, band), ordinary)
+    asked = None if infinite is unstable_norm else (0.0, np.inf) if band is None else (float(band[0]), float(band[1]))
+    return replace(found, system=given, band=asked)
 
 
 def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[float, float]:

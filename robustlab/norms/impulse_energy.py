@@ -44,12 +44,15 @@ class H2Norm(Shown):
         Why it is infinite or inaccurate; else empty.
     integral
         The norm again, from the integral over the frequency axis; None where it was not asked.
+    system
+        The model that it is the norm of, for `robustlab.verify`.
     """
 
     value: float
     status: Status
     reason: str = ""
     integral: float | None = None
+    system: StateSpaceModel | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "integral": float}
 
@@ -63,8 +66,8 @@ class H2Norm(Shown):
         return [("norm", number(self.value, digits=6)), ("by the integral", by_integral), ("reason", self.reason)]
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
+        """All fields but the model."""
+        return {name: value for name, value in vars(self).items() if name != "system"}
 
 
 @told_as("h2_norm")
@@ -111,7 +114,12 @@ def h2_norm(model: Any) -> H2Norm:
     >>> round(norm.value, 9), round(norm.integral, 9), norm.status.value
     (3.0, 3.0, 'converged')
     """
-    found, solved = _by_gramians(moderated(as_model(model, "h2_norm"), "h2_norm"), with_modes=True)
+    given = as_model(model, "h2_norm")
+    return replace(_in_three_voices(given), system=given)
+
+
+def _in_three_voices(given: StateSpaceModel) -> H2Norm:
+    found, solved = _by_gramians(moderated(given, "h2_norm"), with_modes=True)
     if solved is None:
         return found
     for careful in (False, True):

@@ -53,6 +53,7 @@ from robustlab.recipe.check import at_step, look_through
 from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
+from robustlab.recipe.steps.proofs import verified
 from robustlab.report.html import ending_of, junit_xml, render
 from robustlab.result import Status, plain
 from robustlab.shown import Facts, Shown, listed
@@ -298,6 +299,8 @@ def _run_steps(
         begun = time.monotonic()
         try:
             outcome = step.run(workspace)
+            if step.verify or loaded.recipe.verify:
+                outcome = verified(outcome, workspace.kept.get(name, []), step.verify)
         except NoTrustworthyNumber as error:
             entry = _entry(name, step, str(Status.FAILED), str(error))
         except BaseException as error:

@@ -100,6 +100,10 @@ class Recipe(Strict):
     title: Text = Field("", description="Heading of the report; the name where left out.")
     description: Annotated[str, Field(max_length=10_000)] = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    verify: bool = Field(
+        False,
+        description="Have what the steps prove proved once more, from the files that the run writes; see rl.verify.",
+    )
     step: dict[StepName, Step]
     require: Annotated[list[Requirement], Field(max_length=1000)] = Field([])
 

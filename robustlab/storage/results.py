@@ -9,13 +9,18 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
+from robustlab.evidence import claims_of
 from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
 from robustlab.result import Result, Status
 from robustlab.storage.matrices import Problems
 
 
 def encode_result(tree: Tree, result: Any) -> None:
-    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table."""
+    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table.
+
+    Where the result has evidence that `robustlab.verify` checks, it is in ``claims/0``, ``claims/1``, ..., one group a
+    claim with its kind as the attribute ``claim``.
+    """
     data = dict(result.to_json())
     if isinstance(result, Result):
         data.pop("type")
@@ -24,6 +29,11 @@ def encode_result(tree: Tree, result: Any) -> None:
         type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
     )
     _table(tree.group("data"), data)
+    for k, claim in enumerate(claims_of(result)):
+        node = tree.group("claims").group(str(k))
+        node.attrs["claim"] = claim.kind
+        for name, values in claim.numbers.items():
+            node.put(name, values)
 
 
 def _table(tree: Tree, data: Mapping[Any, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.elementwise import EndpointResidual
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -31,6 +32,8 @@ class BuiltModel(Shown):
         What was put into it -> its size and why it is covered.
     notes
         What the reader must know.
+    ends
+        The nominal and the perturbed model that it was made of, for `robustlab.verify`.
     """
 
     model: UncertainModel
@@ -39,6 +42,7 @@ class BuiltModel(Shown):
     residual: EndpointResidual | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    ends: tuple[StateSpaceModel, StateSpaceModel] | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {**UncertainModel.quantities, "endpoint_residual": "1"}
 

@@ -14,7 +14,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
-from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
 from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
@@ -35,6 +35,8 @@ class _AxisProblem:
     ) -> None:
         self.model, self.blocks, self.hot, self.tuning = model, tuple(blocks), hot, tuning
         self.scale = typical_speed(model)
+        # Each box with an interval that was proved in it: what the proof of all of them rests on.
+        self.proved: list[tuple[Box, Piece]] = []
 
     def work(self, count: int) -> int:
         """A D-G bound and an interval of each region, and the eigenvalues of a few members.
@@ -64,6 +66,7 @@ class _AxisProblem:
             if piece is not None and piece.low <= places[k] <= piece.high:
                 cover = AxisCover(open=region.open)
                 cover.add(piece)
+                self.proved.append((region.box, piece))
                 region.open, region.in_a_row = cover.open, 0
             else:
                 region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))

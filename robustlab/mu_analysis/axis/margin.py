@@ -13,6 +13,7 @@ from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls
 from robustlab.mu_analysis.matrix.decomposition import entries
@@ -107,6 +108,9 @@ class Margin(Tabular, StabilityMargin):
     proof
         What ``lower`` rests on: pieces of the axis with the D, G that hold there, or, after branch and bound, the
         regions (boxes of parameters with frequencies) that were proved one by one.
+    system, boxes
+        The set that it is about, and each box of a branch and bound with an interval proved in it, for
+        `robustlab.verify`.
     """
 
     kind: ClassVar[str] = "robust stability margin"
@@ -120,6 +124,8 @@ class Margin(Tabular, StabilityMargin):
     open: tuple[tuple[float, float], ...]
     shares: Mapping[str, float]
     proof: tuple[Piece, ...] | tuple[Region, ...]
+    system: UncertainModel | None = None
+    boxes: tuple[tuple[Box, Piece], ...] = ()
 
     @property
     def gap(self) -> float:
@@ -165,8 +171,8 @@ class Margin(Tabular, StabilityMargin):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``; arrays stay arrays."""
-        names = [name for name in vars(self) if name != "proof"]
+        """All attributes but ``proof``, ``system`` and ``boxes``; arrays stay arrays."""
+        names = [name for name in vars(self) if name not in ("proof", "system", "boxes")]
         return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
 

@@ -30,7 +30,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
     first_crossing,
     smallest_destabilising,
 )
-from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.decomposition import entries
@@ -60,6 +60,7 @@ class _Found:
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
     expected: float | None = None
     tuning: MuTuning = TUNING
+    boxes: tuple[tuple[Box, Piece], ...] = ()
 
     @property
     def attained(self) -> float:
@@ -337,7 +338,7 @@ def _branch_and_bound(found: _Found, tolerance: float, budget: Budget) -> None:
         if gauge(found.blocks, block_entries(found.blocks, better.delta)) < 1 / found.attained:
             found.worst = better
     if proof.upper < found.level:
-        found.level, found.proof = proof.upper, tuple(proof.leaves)
+        found.level, found.proof, found.boxes = proof.upper, tuple(proof.leaves), tuple(problem.proved)
         found.cover.open.clear()
 
 
@@ -386,6 +387,8 @@ def _margin(
         shares=shares,
         proof=found.proof,
         notes=notes,
+        system=uncertain,
+        boxes=found.boxes,
     )
 
 

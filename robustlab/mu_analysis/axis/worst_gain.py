@@ -80,6 +80,9 @@ class WorstCaseGain(Tabular, PeakGain):
         What ``upper`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency.
     notes
         Remarks for the reader of a report.
+    system, boxes
+        The set that it is about, and each box of a branch and bound with an interval proved in it, for
+        `robustlab.verify`.
     """
 
     delta: Mapping[str, Any]
@@ -92,9 +95,11 @@ class WorstCaseGain(Tabular, PeakGain):
     intervals: tuple[tuple[float, float, float], ...]
     open: tuple[tuple[float, float], ...]
     proof: tuple[Piece, ...] | tuple[Region, ...]
+    system: UncertainModel | None = None
+    boxes: tuple[tuple[Box, Piece], ...] = ()
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
-    unsaved: ClassVar[tuple[str, ...]] = ("proof",)
+    unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
 
     @property
     def gap(self) -> float:
@@ -137,7 +142,7 @@ class WorstCaseGain(Tabular, PeakGain):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``, and the gap; arrays stay arrays."""
+        """All attributes but ``proof``, ``system`` and ``boxes``, and the gap; arrays stay arrays."""
         return {**super().to_json(), "gap": self.gap}
 
 
@@ -276,6 +281,7 @@ class _Known:
     frequency: float | None = None
     cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    boxes: tuple[tuple[Box, Piece], ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -400,11 +406,12 @@ def _prove(
             known.cover, known.upper = cover, level
     known.proof = tuple(known.cover.pieces)
     if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
-        proof = tighten(GainProblem(model, blocks, peak, tuning), known.lower, known.upper, tolerance, budget, tuning)
+        problem = GainProblem(model, blocks, peak, tuning)
+        proof = tighten(problem, known.lower, known.upper, tolerance, budget, tuning)
         if proof.values is not None:
             _take_member(known, uncertain, blocks, proof.values)
         if proof.upper < known.upper:
-            known.upper, known.proof = proof.upper, tuple(proof.leaves)
+            known.upper, known.proof, known.boxes = proof.upper, tuple(proof.leaves), tuple(problem.proved)
             known.cover.open.clear()
             known.notes = (by_regions(len(proof.leaves)),)
     if known.upper < known.lower * (1 - 1e-5):
@@ -517,6 +524,8 @@ def _result(
         open=open_intervals,
         proof=known.proof,
         notes=notes,
+        system=uncertain,
+        boxes=known.boxes,
     )
 
 

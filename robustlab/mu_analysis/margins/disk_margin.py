@@ -128,8 +128,8 @@ class DiskBounds(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes; models stay models."""
-        return {"type": type(self).__name__, **vars(self)}
+        """All attributes but ``system``; models stay models."""
+        return {"type": type(self).__name__, **{name: x for name, x in vars(self).items() if name != "system"}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +153,14 @@ class DiskMargin(DiskBounds):
     status
         CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold; TIMEOUT where the time limit ended
         the proof.
+    system
+        The loop as the deltas of its factors see it, for `robustlab.verify`; None with exact delays.
     """
 
     factor: Mapping[str, complex]
     perturbation: Mapping[str, StateSpaceModel]
     pole: complex | None
+    system: UncertainModel | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -442,7 +445,7 @@ def _result(
             status = Status.INACCURATE
     return DiskMargin(
         bounds[0], bounds[1], frequency, status, (low, high), phase, skew, dict(delta), tuple(notes), factor,
-        perturbation, pole,
+        perturbation, pole, uncertain,
     )  # fmt: skip
 
 

@@ -52,6 +52,8 @@ class MuBounds(Tabular, Shown):
         Boxes of the real parameters that branch and bound has proved one by one for ``upper``; 0 without it.
     notes
         Remarks for the reader of a report: what ended branch and bound before its tolerance.
+    M, fixed
+        The matrices that they are about, and the names of the blocks that keep size one, for `robustlab.verify`.
     """
 
     lower: Any
@@ -65,6 +67,8 @@ class MuBounds(Tabular, Shown):
     scaled: Any = None
     boxes: Any = 0
     notes: tuple[str, ...] = ()
+    M: ComplexArray | None = None
+    fixed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.scaled is None:
@@ -201,7 +205,11 @@ def mu(
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
     notes = (budget.remark,) if budget.remark else ()
-    return MuBounds(**parts, status=Status.TIMEOUT if budget.struck else status, blocks=structure, notes=notes)
+    given = stack[0] if single else stack
+    given.setflags(write=False)
+    kept = tuple(structure[b].name if isinstance(b, int) else b for b in fixed)
+    status = Status.TIMEOUT if budget.struck else status
+    return MuBounds(**parts, status=status, blocks=structure, notes=notes, M=given, fixed=kept)
 
 
 def _bounds(

@@ -242,7 +242,7 @@ def certified_in_balls(M: ArrayLike, D: ArrayLike, G: ArrayLike, beta: float, D_
     try:
         import flint
     except ImportError:
-        raise DependencyMissing("mu --certify needs python-flint", "pip install 'robustlab[certify]'") from None
+        raise DependencyMissing("mu --certify needs python-flint", "pip install python-flint") from None
 
     plant, d_w, g = (np.asarray(part, dtype=np.complex128) for part in (M, D, G))
     d_z = d_w if D_z is None else np.asarray(D_z, dtype=np.complex128)

@@ -35,6 +35,7 @@ class Step(Strict):
     leaves: ClassVar[Any] = ...  # what requirements may refer to, as `robustlab.recipe.steps.leaves` writes it
 
     title: Text = Field("", description="What the report calls this step; the step's name where left out.")
+    verify: bool = Field(False, description="Have what this step proves proved once more, from the file it writes.")
 
     @property
     def kind(self) -> str:
@@ -113,6 +114,8 @@ class Workspace:
     # Step name -> the whole discovery, of which later steps otherwise get the updated plant.
     discoveries: dict[str, Discovery] = field(default_factory=dict)
     simulated: set[str] = field(default_factory=set)  # names of the steps whose records are simulated, not measured
+    # Step name -> the files that hold its results with their evidence.
+    kept: dict[str, list[Path]] = field(default_factory=dict)
     step: str = ""  # name of the step that runs now
     ahead: Ahead = field(default_factory=lambda: Ahead({}))  # what was known before the first step
     png: bool = False  # whether figures are drawn as PNG, too
@@ -162,6 +165,7 @@ class Workspace:
         path.parent.mkdir(exist_ok=True)
         rl.save(path, result, self.provenance())
         self.files.append(f"evidence/{path.name}")
+        self.kept.setdefault(self.step, []).append(path)
 
 
 def facts_of(found: Any) -> tuple[Fact, ...]:

@@ -1,0 +1,67 @@
+"""``robustlab verify``: the claims in files of results, proved once more by a small program that stands alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robustlab.cli.console import emit
+from robustlab.cli.options import JsonOption
+
+app = typer.Typer(help="Verify files of results.", add_completion=False)
+
+
+@app.command()
+def verify(
+    files: Annotated[list[str], typer.Argument(help="HDF5 files of results, or folders of runs.")],
+    effort: Annotated[float, typer.Option("--effort", help="Work allowed, as a multiple of the usual.", min=0.0)] = 1.0,
+    export: Annotated[
+        str | None,
+        typer.Option("--export", help="Write the claims as JSON with hexadecimal numbers, for other checkers."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Prove what a result says once more, from its file alone: in exact and ball arithmetic, for all frequencies.
+
+    Exit code 0: all claims were proved. 4: one was not. 1: one was refuted by a counterexample.
+
+    Example: robustlab verify out/first-light
+    """
+    import robustlab as rl
+    from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, InputError, NoTrustworthyNumber
+    from robustlab.evidence.exported import write_claims
+    from robustlab.verification.reading import claims_in_file
+
+    chosen = {path: claims_in_file(path) for given in files for path in _files_in(given)}
+    holding = {path: claims for path, claims in chosen.items() if claims}
+    if not holding:
+        hint = "robustlab 0.3 and later write claims with results; docs/proved.md says which results have them"
+        raise InputError(", ".join(files), "no claims", "results that were saved with their evidence", hint)
+    if export is not None:
+        write_claims(export, [claim for claims in holding.values() for claim in claims])
+    found = {str(path): rl.verify(path, effort=effort) for path in holding}
+    rows = []
+    for name, one in found.items():
+        rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts())]
+    rows += [f"{path}: no claims" for path in chosen if path not in holding]
+    rows += [f"written: {export}"] if export is not None else []
+    emit("verify", {"files": {name: one.to_json() for name, one in found.items()}}, "\n".join(rows), as_json)
+    if any(one.refuted for one in found.values()):
+        raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
+    if not all(one.proved for one in found.values()):
+        raise typer.Exit(NoTrustworthyNumber.exit_code)
+
+
+def _files_in(given: str) -> list[Path]:
+    """A file, or the files of results in the folder of a run."""
+    path = Path(given)
+    if not path.is_dir():
+        return [path]
+    from robustlab.errors import InputError
+
+    found = sorted([*path.glob("evidence/*.h5")] or [*path.glob("*.h5")])
+    if not found:
+        raise InputError(given, "a folder without HDF5 files", "a file of a result, or the folder of a run")
+    return found

@@ -1,0 +1,74 @@
+"""Claims about norms of a model: H-infinity, over the axis or a band, and H2."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.evidence.bounded_real import norm_matrix
+from robustlab.evidence.numbers import ABOVE, Numbers, model_numbers
+from robustlab.linear_analysis.matrix_equations import lyapunov
+from robustlab.norms import HinfNorm
+from robustlab.norms.impulse_energy import H2Norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.verification.claim import Claim
+
+
+def norm_claims(found: HinfNorm) -> list[Claim]:
+    """That the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
+    model = found.system
+    if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
+        return []
+    level = above(found.upper)
+    if found.band is None:
+        return [
+            Claim(
+                "norm", {**model_numbers(model), "gamma": np.array(level), **proof_of_norm(model, level, found.upper)}
+            )
+        ]
+    q, p = model.n_inputs, model.n_outputs
+    low, high = found.band
+    whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
+    scalings = {"D_w": np.eye(q)[None], "D_z": np.eye(p)[None], "G": np.zeros((1, q, p))}
+    block = np.array([[2, q, p]], dtype=np.int64)
+    return [Claim("mu-axis", {**model_numbers(model), "blocks": block, "level": np.array(level), **whole, **scalings})]
+
+
+def above(number: float) -> float:
+    """What is claimed of a number that was found."""
+    return float(number * ABOVE) if number > 0 else 1e-300
+
+
+def proof_of_norm(model: StateSpaceModel, level: float, norm: float) -> Numbers:
+    """P, where one was found; the checker does without, by boxes of frequency."""
+    P = norm_matrix(model, level, norm)
+    return {} if P is None else {"P": P}
+
+
+def h2_claims(found: H2Norm) -> list[Claim]:
+    """That the H2 norm is at most ``value``, by a Gramian that is a little too large."""
+    model = found.system
+    if model is None or not np.isfinite(found.value) or not found.status.trustworthy:
+        return []
+    return gramian_claims(model, found.value)
+
+
+def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None = None) -> list[Claim]:
+    r"""``A'P + PA + C'C + e I = 0``: with e so small that P still proves ``value`` (1 + 1e-6).
+
+    ``numbers``: what the model is made of, where it is a loop; else those of the model.
+    """
+    n, level = model.n_states, above(value)
+    if not n:
+        return []
+    try:
+        # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
+        unit = lyapunov(model.A.T, np.eye(n), model.is_discrete, tolerance=1e-3)
+        cost = float(np.trace(model.B.T @ unit @ model.B))
+        e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
+        P = lyapunov(model.A.T, model.C.T @ model.C + e * np.eye(n), model.is_discrete)
+    except (InputError, NoTrustworthyNumber):
+        return []
+    told = model_numbers(model) if numbers is None else numbers
+    return [Claim("gramian", {**told, "value": np.array(level), "P": 0.5 * (P + P.T)})]

@@ -1,0 +1,43 @@
+"""The datasets of a claim, from models, blocks and scalings as the library has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block
+
+Numbers = dict[str, NDArray[Any]]
+
+ABOVE = 1 + 1e-6  # a level is claimed so much above what was found: the evidence then holds with a margin
+
+
+def matrices(model: StateSpaceModel, name: str = "{}") -> Numbers:
+    """``A, B, C, D``, called as ``name`` says."""
+    return {name.format(letter): getattr(model, letter) for letter in "ABCD"}
+
+
+def model_numbers(model: StateSpaceModel) -> Numbers:
+    """A model with its dt in seconds, 0 for a continuous one."""
+    return {**matrices(model), "dt": np.array(float(model.dt))}
+
+
+def loop_numbers(plant: StateSpaceModel, n_meas: int, n_con: int, K: StateSpaceModel) -> Numbers:
+    """A plant and the controller u = K y of its last outputs and inputs."""
+    return {
+        **matrices(plant, "P_{}"), **matrices(K, "K_{}"), "dt": np.array(float(plant.dt)),
+        "n_meas": np.array(n_meas, dtype=np.int64), "n_con": np.array(n_con, dtype=np.int64),
+    }  # fmt: skip
+
+
+def block_rows(blocks: Sequence[Block]) -> NDArray[np.int64]:
+    """``[kind, rows, cols]`` of each block: 0 real, 1 complex number times the identity, 2 a full matrix.
+
+    Any other set of matrices is taken as a full block, which holds it.
+    """
+    rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in blocks]
+    return np.array(rows, dtype=np.int64).reshape(-1, 3)

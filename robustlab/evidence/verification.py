@@ -1,0 +1,147 @@
+"""`robustlab.verify`: the claims of a result, or those that a file holds, each judged by the small checker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar
+
+from robustlab.errors import InputError, told_as
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown
+from robustlab.verification.claim import Claim, Outcome, Verification
+
+# Class of a result -> what makes its claims. The first class that is met on the way up counts.
+CLAIMS: Mapping[str, str] = {
+    "HinfNorm": "norms.norm_claims",
+    "H2Norm": "norms.h2_claims",
+    "MuBounds": "axis.mu_claims",
+    "Margin": "axis.margin_claims",
+    "WorstCaseGain": "axis.gain_claims",
+    "HinfSynthesis": "designs.hinf_claims",
+    "NcfSynthesis": "designs.hinf_claims",
+    "H2Synthesis": "designs.h2_claims",
+    "FixedSynthesis": "designs.fixed_claims",
+    "DKSynthesis": "designs.dk_claims",
+    "ReducedModel": "designs.reduction_claims",
+    "DiskMargins": "designs.disk_claims",
+    "DiskMargin": "designs.one_disk_claims",
+    "BuiltModel": "designs.set_claims",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Verified(Shown):
+    """What became of the claims of a result.
+
+    Attributes
+    ----------
+    status
+        CERTIFIED: all were proved. INCONCLUSIVE: one was not, and none was refuted. FAILED: one was refuted.
+    claims
+        Each claim in words, what became of it, the number that was proved, where it ended, and the tests it took.
+    """
+
+    status: Status
+    claims: tuple[Verification, ...]
+
+    quantities: ClassVar[Mapping[str, Any]] = {"proved": bool, "refuted": bool, "boxes": "1"}
+
+    @property
+    def proved(self) -> bool:
+        """Whether every claim was proved."""
+        return self.status is Status.CERTIFIED
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a claim was refuted."""
+        return any(c.outcome is Outcome.REFUTED for c in self.claims)
+
+    @property
+    def boxes(self) -> int:
+        """Tests of definiteness, boxes of frequency among them."""
+        return sum(c.boxes for c in self.claims)
+
+    def headline(self) -> str:
+        """What became of them."""
+        if self.refuted:
+            return "REFUTED: a counterexample was proved"
+        if self.proved:
+            return f"proved independently: {self.boxes} {'box' if self.boxes == 1 else 'boxes'}"
+        return "not proved"
+
+    def facts(self) -> Facts:
+        """Each claim with what became of it."""
+        return [(c.outcome.value, _said(c)) for c in self.claims]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        rows = [
+            {"claim": c.claim, "outcome": c.outcome.value, "bound": c.bound, "where": c.where, "boxes": c.boxes}
+            for c in self.claims
+        ]
+        return {"type": "Verified", "status": self.status, "proved": self.proved, "claims": rows}
+
+
+def _said(found: Verification) -> str:
+    return f"{found.claim} ({found.where})" if found.where else found.claim
+
+
+def claims_of(result: Any) -> list[Claim]:
+    """The claims of a result; none where its class has none, or its evidence does not tell."""
+    for kind in type(result).__mro__:
+        if kind.__name__ in CLAIMS and kind.__module__.startswith("robustlab."):
+            module, _, name = CLAIMS[kind.__name__].rpartition(".")
+            return getattr(import_module(f"robustlab.evidence.{module}"), name)(result)
+    return []
+
+
+@told_as("verify")
+def verify(result: Any, *, effort: float = 1.0) -> Verified:
+    """Have what a result says proved anew, from its numbers alone, in exact and ball arithmetic.
+
+    A small program that knows nothing of how the result was found checks each claim: for all frequencies, all members
+    of the set, all numbers being the exact doubles they are. See the page on verification for the theorem of each.
+
+    Parameters
+    ----------
+    result
+        A result, or the name of a file that `robustlab.save` wrote of one.
+    effort
+        Work that the checks may take, as a multiple of the usual; counted, not timed.
+
+    Returns
+    -------
+    Verified
+        ``proved``, ``refuted``, and each claim with the number that was proved, rounded outwards.
+
+    Raises
+    ------
+    InputError
+        Nothing that can be verified: a file without claims, a result of another kind.
+    """
+    from robustlab.verification.checker import EFFORT, check
+
+    if not 0 < effort < float("inf"):
+        raise InputError("verify: effort", f"{effort}", "a positive number")
+    claims = list(_claims_in(result)) if isinstance(result, (str, Path)) else claims_of(result)
+    if not claims:
+        what = f"a {type(result).__name__}"
+        hint = "docs/proved.md says what can be; files of older versions hold no claims"
+        raise InputError("verify", f"{what} without claims", "a result with evidence that can be checked", hint)
+    found = tuple(check(claim, effort=max(1, round(EFFORT * effort))) for claim in claims)
+    outcomes = {c.outcome for c in found}
+    status = (
+        Status.FAILED if Outcome.REFUTED in outcomes
+        else Status.INCONCLUSIVE if Outcome.NOT_PROVED in outcomes
+        else Status.CERTIFIED
+    )  # fmt: skip
+    return Verified(status, found)
+
+
+def _claims_in(path: str | Path) -> Iterator[Claim]:
+    from robustlab.verification.reading import claims_in_file
+
+    yield from claims_in_file(path)

@@ -1,0 +1,113 @@
+"""`check`: a claim in, its verdict out; never an exception, never more than a theorem whose conditions were proved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import flint
+import numpy as np
+from flint import arb
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.verification.balls import PRECISIONS, precision, rounded_down
+from robustlab.verification.boxes import prove_mu_boxes
+from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
+from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
+from robustlab.verification.models import difference, loop, stored
+from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
+from robustlab.verification.norms import prove_gramian, prove_norm, prove_stable
+from robustlab.verification.sets import prove_set
+
+EFFORT = 20_000  # units of `Work`: about two minutes
+
+
+NORM = "H-infinity norm over all frequencies <="
+GAIN = "every member is stable"
+NONE = "no Delta of the structure within 1/level"
+SOME = "a Delta of the structure within (1 + 1e-9)/level"
+
+
+@dataclass(frozen=True)
+class _Kind:
+    prove: Callable[[Claim, Work], Verdict]
+    words: str  # what is claimed
+    number: str | None = None  # the dataset with the number that is claimed
+    symbol: str = ""  # what stands before the number
+    below: bool = False  # a lower bound: the number is what the level says with a Delta as large as allowed
+
+
+# fmt: off
+KINDS: Mapping[str, _Kind] = {
+    "stable": _Kind(prove_stable, "all eigenvalues of A lie inside the stability boundary"),
+    "norm": _Kind(lambda c, w: prove_norm(c, stored, w), "the model is stable", "gamma", NORM),
+    "loop-norm": _Kind(lambda c, w: prove_norm(c, loop, w), "the loop is stable", "gamma", NORM),
+    "difference-norm": _Kind(lambda c, w: prove_norm(c, difference, w), "the difference is stable", "gamma", NORM),
+    "gramian": _Kind(prove_gramian, "the model is stable", "value", "H2 norm <="),
+    "mu-upper": _Kind(prove_mu_upper, f"{NONE} makes I - M Delta singular", "level", "mu <="),
+    "mu-axis": _Kind(
+        prove_mu_axis, "stable for every Delta of the structure within 1/level", "level", "mu over all frequencies <="),
+    "mu-boxes": _Kind(
+        prove_mu_boxes, "stable for all real parameters within size times their ranges and all other blocks within "
+        "1/level", "size", "size >="),
+    "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
+    "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
+    "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
+    "unstable-member": _Kind(
+        prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",
+        "level", "level", below=True),
+    "set": _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1, by every entry"),
+}
+BAND = _Kind(  # "mu-axis" where a band is given
+    prove_mu_axis, f"{NONE} makes I - M(jw) Delta singular at a frequency of the band up to pi/dt", "level", "mu <=")
+# fmt: on
+
+
+def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
+    """Judge a claim from its numbers alone.
+
+    ``claim``: what is claimed, with its evidence.
+    ``effort``: tests of definiteness of 20 rows that it may cost; the count and not the clock ends a check.
+    Never raises for what a claim holds: what is ill-formed is not proved, and ``where`` says why.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robustlab.verification import Claim, check
+    >>> one = np.ones((1, 1))
+    >>> lag = {"A": -one, "B": one, "C": one, "D": 0 * one, "dt": np.array(0.0)}
+    >>> check(Claim("norm", lag | {"gamma": np.array(1.001)})).outcome.value
+    'proved'
+    """
+    claim, work = Claim(claim.kind, dict(claim.numbers)), Work(effort)
+    kind = KINDS.get(claim.kind, _Kind(_unknown, f"a claim of kind {claim.kind!r}"))
+    if claim.kind == "mu-axis" and "band" in claim.numbers:
+        kind = BAND
+    number = None
+    before = flint.ctx.prec
+    try:
+        with np.errstate(all="ignore"):
+            verdict = kind.prove(claim, work)
+        number = _number(claim, kind)
+    except (InputError, NoTrustworthyNumber) as error:
+        verdict = not_proved(str(error))
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        # Overflow or no convergence in a hint, or a division by a ball around zero: no proof was reached.
+        verdict = not_proved(f"the arithmetic ended: {error}")
+    finally:
+        flint.ctx.prec = before
+    told = kind.words if number is None else f"{kind.words}: {kind.symbol} {number:.17g}"
+    return Verification(told, verdict.outcome, number if verdict.proved else None, verdict.where, work.boxes)
+
+
+def _unknown(claim: Claim, work: Work) -> Verdict:
+    return not_proved(f"no such kind of claim; there are {', '.join(KINDS)}")
+
+
+def _number(claim: Claim, kind: _Kind) -> float | None:
+    """The one number of the claim, a lower bound rounded down; None where there is none, or blocks differ in it."""
+    values = set(np.ravel(claim.numbers[kind.number]).tolist()) if kind.number is not None else set()
+    if len(values) != 1:
+        return None
+    with precision(PRECISIONS[0]):
+        return rounded_down(arb(values.pop()) / arb(ALLOWANCE)) if kind.below else float(values.pop())

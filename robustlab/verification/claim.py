@@ -1,0 +1,143 @@
+"""What is claimed, what came of it, and the reading of a claim's numbers: anything odd is an InputError, never a guess.
+
+All matrices are taken as the exact binary numbers they are; that is why an integer where a real number belongs is
+refused (its conversion could round), and so is any precision but double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+
+
+class Outcome(Enum):
+    """What became of a claim; ``NOT_PROVED`` says nothing about whether it is true."""
+
+    PROVED = "proved"
+    NOT_PROVED = "not proved"
+    REFUTED = "refuted"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement with its evidence: the kind of it, and its datasets by name (float64, complex128, int64)."""
+
+    kind: str
+    numbers: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The answer to a claim."""
+
+    claim: str  # the claim in words, with its number
+    outcome: Outcome
+    bound: float | None  # the number that was proved, rounded outwards; None where the claim has none
+    where: str  # not proved: where it ended and how close it came; refuted: the counterexample; proved: ""
+    boxes: int  # tests of definiteness, boxes of frequency among them
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one attempt in one precision says."""
+
+    outcome: Outcome
+    where: str = ""
+    final: bool = False  # not proved, and more bits would not help
+
+    @property
+    def proved(self) -> bool:
+        """Whether the claim was proved."""
+        return self.outcome is Outcome.PROVED
+
+
+PROVED = Verdict(Outcome.PROVED)
+
+
+def not_proved(where: str, *, final: bool = False) -> Verdict:
+    """The verdict of an attempt that ended without an answer; ``final``: more bits would not help."""
+    return Verdict(Outcome.NOT_PROVED, where, final)
+
+
+def refuted(where: str) -> Verdict:
+    """The verdict of a counterexample that was itself proved."""
+    return Verdict(Outcome.REFUTED, where)
+
+
+class Work:
+    """Counts tests, and ends the check where they cost more than the effort allows.
+
+    ``effort``: one unit is a test of a matrix of 20 rows (some milliseconds); the cost grows with the cube of the rows.
+    The count, not the clock, ends a check, so the answer is the same on every machine.
+    """
+
+    def __init__(self, effort: int) -> None:
+        self.left = float(effort)
+        self.boxes = 0
+
+    def spend(self, size: int) -> None:
+        """Pay for one test of matrices with ``size`` rows; NoTrustworthyNumber where the effort does not allow it."""
+        self.left -= max(1.0, (size / 20) ** 3)
+        if self.left < 0:
+            raise NoTrustworthyNumber("effort", f"spent after {self.boxes} tests", "a claim that takes less")
+        self.boxes += 1
+
+
+def real(claim: Claim, name: str, shape: tuple[int | None, ...], *, infinite: bool = False) -> NDArray[np.float64]:
+    """The named float64 dataset of this shape (None: any length), finite but for +inf where ``infinite`` allows it."""
+    values = _values(claim, name, shape, (np.float64,))
+    if not (np.isfinite(values) | (infinite & np.isposinf(values))).all():
+        raise InputError(name, "NaN or infinity", "finite numbers")
+    return values
+
+
+def complex_or_real(claim: Claim, name: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
+    """The named float64 or complex128 dataset of this shape, finite; real where no imaginary part is there."""
+    values: Any = _values(claim, name, shape, (np.float64, np.complex128))
+    if not np.isfinite(values).all():
+        raise InputError(name, "NaN or infinity", "finite numbers")
+    return values if values.imag.any() else np.ascontiguousarray(values.real).reshape(values.shape)
+
+
+def whole(claim: Claim, name: str, shape: tuple[int | None, ...]) -> NDArray[np.int64]:
+    """The named int64 dataset of this shape."""
+    return _values(claim, name, shape, (np.int64,))
+
+
+def scalar(claim: Claim, name: str, *, zero: bool = False) -> float:
+    """The named positive number (``zero``: not negative)."""
+    value = float(real(claim, name, ()))
+    if value < 0 or (value == 0 and not zero):
+        raise InputError(name, f"{value}", "a number not below zero" if zero else "a number above zero")
+    return value
+
+
+def symmetric(claim: Claim, name: str, n: int) -> NDArray[np.float64]:
+    """The named real matrix (n, n), symmetric to the last bit."""
+    P = real(claim, name, (n, n))
+    if not (P == P.T).all():
+        raise InputError(name, "not symmetric to the last bit", "a symmetric matrix")
+    return P
+
+
+def _values(claim: Claim, name: str, shape: tuple[int | None, ...], types: tuple[type, ...]) -> NDArray[Any]:
+    if name not in claim.numbers:
+        raise InputError(name, "missing", "a dataset")
+    try:
+        values = np.array(claim.numbers[name])  # a copy: nobody changes it while it is judged
+    except (ValueError, TypeError):
+        raise InputError(name, "no array", "a dataset") from None
+    if not any(values.dtype == kind for kind in types):
+        raise InputError(name, f"type {values.dtype}", " or ".join(np.dtype(kind).name for kind in types))
+    fits = values.ndim == len(shape) and all(s in (None, v) for s, v in zip(shape, values.shape, strict=True))
+    if not fits:
+        wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
+        raise InputError(name, f"shape {values.shape}", f"shape {wanted}")
+    return values

@@ -1,0 +1,231 @@
+r"""A Delta that makes the loop singular, a member of the set that is not stable: proved to exist, near given numbers.
+
+Numbers in a file never make a determinant zero exactly. What is proved is that a zero lies next to them: a family of
+matrices :math:`K(s) = K_0 + \sum_i s_i K_i`, affine in one or two real numbers, is singular for some
+:math:`|s_i| \le r_i` with proved r. Border K by two vectors b, c that make it regular; then
+
+.. math:: g(s) = e^T \begin{pmatrix} K(s) & b \\ c^* & 0 \end{pmatrix}^{-1} e = \frac{\det K(s)}{\det(\text{bordered})},
+          \qquad \frac{\partial g}{\partial s_i} = -y^T K_i x ,
+
+where x and y are the upper parts of the bordered matrix's last column and row of its inverse, e its last unit vector.
+
+Krawczyk's theorem: if :math:`|{-C g(0)} + (I - C J) [-r, r]| < r` in each entry, with J enclosing the derivatives over
+the box and any matrix C, then g has a zero in the box: by Brouwer :math:`s - C g(s)` has a fixed point there, and the
+strict inequality makes C J, hence C, regular. A complex g counts as two real equations, a real one as one.
+
+References
+----------
+Krawczyk, "Newton-Algorithmen zur Bestimmung von Nullstellen mit Fehlerschranken", Computing 4 (1969).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from flint import acb, arb, arb_mat
+from numpy.typing import NDArray
+
+from robustlab.verification.balls import Matrix, exact, identity, inverse, magnitudes, midpoints, stack, zeros
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved
+from robustlab.verification.forms import COMPLEX, FULL, Block, check_delta, read_blocks, within
+from robustlab.verification.models import Model, on_the_axis, stored
+from robustlab.verification.norms import climb
+from robustlab.verification.stability import eigenvalues, outside
+
+ALLOWANCE = 1 + 1e-9  # a Delta may be so much larger than the level says
+LARGER = 1 + 5e-10  # half of it: by so much the given Delta is enlarged, so that its pole lies beyond the boundary
+WIDER = (4.0, 64.0, 1e4)  # half width of the box over the first Newton step
+LEAST = 1e-20  # a change of g below which no box is asked for
+CANDIDATES = 3  # poles next to the boundary that are tried
+
+
+def prove_mu_lower(claim: Claim, work: Work) -> Verdict:
+    """Some Delta of the ``blocks`` within (1 + 1e-9)/``level`` makes I - M Delta singular, near ``delta``."""
+    M = complex_or_real(claim, "M", (None, None))
+    blocks = read_blocks(claim, M.shape[1], M.shape[0])
+    return singular_member(claim, exact(M), blocks, work, ALLOWANCE)
+
+
+def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
+    """A member with a constant Delta within (1 + 1e-9)/``level`` has a pole on or beyond the boundary, near ``delta``.
+
+    A member that is not well posed (I - D Delta singular) counts as one.
+    """
+    G = stored(claim)
+    return unstable_member(claim, read_blocks(claim, G.m, G.p), work, ALLOWANCE)
+
+
+def given_delta(claim: Claim, blocks: Sequence[Block], q: int, p: int) -> NDArray[Any]:
+    """The dataset ``delta`` (q, p); InputError where it has not the structure."""
+    delta = complex_or_real(claim, "delta", (q, p))
+    check_delta(blocks, delta)
+    return delta
+
+
+def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
+    """Whether a Delta of the structure with norms within ``allowance / level`` makes I - M Delta singular."""
+    p, q = M.nrows(), M.ncols()
+    delta = given_delta(claim, blocks, q, p)
+
+    def attempt() -> Verdict:
+        K = identity(p) - M * exact(delta)
+        directions = _directions(M, K, blocks)
+        for E in directions:
+            check_delta(blocks, E)
+        radii = zero_within(K, [-(M * exact(E)) for E in directions], work)
+        if radii is None:
+            return not_proved("no Delta next to the given one was proved to make the loop singular")
+        found = exact(delta)
+        for E, r in zip(directions, radii, strict=True):
+            found = found + exact(E) * arb(0, r)
+        if not within(blocks, found, arb(allowance), work):
+            return not_proved("a Delta makes the loop singular, but its norm was not proved to be within the bound")
+        return PROVED
+
+    return climb(attempt)
+
+
+def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[Any]:
+    """Changes of Delta, of its structure to the last bit, that move g by about 1 and (complex) by j: hints.
+
+    The smallest such changes, each block measured by what it may be.
+    """
+    middle = midpoints(K)
+    real = not np.iscomplexobj(middle)
+    if not middle.size or not np.isfinite(middle).all():
+        return []
+    U, _, V = np.linalg.svd(middle)
+    bordered = np.block([[middle, U[:, -1:]], [V[-1:], np.zeros((1, 1))]])
+    last = np.eye(len(bordered))[-1]
+    row, column = np.linalg.solve(bordered.T, last)[:-1] @ midpoints(M), np.linalg.solve(bordered, last)[:-1]
+    parts: list[Any] = []
+    for block in blocks:
+        y, x = row[block.w], column[block.z]
+        E = np.outer(y.conj(), x.conj()) if block.kind == FULL else np.eye(len(x), dtype=middle.dtype)
+        unit = np.zeros((M.ncols(), M.nrows()), dtype=middle.dtype)
+        unit[block.w, block.z] = E / (np.linalg.norm(E, 2) * block.level) if E.any() else 0.0
+        parts += [unit] if real or block.kind not in (COMPLEX, FULL) else [unit, 1j * unit]
+    moves: Any = np.array([row @ E @ column for E in parts])  # dg = -y^T (-M dDelta) x
+    weights = np.linalg.pinv(moves[None] if real else np.stack([moves.real, moves.imag]))
+    return [sum((w * E for w, E in zip(column, parts, strict=True)), np.zeros_like(parts[0])) for column in weights.T]
+
+
+def zero_within(K: Matrix, directions: Sequence[Matrix], work: Work) -> list[arb] | None:
+    """Half widths r so that ``K + sum s_i directions_i`` is singular for some ``|s_i| <= r_i``; None: not proved.
+
+    ``K``: ball matrix (n, n); the claim holds for the exact matrix in it. One direction with real matrices, else two.
+    """
+    n, middle = K.nrows(), midpoints(K)
+    real = not any(np.iscomplexobj(midpoints(X)) for X in (K, *directions))
+    if not n or len(directions) != (1 if real else 2) or not np.isfinite(middle).all():
+        return None
+    if not real:
+        K = K + exact(np.zeros((n, n), dtype=complex))
+    U, _, V = np.linalg.svd(middle)
+    border = exact(np.ascontiguousarray(U[:, -1:])), exact(np.ascontiguousarray(V[-1:]))
+    work.spend(2 * n)
+    start = _value_and_slopes(K, directions, border)
+    if start is None:
+        return None
+    g, J = start
+    slope = midpoints(J)
+    if not np.isfinite(slope).all() or np.linalg.matrix_rank(slope) < len(slope):
+        return None
+    C, every = exact(np.linalg.inv(slope)), range(len(slope))
+    newton, floor = magnitudes(C * g), magnitudes(C) * arb_mat(len(slope), 1, [LEAST] * len(slope))
+    for wider in WIDER:
+        r = arb_mat(len(slope), 1, [(newton[i, 0] * wider + floor[i, 0]).upper() for i in every])
+        box = K
+        for i, X in enumerate(directions):
+            box = box + X * arb(0, r[i, 0])
+        answer = _value_and_slopes(box, directions, border)
+        if answer is None:
+            return None
+        reached = newton + magnitudes(identity(len(slope)) - C * answer[1]) * r
+        if all(reached[i, 0] < r[i, 0] for i in every):
+            return [r[i, 0] for i in every]
+    return None
+
+
+def _value_and_slopes(
+    K: Matrix, directions: Sequence[Matrix], border: tuple[Matrix, Matrix]
+) -> tuple[Matrix, Matrix] | None:
+    """The real equations g = 0: their values, a column, and slopes, one column each; None: the border is no help."""
+    n, kind = K.nrows(), type(K)
+    bordered = stack([[K, border[0]], [border[1], zeros(1, 1)]])
+    last = kind(n + 1, 1, [0] * n + [1])
+    try:
+        x, y = bordered.solve(last), bordered.transpose().solve(last)
+    except ZeroDivisionError:
+        return None
+    upper, lower = kind(n, 1, x.entries()[:n]), kind(1, n, y.entries()[:n])
+    slopes = [-(lower * X * upper)[0, 0] for X in directions]
+    if kind is arb_mat:
+        return arb_mat(1, 1, [x[n, 0]]), arb_mat(1, 1, slopes)
+    g = x[n, 0]
+    return arb_mat(2, 1, [g.real, g.imag]), arb_mat(2, 2, [v.real for v in slopes] + [v.imag for v in slopes])
+
+
+def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
+    """Whether a Delta within ``allowance / level`` gives the model a pole on or beyond the boundary, or no solution."""
+    G = stored(claim)
+    delta = given_delta(claim, blocks, G.m, G.p)
+
+    def attempt() -> Verdict:
+        model = stored(claim)
+        larger = exact(delta) * arb(LARGER if allowance > 1 else 1.0)
+        A = closed(model, larger)
+        if A is None or not np.isfinite(midpoints(A)).all():
+            return not_proved("the given Delta's member was not proved to be well posed")
+        work.spend(2 * model.n)
+        enlarged = within(blocks, larger, arb(allowance), work)
+        if enlarged and any(outside(value, model.dt) for value in eigenvalues(A)):
+            return PROVED
+        poles: list[complex] = np.linalg.eigvals(midpoints(A)).tolist()
+        poles.sort(key=lambda value: -(abs(value) if model.dt else value.real))
+        for pole in poles[:CANDIDATES]:
+            size = _scale_at_boundary(model, exact(delta), pole, work)
+            if size is not None and within(blocks, exact(delta) * size, arb(allowance), work):
+                return PROVED
+        return not_proved("no pole on or beyond the boundary was proved; next to it " + str(poles[:1]))
+
+    verdict = climb(attempt)
+    if verdict.proved:
+        return verdict
+    ill_posed = singular_member(claim, G.D, blocks, work, allowance)
+    return ill_posed if ill_posed.proved else verdict
+
+
+def closed(G: Model, delta: Matrix) -> Matrix | None:
+    r"""A of the member: :math:`A + B \Delta (I - D \Delta)^{-1} C`; None where it was not proved to be well posed."""
+    N = inverse(identity(G.p) - G.D * delta)
+    return None if N is None else G.A + G.B * delta * N * G.C
+
+
+def _scale_at_boundary(G: Model, delta: Matrix, pole: complex, work: Work) -> arb | None:
+    r"""A ball with a factor s for which ``s Delta`` gives a pole on the boundary, next to ``pole``; None: not proved.
+
+    The matrix :math:`\begin{pmatrix} j\omega - A & -s B \Delta \\ -C & I - s D \Delta \end{pmatrix}` is singular where
+    jw is a pole of the member (I - s D Delta regular), or where the member is not well posed. It is affine in s, w.
+    A discrete model is mapped to the axis first; its pole at -1 is a real case of its own, like one at 1, or at 0.
+    """
+    real = not np.iscomplexobj(midpoints(delta)) and abs(pole.imag) <= 1e-6 * abs(pole)
+    at = (math.copysign(1.0, pole.real) if G.dt else 0.0) + 0j
+    model = G
+    if not real:
+        mapped = on_the_axis(G) if G.dt else G
+        if mapped is None:
+            return None
+        model, at = mapped, 1j * ((pole - 1) / (pole + 1)).imag if G.dt else 1j * pole.imag
+    n, p = model.n, model.p
+    point = exact(np.eye(n) * at.real) if real else exact(np.eye(n) * at)
+    BD, DD = model.B * delta, model.D * delta
+    K = stack([[point - model.A, -BD], [-model.C, identity(p) - DD]])
+    directions = [stack([[zeros(n, n), -BD], [zeros(p, n), -DD]])]
+    if not real:
+        directions.append(stack([[identity(n) * acb(0, 1), zeros(n, p)], [zeros(p, n), zeros(p, p)]]))
+    radii = zero_within(K, directions, work)
+    return None if radii is None else arb(1, radii[0])

@@ -1,0 +1,141 @@
+r"""Bounds of mu from above: of one matrix, and of a model at every frequency of the axis or of a band."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from flint import arb
+
+from robustlab.errors import InputError
+from robustlab.verification.axis import axis
+from robustlab.verification.balls import PRECISIONS, definite, exact, precision
+from robustlab.verification.claim import (
+    PROVED,
+    Claim,
+    Verdict,
+    Work,
+    complex_or_real,
+    not_proved,
+    real,
+    refuted,
+    scalar,
+)
+from robustlab.verification.forms import FULL, Form, read_blocks, read_shapes, scaled_form
+from robustlab.verification.members import singular_member, unstable_member
+from robustlab.verification.models import model_of
+from robustlab.verification.norms import climb, evidence
+from robustlab.verification.stability import stable
+
+
+def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
+    """No Delta of the ``blocks`` with norms within 1/``level`` makes I - M Delta singular, by ``D_w``, ``D_z``, ``G``.
+
+    ``M`` (p, q). A dataset ``delta`` (q, p) may refute it.
+    """
+    M = complex_or_real(claim, "M", (None, None))
+    p, q = M.shape
+    blocks = read_blocks(claim, q, p)
+    D_w, D_z, G = (
+        complex_or_real(claim, name, shape) for name, shape in (("D_w", (q, q)), ("D_z", (p, p)), ("G", (q, p)))
+    )
+
+    def attempt() -> Verdict:
+        form = scaled_form(blocks, D_w, D_z, G, work)
+        if form is None:
+            return not_proved("D_w > 0 was not proved")
+        work.spend(q)
+        answer = definite(form.of(exact(M)))
+        return PROVED if answer.proved else not_proved(f"the form's smallest eigenvalue is {answer.least:.3g}")
+
+    verdict = climb(attempt)
+    if verdict.proved or "delta" not in claim.numbers:
+        return verdict
+    return _opposed(verdict, singular_member(claim, exact(M), blocks, work, allowance=1.0))
+
+
+def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
+    """A is stable, and at every frequency no Delta within 1/``level`` makes I - M(jw) Delta singular.
+
+    Evidence: intervals ``low``, ``high`` (k,) in rad/s with their scalings ``D_w``, ``D_z``, ``G`` (k, ...); ``P`` may
+    prove that A is stable. A dataset ``band`` (2,) limits the claim to the band, and then nothing is said of stability.
+    A dataset ``delta`` (q, p) may refute a claim over all frequencies.
+    """
+    G = model_of(claim)
+    blocks = read_blocks(claim, G.m, G.p)
+    pieces, k = covering(claim, G.dt), len(claim.numbers["low"])
+    stacks = [
+        complex_or_real(claim, name, (k, rows, cols))
+        for name, rows, cols in (("D_w", G.m, G.m), ("D_z", G.p, G.p), ("G", G.m, G.p))
+    ]
+    whole_axis = "band" not in claim.numbers
+    P = evidence(claim, G.n)
+
+    def by_frequency() -> Verdict:
+        intervals: list[tuple[float, float, Form]] = []
+        for i, a, b in pieces:
+            form = scaled_form(blocks, stacks[0][i], stacks[1][i], stacks[2][i], work)
+            if form is None:
+                return not_proved(f"interval {i}: D_w > 0 was not proved")
+            intervals.append((a, b, form))
+        return axis(model_of(claim), intervals, work)
+
+    if whole_axis:
+        verdict = climb(lambda: stable(model_of(claim), P, work))
+        if not verdict.proved:
+            return verdict
+    verdict = climb(by_frequency)
+    if verdict.proved or not whole_axis or "delta" not in claim.numbers:
+        return verdict
+    return _opposed(verdict, unstable_member(claim, blocks, work, allowance=1.0))
+
+
+def as_performance(claim: Claim) -> Claim:
+    """The claim that the gain of no member is above ``gamma``: the last block, a full one, closes the performance.
+
+    The other blocks have the level one; a performance block within 1/gamma that makes nothing singular says that the
+    gain from its w to its z is below gamma (main loop theorem).
+    """
+    rows = read_shapes(claim)
+    if not rows or rows[-1][0] != FULL:
+        raise InputError("blocks", f"{rows[-1:]}", "a full block, the performance, as the last one")
+    return Claim(claim.kind, {**claim.numbers, "level": np.array([1.0] * (len(rows) - 1) + [scalar(claim, "gamma")])})
+
+
+def _opposed(verdict: Verdict, opposite: Verdict) -> Verdict:
+    """The refutation where the opposite was proved."""
+    return refuted("the given Delta, proved to be within the bound") if opposite.proved else verdict
+
+
+def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
+    """Index, start and stop of what each interval has to prove, in rad/s: up to where the ones before it reach.
+
+    Together they cover all frequencies, or ``band``: what lies between zero and infinity, of a discrete model pi/dt,
+    with both ends. InputError where ``low`` and ``high`` do not.
+    """
+    low = real(claim, "low", (None,))
+    high = real(claim, "high", (len(low),), infinite=True)
+    start, stop = 0.0, math.inf
+    if "band" in claim.numbers:
+        start, stop = real(claim, "band", (2,), infinite=True).tolist()
+        if not 0 <= start <= stop or math.isinf(start):
+            raise InputError("band", f"{start}, {stop}", "two frequencies, the lower one first")
+    result: list[tuple[int, float, float]] = []
+    reached = start
+    for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+        if not 0 <= a <= b or (i and a < low[i - 1]):
+            raise InputError("low, high", f"interval {i}: {a}, {b}", "intervals sorted by low")
+        if a > reached:
+            raise InputError("low, high", f"a gap between {reached} and {a} rad/s", "intervals that cover all")
+        if b > reached or (b == reached and not result):
+            result.append((i, reached, min(b, stop)))
+            reached = b
+            if reached >= stop or beyond_nyquist(reached, dt):
+                return result
+    raise InputError("low, high", f"they end at {reached} rad/s", "intervals that cover all")
+
+
+def beyond_nyquist(w: float, dt: float) -> bool:
+    """Whether w dt >= pi of a discrete model, for certain."""
+    with precision(PRECISIONS[-1]):
+        return bool(dt > 0 and arb(w) * arb(dt) >= arb.pi())

@@ -1,0 +1,42 @@
+"""Claims out of a file, as arrays; what a file says of how they were found is not looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.hdf5 import read_tree
+from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.verification.claim import Claim
+
+GROUP = "claims"
+
+
+def claims_in_file(path: str | Path) -> list[Claim]:
+    """The claims that lie in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file; none where there is no such
+    group.
+
+    A claim is a group with the attribute ``claim`` (its kind) and one dataset for each of its numbers. Raises
+    InputError: no HDF5 file, or a claim that is none.
+    """
+    node = read_tree(path).find(GROUP)
+    return [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
+
+
+def _order(name: str) -> tuple[int, str]:
+    return (int(name) if name.isdigit() else len(name), name)
+
+
+def _claim(node: Tree) -> Claim:
+    kind = node.attrs.get("claim")
+    if np.ndim(kind) != 0 or not str(np.asarray(kind)):
+        raise InputError(node.file, f"{node.path}: no attribute claim", "the kind of the claim")
+    return Claim(str(np.asarray(kind)), {name: _values(node, name, d) for name, d in node.datasets.items()})
+
+
+def _values(node: Tree, name: str, dataset: Dataset) -> np.ndarray:
+    if isinstance(dataset.values, Unread):
+        raise InputError(node.file, f"{node.child_path(name)} has dtype {dataset.values.dtype}", "numbers")
+    return dataset.values

@@ -1,0 +1,59 @@
+r"""A set of models that ends in two given ones: an identity of rational numbers, with no rounding at all."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from flint import fmpq, fmpq_mat
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, real, refuted, scalar
+from robustlab.verification.forms import REAL, read_shapes
+
+
+def prove_set(claim: Claim, work: Work) -> Verdict:
+    r"""The LFT ``A .. D`` is ``A0 .. D0`` with all parameters 0 and ``A1 .. D1`` with all of them 1, in the same state.
+
+    The channels of Delta (``blocks``, real ones) come first. With :math:`\Delta = I`:
+    :math:`A + B_1 N C_1`, :math:`B_2 + B_1 N D_{12}`, :math:`C_2 + D_{21} N C_1`, :math:`D_{22} + D_{21} N D_{12}`,
+    :math:`N = (I - D_{11})^{-1}`. A dataset ``tolerance`` allows for entries that differ by as much.
+    """
+    A, B, C, D = (real(claim, name, (None, None)) for name in "ABCD")
+    n, (p, m), q = len(A), D.shape, sum(rows for _, rows, _ in read_shapes(claim, kinds=(REAL,)))
+    for name, shape in (("A", (n, n)), ("B", (n, m)), ("C", (p, n))):
+        real(claim, name, shape)
+    if q > min(p, m):
+        raise InputError("blocks", f"{q} channels", "no more than the model has")
+    ends = [
+        np.block([[real(claim, f"A{end}", (n, n)), real(claim, f"B{end}", (n, m - q))],
+                  [real(claim, f"C{end}", (p - q, n)), real(claim, f"D{end}", (p - q, m - q))]])
+        for end in (0, 1)
+    ]  # fmt: skip
+    tolerance = _fraction(scalar(claim, "tolerance", zero=True)) if "tolerance" in claim.numbers else fmpq(0)
+    work.spend(n + max(p, m))
+    rest = _rational(np.block([[A, B[:, q:]], [C[q:], D[q:, q:]]]))
+    into, out = (_rational(X) for X in (np.vstack([B[:, :q], D[q:, :q]]), np.hstack([C[:q], D[:q, q:]])))
+    try:
+        perturbed = rest + into * (_rational(np.eye(q)) - _rational(D[:q, :q])).solve(out)
+    except ZeroDivisionError:
+        return refuted("the set is not well posed where all parameters are 1")
+    for end, mine in enumerate((rest, perturbed)):
+        differences = [abs(x) for x in (mine - _rational(ends[end])).entries()]
+        worst = max(differences, default=fmpq(0))
+        if worst > tolerance:
+            row, col = divmod(differences.index(worst), n + m - q)
+            name = ("A" if col < n else "B") if row < n else ("C" if col < n else "D")
+            size = int(worst.p) / int(worst.q) if worst < 10**300 else math.inf
+            return refuted(f"an entry of {name}{end} differs by {size:.6g}")
+    return PROVED
+
+
+def _fraction(x: float) -> fmpq:
+    return fmpq(*x.as_integer_ratio())
+
+
+def _rational(X: NDArray[np.float64]) -> fmpq_mat:
+    rows, cols = X.shape
+    return fmpq_mat(rows, cols, [_fraction(x) for x in X.ravel().tolist()])

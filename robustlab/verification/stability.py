@@ -1,0 +1,112 @@
+r"""Stability: every eigenvalue of A left of the imaginary axis (discrete: inside the unit circle).
+
+Lyapunov: A is stable where some P > 0 has :math:`-(A^T P + P A) > 0` (discrete: :math:`P - A^T P A > 0`). P comes with
+the claim, or floating point finds one; else the eigenvalues themselves are enclosed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from flint import acb, acb_mat
+from numpy.typing import NDArray
+
+from robustlab.verification.balls import Matrix, adjoint, definite, exact, midpoints
+from robustlab.verification.claim import PROVED, Verdict, Work, not_proved, refuted
+from robustlab.verification.models import Model
+
+DOUBLINGS = 60  # 2^60 steps of the recursion that a Lyapunov equation's sum is; slower decay is left to the eigenvalues
+SWEEPS = 20  # of the balancing before it
+
+
+def lyapunov_form(G: Model, P: Matrix) -> Matrix:
+    """``-(A' P + P A)``, discrete ``P - A' P A``, shape (n, n)."""
+    if G.dt:
+        return P - adjoint(G.A) * P * G.A
+    product = P * G.A
+    return -(adjoint(product) + product)
+
+
+def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
+    """Whether every matrix in the balls of A is stable; refuted by an eigenvalue that lies outside for certain.
+
+    ``P``: a symmetric matrix (n, n) that may be the proof; None where there is none.
+    """
+    work.spend(G.n)
+    for candidate in (P, lyapunov_hint(G)):
+        if candidate is not None and has_lyapunov(G, exact(candidate), work):
+            return PROVED
+    work.spend(2 * G.n)
+    values = eigenvalues(G.A)
+    for value in values:
+        if outside(value, G.dt):
+            return refuted(f"A has an eigenvalue near {complex(value):.6g}, enclosed beyond the stability boundary")
+    if len(values) == G.n and all(_inside(value, G.dt) for value in values):
+        return PROVED
+    nearest = max((_growth(complex(value), G.dt) for value in values), default=np.nan)
+    return not_proved(f"stability of A: no P that proves it, rightmost eigenvalue {nearest:.3g} from the boundary")
+
+
+def has_lyapunov(G: Model, P: Matrix, work: Work) -> bool:
+    """Whether P proves stability."""
+    work.spend(G.n)
+    return definite(P).proved and definite(lyapunov_form(G, P)).proved
+
+
+def eigenvalues(A: Matrix) -> list[acb]:
+    """Balls of which each holds an eigenvalue and that hold all of them (flint); empty where that failed."""
+    try:
+        return acb_mat(A).eig(multiple=True)
+    except ValueError:
+        return []
+
+
+def outside(value: acb, dt: float) -> bool:
+    """Whether all of the ball lies beyond the stability boundary."""
+    return bool(value.abs_lower() > 1 if dt else value.real > 0)
+
+
+def _inside(value: acb, dt: float) -> bool:
+    return bool(value.abs_upper() < 1 if dt else value.real < 0)
+
+
+def _growth(value: complex, dt: float) -> float:
+    return abs(value) - 1 if dt else value.real
+
+
+def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
+    r"""A P in floating point, without any promise: :math:`\sum_k (F^k)^T F^k` summed by doubling; None where it fails.
+
+    F is A, or :math:`(I + hA)(I - hA)^{-1}` of a continuous model: then P solves
+    :math:`A^T P + P A = -(I - hA)^T (I - hA) / (2h)`.
+    """
+    A, d = _balanced(midpoints(G.A))
+    if not G.n or not 1e-100 < np.abs(A).max() < 1e100:
+        return None
+    F, one = A, np.eye(G.n)
+    if not G.dt:
+        h = 1 / np.linalg.norm(A)
+        if abs(np.linalg.det(one - h * A)) == 0:
+            return None
+        F = np.linalg.solve(one - h * A, one + h * A)
+    P = one
+    for _ in range(DOUBLINGS):
+        step = F.T @ P @ F
+        if not np.isfinite(step).all():
+            return None
+        P, F = P + step, F @ F
+        if np.abs(step).max() <= 1e-17 * np.abs(P).max():
+            return (P + P.T) / 2 * d * d[:, None]
+    return None
+
+
+def _balanced(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``diag(d) A diag(1/d)`` with rows about as large as columns, and d, powers of two."""
+    d = np.ones(len(A))
+    for i in list(range(len(A))) * SWEEPS:
+        row, column = np.abs(A[i]).max(), np.abs(A[:, i]).max()
+        if row > 0 and column > 0:
+            factor = np.exp2(np.rint(np.log2(column / row) / 2))
+            A[i] *= factor
+            A[:, i] /= factor
+            d[i] *= factor
+    return A, d

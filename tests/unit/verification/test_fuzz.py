@@ -1,0 +1,75 @@
+"""Whatever stands in a claim, `check` answers: it raises nothing, and the answer is no more than the kind allows."""
+
+import numpy as np
+import pytest
+import verify_cases as cases
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robustlab.verification import Claim, Outcome, check
+
+ONE = np.ones((1, 1))
+LAG = {"A": -ONE, "B": ONE, "C": ONE, "D": 0 * ONE, "dt": np.array(0.0)}
+BLOCK = {"blocks": np.array([[0, 1, 1]]), "level": np.array(1.1)}
+CLAIMS = {
+    "stable": LAG | {"P": ONE},
+    "norm": LAG | {"gamma": np.array(1.1), "P": ONE, "frequency": np.array(1.0)},
+    "loop-norm": {f"P_{x}": LAG[x] for x in "ABCD"}
+    | {"P_B": np.ones((1, 2)), "P_C": np.ones((2, 1)), "P_D": np.zeros((2, 2))}
+    | {f"K_{x}": -0.5 * LAG[x] if x != "A" else -ONE for x in "ABCD"}
+    | {"n_meas": np.array(1), "n_con": np.array(1), "dt": np.array(0.0), "gamma": np.array(9.0)},
+    "difference-norm": {f"{x}{i}": LAG[x] for x in "ABCD" for i in (1, 2)}
+    | {"dt": np.array(0.0), "gamma": np.array(0.1)},
+    "gramian": LAG | {"P": ONE, "value": np.array(1.1)},
+    "mu-upper": BLOCK | {"M": ONE, "D_w": ONE, "D_z": ONE, "G": 0 * ONE, "delta": ONE},
+    "mu-lower": BLOCK | {"M": ONE, "delta": ONE, "level": np.array(0.9)},
+    "mu-axis": LAG
+    | BLOCK
+    | {"low": np.array([0.0]), "high": np.array([np.inf]), "D_w": ONE[None], "D_z": ONE[None], "G": 0 * ONE[None]}
+    | {"P": ONE, "delta": ONE},
+    "unstable-member": LAG | BLOCK | {"delta": ONE, "level": np.array(0.9)},
+    "set": {"A": -ONE, "B": np.ones((1, 2)), "C": np.ones((2, 1)), "D": np.zeros((2, 2)), "blocks": BLOCK["blocks"]}
+    | {"A0": -ONE, "B0": ONE, "C0": ONE, "D0": 0 * ONE, "A1": 0 * ONE, "B1": ONE, "C1": ONE, "D1": 0 * ONE},
+}
+JUNK = [
+    np.array(np.nan), np.array(-1.0), np.array(0.0), np.array(5e-324), np.array(1.7e308), np.zeros((0, 0)), -ONE,
+    np.zeros((0, 1)), np.ones((1, 0)), np.full((1, 1), np.inf), np.full((1, 1), 1e308), np.full((1, 1), 5e-324),
+    1j * ONE, np.array([[2, -1, -1]]), np.array([[0, 2**62, 2**62]]), np.array("x"), [[1.0], [1.0, 2.0]], None,
+    np.array([True]), np.ones((1, 1, 1, 1)), ONE.astype(np.float32), np.array(7), np.array(-7), np.array([]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", CLAIMS)
+def test_the_claims_are_true_as_they_stand(kind):
+    answer = check(Claim(kind, CLAIMS[kind]))
+    assert answer.outcome is Outcome.PROVED, answer
+
+
+@pytest.mark.parametrize("kind", CLAIMS)
+def test_each_dataset_replaced_by_junk(kind):
+    for name in CLAIMS[kind]:
+        for junk in JUNK:
+            answer = check(Claim(kind, CLAIMS[kind] | {name: junk}), effort=300)
+            assert answer.outcome is Outcome.PROVED or answer.where
+
+
+@pytest.mark.parametrize("kind", CLAIMS)
+@settings(max_examples=30, deadline=None)
+@given(st.data())
+def test_numbers_of_any_size(kind, data):
+    numbers = {}
+    for name, value in CLAIMS[kind].items():
+        numbers[name] = value
+        if value.dtype.kind == "f" and data.draw(st.booleans()):
+            size = 2.0 ** data.draw(st.integers(-1070, 1020))
+            numbers[name] = value * size
+    assert check(Claim(kind, numbers), effort=300).outcome in Outcome
+
+
+def test_nothing_at_all_and_too_much():
+    for kind in CLAIMS:
+        answer = check(Claim(kind, {}))
+        assert answer.outcome is Outcome.NOT_PROVED
+        assert "missing" in answer.where
+    large = cases.model(0, 1, 1, 1) | {"A": -np.eye(1500), "B": np.ones((1500, 1)), "C": np.ones((1, 1500))}
+    assert "effort" in check(cases.claimed("norm", large, gamma=1e9)).where
