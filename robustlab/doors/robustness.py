@@ -150,9 +150,7 @@ class Told:
 class Confirmed(Told):
     """The same, and a second look at the proof."""
 
-    certify: Annotated[
-        bool, Flag(), "Confirm the scalings in ball arithmetic.", Named(only="command")
-    ] = False
+    certify: Annotated[bool, Flag(), "Confirm the scalings in ball arithmetic.", Named(only="command")] = False
 
 
 NO_TABLE, NO_MORE = Told(), Confirmed()

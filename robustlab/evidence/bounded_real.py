@@ -6,45 +6,93 @@ r"""A matrix P that proves an H-infinity norm, found in floating point; who chec
 holds strictly for the stabilising solution of the Riccati equation with :math:`C^T C + \varepsilon I` in the place of
 :math:`C^T C`: the norm with :math:`\sqrt\varepsilon x` as further outputs is at most
 :math:`\sqrt{\gamma_0^2 + \varepsilon h^2}`, h that from the inputs to the states. Discrete likewise.
+
+Where the gain is flat the room is a millionth everywhere, and doubles do not hold a P that proves it. So the residual
+is taken in extended precision, Newton's method corrects P by it, and P comes as the sum of two matrices of doubles.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from flint import arb
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.evidence.numbers import Numbers, model_numbers
 from robustlab.linear_analysis.magnitude import balancing_exponents
-from robustlab.linear_analysis.matrix_equations import care, dare, judged_afterwards
+from robustlab.linear_analysis.matrix_equations import care, dare, judged_afterwards, lyapunov
 from robustlab.norms.hinfinity import hinf_norm
 from robustlab.statespace import StateSpaceModel
+from robustlab.verification.balls import exact, identity, inverse, midpoints, precision
+from robustlab.verification.checker import check
+from robustlab.verification.claim import Claim, Outcome
+from robustlab.verification.models import model_of
 
 SHARE = 0.5  # of what lies between the level and the norm, squared, that the further outputs take up
-LESS = (1.0, 1e-3, 1e-6)  # of it, one after the other, where the equation has no solution
+# Levels, over the one that is wanted, at which the equation is solved in doubles: near the norm no digit is left.
+FIRST = (1.0, 1.0001, 1.01, 2.0)
+BITS = 240  # in which residuals are taken
+STEPS = 40  # of Newton's method
+SMALL = 1e-26  # of P: a correction below it changes no digit of two doubles
 
 
-def norm_matrix(model: StateSpaceModel, gamma: float, norm: float) -> Array | None:
-    """P (n, n) for the level ``gamma`` above ``norm``, symmetric to the last bit; None where none was found."""
+def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numbers | None = None) -> Numbers:
+    """``P`` and ``P_low`` (n, n), symmetric to the last bit, for the level ``gamma`` above ``norm``; else nothing.
+
+    ``numbers``: those of a loop, of which ``model`` has the rounded matrices; the equation is that of the loop itself.
+    """
     n = model.n_states
     if not n or not model.n_inputs or not norm < gamma:
-        return None
+        return {}
+    claimed: Numbers = {**(model_numbers(model) if numbers is None else numbers), "gamma": np.array(gamma)}
     t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
     A, B, C, D = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
     try:
         into = hinf_norm(StateSpaceModel(A, B, np.eye(n), np.zeros((n, model.n_inputs)), model.dt), 1e-2).upper
     except (InputError, NoTrustworthyNumber):
-        return None
+        return {}
     if not 0 < into < np.inf:
-        return None
+        return {}
     room = SHARE * (gamma - norm) * (gamma + norm) / into**2
     solve = dare if model.is_discrete else care
-    for less in LESS:
+    for more in FIRST:
         try:
             with judged_afterwards():
-                X = solve(A, B, C.T @ C + less * room * np.eye(n), D.T @ D - gamma**2 * np.eye(len(D.T)), C.T @ D).X
-        except (InputError, NoTrustworthyNumber):
+                R = D.T @ D - (more * gamma) ** 2 * np.eye(model.n_inputs)
+                X = solve(A, B, C.T @ C + room * np.eye(n), R, C.T @ D).X
+                P, low = _refined(Claim("", claimed), 0.5 * (X + X.T), t, gamma, room)
+        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             continue
-        P = X / t[:, None] / t
-        P = 0.5 * (P + P.T)
-        return P if np.isfinite(P).all() else None
-    return None
+        found = {"P": P / t[:, None] / t, "P_low": low / t[:, None] / t}
+        # A matrix that proves nothing would only cost the checker time.
+        if check(Claim("bounded-real", {**claimed, **found})).outcome is Outcome.PROVED:
+            return found
+    return {}
+
+
+def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tuple[Array, Array]:
+    """The Riccati equation's solution next to X, of states times 1/t, as a sum of two matrices of doubles."""
+    n = len(X)
+    with precision(BITS):
+        G = model_of(claim)
+        into, back = exact(np.diag(1 / t)), exact(np.diag(t))
+        A, B, C, D, P = into * G.A * back, into * G.B, G.C * back, G.D, exact(X)
+        Q, one = C.transpose() * C + identity(n) * arb(room), identity(G.m)
+        for _ in range(STEPS):
+            PA, PB = P * A, P * B
+            R, side, left = D.transpose() * D - one * arb(gamma) ** 2, PB + C.transpose() * D, PA.transpose() + PA
+            if G.dt:
+                R, side, left = R + B.transpose() * PB, A.transpose() * PB + C.transpose() * D, A.transpose() * PA - P
+            gain = inverse(R)
+            if gain is None:
+                raise NoTrustworthyNumber("norm_matrix", "a level that is too low")
+            gain = gain * side.transpose()
+            residual, loop = midpoints(left + Q - side * gain), midpoints(A - B * gain)
+            step = lyapunov(loop.T, 0.5 * (residual + residual.T), G.dt > 0, tolerance=1e-2)
+            P = (P + exact(0.5 * (step + step.T))).mid()
+            if np.abs(step).max() <= SMALL * np.abs(X).max():
+                break
+        high = midpoints(P)
+        high = 0.5 * (high + high.T)
+        low = midpoints(P - exact(high))
+        return high, 0.5 * (low + low.T)

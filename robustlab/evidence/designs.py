@@ -39,7 +39,9 @@ def hinf_claims(found: Synthesis) -> list[Claim]:
     """That plant and controller make a stable loop with an H-infinity norm of at most ``gamma``."""
     loop, numbers = _loop(found)
     level = above(found.gamma)
-    return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof_of_norm(loop, level, found.gamma)})]
+    return [
+        Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof_of_norm(loop, level, found.gamma, numbers)})
+    ]
 
 
 def h2_claims(found: H2Synthesis) -> list[Claim]:

@@ -40,10 +40,9 @@ def above(number: float) -> float:
     return float(number * ABOVE) if number > 0 else 1e-300
 
 
-def proof_of_norm(model: StateSpaceModel, level: float, norm: float) -> Numbers:
-    """P, where one was found; the checker does without, by boxes of frequency."""
-    P = norm_matrix(model, level, norm)
-    return {} if P is None else {"P": P}
+def proof_of_norm(model: StateSpaceModel, level: float, norm: float, loop: Numbers | None = None) -> Numbers:
+    """P, where one was found; the checker does without, by boxes of frequency. ``loop``: what the model is made of."""
+    return norm_matrix(model, level, norm, loop)
 
 
 def h2_claims(found: H2Norm) -> list[Claim]:

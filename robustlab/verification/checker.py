@@ -14,9 +14,9 @@ from robustlab.verification.balls import PRECISIONS, precision, rounded_down
 from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
-from robustlab.verification.models import difference, loop, stored
+from robustlab.verification.models import difference, loop, model_of, stored
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
-from robustlab.verification.norms import prove_gramian, prove_norm, prove_stable
+from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.sets import prove_set
 
 EFFORT = 20_000  # units of `Work`: about two minutes
@@ -41,6 +41,8 @@ class _Kind:
 KINDS: Mapping[str, _Kind] = {
     "stable": _Kind(prove_stable, "all eigenvalues of A lie inside the stability boundary"),
     "norm": _Kind(lambda c, w: prove_norm(c, stored, w), "the model is stable", "gamma", NORM),
+    "bounded-real": _Kind(
+        lambda c, w: prove_bounded_real(c, model_of, w), "the model is stable", "gamma", NORM),
     "loop-norm": _Kind(lambda c, w: prove_norm(c, loop, w), "the loop is stable", "gamma", NORM),
     "difference-norm": _Kind(lambda c, w: prove_norm(c, difference, w), "the difference is stable", "gamma", NORM),
     "gramian": _Kind(prove_gramian, "the model is stable", "value", "H2 norm <="),
