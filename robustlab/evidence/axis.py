@@ -37,11 +37,20 @@ def mu_claims(found: MuBounds) -> list[Claim]:
         D, D_z, G, delta = (stack[k] for stack in stacks)
         scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
         if np.isfinite(scaled) and scaled > 0:
-            numbers = {"M": M, "blocks": rows, "level": np.array(scaled * ABOVE), "D_w": D, "D_z": D_z, "G": G}
+            levels = _kept_levels(found, scaled * ABOVE)
+            numbers = {"M": M, "blocks": rows, "level": levels, "D_w": D, "D_z": D_z, "G": G}
             claims.append(Claim("mu-upper", numbers))
         if lower > 0:
-            claims.append(Claim("mu-lower", {"M": M, "blocks": rows, "level": np.array(lower), "delta": delta}))
+            levels = _kept_levels(found, lower)
+            claims.append(Claim("mu-lower", {"M": M, "blocks": rows, "level": levels, "delta": delta}))
     return claims
+
+
+def _kept_levels(found: MuBounds, level: float) -> NDArray[np.float64]:
+    """The level of the blocks whose size is sought, one of those that keep theirs."""
+    if not found.fixed:
+        return np.array(level)
+    return np.array([1.0 if b.name in found.fixed else level for b in found.blocks])
 
 
 def margin_claims(found: Margin) -> list[Claim]:

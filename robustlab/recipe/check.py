@@ -56,6 +56,8 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
     for i, requirement in enumerate(recipe.require):
         name = requirement.that.split(".")[0]
         leaves = ahead[name].leaves if ahead[name].leaves is not ... else recipe.step[name].leaves
+        if isinstance(leaves, Mapping) and name in recipe.step and (recipe.verify or recipe.step[name].verify):
+            leaves = {**leaves, "verified": bool}
         fault = _wrong_requirement(requirement, leaves)
         if fault is not None:
             key = f"{loaded.path.name}: require.{i}.{fault.where}"

@@ -32,9 +32,20 @@ from robustlab.verification.balls import (
     stack,
     zeros,
 )
-from robustlab.verification.claim import PROVED, Claim, Outcome, Verdict, Work, not_proved, refuted, scalar, symmetric
+from robustlab.verification.claim import (
+    PROVED,
+    Claim,
+    Outcome,
+    Verdict,
+    Work,
+    not_proved,
+    real,
+    refuted,
+    scalar,
+    symmetric,
+)
 from robustlab.verification.forms import gain_form
-from robustlab.verification.models import Model, gain_exceeds, model_of, on_the_axis, stored
+from robustlab.verification.models import Model, gain_exceeds, model_of, on_the_axis
 from robustlab.verification.stability import lyapunov_form, stable
 
 GRID = 60  # frequencies among which floating point looks for a peak
@@ -60,12 +71,10 @@ def evidence(claim: Claim, n: int) -> NDArray[np.float64] | None:
 
 def prove_stable(claim: Claim, work: Work) -> Verdict:
     """A (n, n) is stable; P (n, n), where it is there, may be the proof."""
-
-    def attempt() -> Verdict:
-        G = stored(claim)
-        return stable(G, evidence(claim, G.n), work)
-
-    return climb(attempt)
+    A = real(claim, "A", (None, None))
+    n = len(real(claim, "A", (len(A), len(A))))
+    dt, P = scalar(claim, "dt", zero=True), evidence(claim, n)
+    return climb(lambda: stable(Model(exact(A), zeros(n, 0), zeros(0, n), zeros(0, 0), dt), P, work))
 
 
 def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
