@@ -6,7 +6,7 @@ It shares nothing with robustlab but the file. By the bounded-real lemma the cla
 
     F = -[[A'P + PA + C'C, PB + C'D], [B'P + D'C, D'D - gamma^2 I]] > 0,
 
-P + P_low of the file in the place of P. Where all pivots of LDL' are balls right of zero, a matrix is positive definite.
+P + P_low in the place of P. A matrix is positive definite where all pivots of LDL' are balls above zero.
 """
 
 import json

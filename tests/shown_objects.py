@@ -277,6 +277,7 @@ OBJECTS: dict[str, Any] = {
     "HinfNorm": lambda: rl.peak_gain(spring().nominal),
     "ClassicalMargins": lambda: rl.classical_margins(lag()),
     "Zeros": lambda: rl.zeros(lag()),
+    "Verified": lambda: rl.verify(rl.peak_gain(lag())),
     "RobustGain": lambda: rl.robust_gain(loop(), 4.0),
     "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),

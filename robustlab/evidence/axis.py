@@ -29,7 +29,9 @@ DEEPEST = 900  # binary digits in all: beyond them doubles end
 
 def mu_claims(found: MuBounds) -> list[Claim]:
     """Both bounds of each matrix."""
-    matrices = np.reshape(found.M, (-1, *np.shape(found.M)[-2:]))
+    if found.M is None:
+        return []
+    matrices = found.M.reshape(-1, *found.M.shape[-2:])
     rows = block_rows(found.blocks)
     claims: list[Claim] = []
     stacks = [np.reshape(a, (len(matrices), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
@@ -222,8 +224,8 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
                 return None
             w, z = entries(blocks, np.array(members))
             scale = 2.0 ** (-APART * depth[members[0]]) / 2.0 ** np.round(np.log2(np.abs(piece.bound.Dw).max()))
-            Dw[np.ix_(w, w)], Dz[np.ix_(z, z)] = scale * piece.bound.Dw, scale * piece.bound.Dz
-            G[np.ix_(w, z)] = scale * piece.bound.G
+            Dw[w[:, None], w], Dz[z[:, None], z] = scale * piece.bound.Dw, scale * piece.bound.Dz
+            G[w[:, None], z] = scale * piece.bound.G
         result.append(_Joined(float(low), float(high), _Bound(Dw, Dz, G)))
     return result
 

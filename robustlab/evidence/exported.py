@@ -36,8 +36,8 @@ def write_claims(path: str | Path, claims: Sequence[Claim]) -> Path:
 
 
 def _told(values: NDArray[Any]) -> dict[str, Any]:
-    flat = values.ravel()
     if values.dtype.kind in "iub":
-        return {"shape": list(values.shape), "whole": [int(x) for x in flat]}
-    told: dict[str, Any] = {"shape": list(values.shape), "real": [float(x).hex() for x in flat.real]}
-    return {**told, "imag": [float(x).hex() for x in flat.imag]} if values.dtype.kind == "c" else told
+        return {"shape": list(values.shape), "whole": [int(x) for x in values.ravel()]}
+    flat = [complex(x) for x in values.ravel()]
+    told: dict[str, Any] = {"shape": list(values.shape), "real": [x.real.hex() for x in flat]}
+    return {**told, "imag": [x.imag.hex() for x in flat]} if values.dtype.kind == "c" else told

@@ -118,7 +118,7 @@ def uncovered(root: Sides, regions: Sequence[Region], work: Work) -> Region | No
     A part that some region covers only in part is cut at a face of such a region; so each cut ends on a number of the
     file, and comparisons are exact.
     """
-    todo = [(list(root), range(len(regions)))]
+    todo = [(list(root), list(range(len(regions))))]
     while todo:
         box, candidates = todo.pop()
         work.spend(1)

@@ -62,6 +62,8 @@ KINDS: Mapping[str, _Kind] = {
 }
 BAND = _Kind(  # "mu-axis" where a band is given
     prove_mu_axis, f"{NONE} makes I - M(jw) Delta singular at a frequency of the band up to pi/dt", "level", "mu <=")
+NEARLY = _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1", "tolerance",
+               "every entry to within the tolerance")  # "set" where one is given
 # fmt: on
 
 
@@ -85,6 +87,8 @@ def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
     kind = KINDS.get(claim.kind, _Kind(_unknown, f"a claim of kind {claim.kind!r}"))
     if claim.kind == "mu-axis" and "band" in claim.numbers:
         kind = BAND
+    if claim.kind == "set" and "tolerance" in claim.numbers:
+        kind = NEARLY
     number = None
     before = flint.ctx.prec
     try:

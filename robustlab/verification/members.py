@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from robustlab.verification.balls import Matrix, exact, identity, inverse, magnitudes, midpoints, stack, zeros
 from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved
 from robustlab.verification.forms import COMPLEX, FULL, Block, check_delta, read_blocks, within
-from robustlab.verification.models import Model, on_the_axis, stored
+from robustlab.verification.models import Model, model_of, on_the_axis
 from robustlab.verification.norms import climb
 from robustlab.verification.stability import eigenvalues, outside
 
@@ -54,7 +54,7 @@ def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
 
     A member that is not well posed (I - D Delta singular) counts as one.
     """
-    G = stored(claim)
+    G = model_of(claim)
     return unstable_member(claim, read_blocks(claim, G.m, G.p), work, ALLOWANCE)
 
 
@@ -171,11 +171,11 @@ def _value_and_slopes(
 
 def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
     """Whether a Delta within ``allowance / level`` gives the model a pole on or beyond the boundary, or no solution."""
-    G = stored(claim)
+    G = model_of(claim)
     delta = given_delta(claim, blocks, G.m, G.p)
 
     def attempt() -> Verdict:
-        model = stored(claim)
+        model = model_of(claim)
         larger = exact(delta) * arb(LARGER if allowance > 1 else 1.0)
         A = closed(model, larger)
         if A is None or not np.isfinite(midpoints(A)).all():

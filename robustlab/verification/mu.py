@@ -99,6 +99,10 @@ def as_performance(claim: Claim) -> Claim:
     rows = read_shapes(claim)
     if not rows or rows[-1][0] != FULL:
         raise InputError("blocks", f"{rows[-1:]}", "a full block, the performance, as the last one")
+    if "band" in claim.numbers:
+        raise InputError("band", "a band", "none: the gain is that at all frequencies")
+    if "size" in claim.numbers and scalar(claim, "size") != 1:
+        raise InputError("size", f"{scalar(claim, 'size')}", "1: the gain is that over the whole set")
     return Claim(claim.kind, {**claim.numbers, "level": np.array([1.0] * (len(rows) - 1) + [scalar(claim, "gamma")])})
 
 

@@ -30,10 +30,10 @@ def _order(name: str) -> tuple[int, str]:
 
 
 def _claim(node: Tree) -> Claim:
-    kind = node.attrs.get("claim")
-    if np.ndim(kind) != 0 or not str(np.asarray(kind)):
+    kind = np.asarray(node.attrs.get("claim", ""))
+    if kind.ndim != 0 or not str(kind):
         raise InputError(node.file, f"{node.path}: no attribute claim", "the kind of the claim")
-    return Claim(str(np.asarray(kind)), {name: _values(node, name, d) for name, d in node.datasets.items()})
+    return Claim(str(kind), {name: _values(node, name, d) for name, d in node.datasets.items()})
 
 
 def _values(node: Tree, name: str, dataset: Dataset) -> np.ndarray:

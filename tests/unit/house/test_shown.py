@@ -36,7 +36,7 @@ NUMBERS = {
     "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
-    "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result",
+    "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
     "RiccatiSolution", "RobustGain", "StreamedResponses", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
 }  # fmt: skip
 

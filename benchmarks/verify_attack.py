@@ -1,0 +1,228 @@
+"""Mutants of true claims put to the checker `robustlab.verification.checker.check`; each answer that decides is judged.
+
+    python benchmarks/verify_attack.py --mutants 100000 --seed 1 [--minutes M] [--workers N]
+    python benchmarks/verify_attack.py --plants          # each planted fault: after how many mutants it is found
+    python benchmarks/verify_attack.py --plant gaps      # one of them
+
+Needs mpmath. `verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
+evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted by rationals and 60 digits,
+with nothing of the checker. What is not proved needs no judge. Found wrong are:
+
+false         proved, and a counterexample is known; or refuted, and rationals say that it is true
+unjustified   proved, and the evidence does not carry it: a gap, a wrong structure, a form that is not definite
+unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in 60 digits did not find it
+crash         an exception out of `check`
+
+A piece of work is a chunk of about a thousand mutants; chunk c of a seed needs no other one. Results and the planted
+faults found go to benchmarks/results/verify_attack.txt.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import pickle
+import platform
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from verify_claims import MAKERS
+from verify_judge import judge
+from verify_mutants import mutant
+from verify_plants import PLANTS
+
+import robustlab as rl
+from robustlab.verification import Claim, Outcome
+from robustlab.verification.checker import KINDS, check
+
+RESULTS = Path(__file__).parent / "results" / "verify_attack.txt"
+EFFORT = 400  # units of work that a check may take
+EACH = 40  # mutants of a claim
+# Claims of each kind in a chunk: those whose proofs have more parts more often.
+PLAN = {
+    "stable": 1, "norm": 3, "loop-norm": 3, "difference-norm": 2, "gramian": 2, "mu-upper": 4, "mu-lower": 3,
+    "mu-axis": 4, "mu-boxes": 4, "worst-gain": 4, "worst-gain-boxes": 3, "unstable-member": 3, "set": 2,
+}  # fmt: skip
+COLUMNS = ("mutants", "proved", "refuted", "not proved", "false accepted", "unjustified", "false refuted",
+           "unconfirmed", "crash", "judge failed")  # fmt: skip
+WRONG = COLUMNS[4:9]
+ENOUGH = 6000  # mutants after which a planted fault counts as not found
+Row = tuple[str, str, str, float]  # kind, answer, what is wrong, seconds
+
+
+def answers(seed: int, chunk: int, keep: Path | None = None) -> Iterator[Row]:
+    """All claims of a chunk, the true ones first, each with its answer and what the judge says."""
+    rng, pool = np.random.default_rng([seed, chunk]), {}
+    plan = [kind for kind, count in PLAN.items() for _ in range(count)]
+    for kind in rng.permutation(plan).tolist():
+        try:
+            case = MAKERS[kind](rng)
+        except (rl.RobustlabError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            case = None
+        if case is None:
+            continue
+        other = pool.get(kind, case.numbers)
+        pool[kind] = case.numbers
+        for i in range(EACH + 1):
+            told, new, numbers = ("as it is", kind, case.numbers) if i == 0 else mutant(rng, kind, case.numbers, other)
+            start = time.perf_counter()
+            answer, wrong, text = asked(new, numbers, case.hints)
+            if wrong:
+                print(f"seed {seed}, chunk {chunk}: {new}, {told}: {answer}, {wrong}: {text}", flush=True)
+                if keep is not None:
+                    name = keep / f"{wrong.replace(' ', '-')}-{new}-{seed}-{chunk}-{i}-{kind}.pickle"
+                    name.write_bytes(pickle.dumps((new, numbers, case.hints, told, text)))
+            yield new, answer, wrong, time.perf_counter() - start
+
+
+def asked(kind: str, numbers: dict[str, Any], hints: tuple[Any, ...]) -> tuple[str, str, str]:
+    """The checker's answer, what is wrong with it in one of the words of `COLUMNS`, and the judge's words."""
+    try:
+        found = check(Claim(kind, numbers), effort=EFFORT)
+    except Exception:  # noqa: BLE001  what gets out of `check` is what is sought
+        return "crash", "crash", traceback.format_exc()
+    if found.outcome is Outcome.NOT_PROVED:
+        return "not proved", "", ""
+    proved = found.outcome is Outcome.PROVED
+    answer = "proved" if proved else "refuted"
+    try:
+        text = judge(kind, numbers, proved, hints)
+    except Exception:  # noqa: BLE001  a judge that fails has not judged: that is counted
+        return answer, "judge failed", traceback.format_exc()
+    if not text:
+        return answer, "", ""
+    word = text.partition(":")[0]
+    return answer, (("false accepted" if proved else "false refuted") if word == "false" else word), text
+
+
+def chunk_of(task: tuple[int, int, Path | None]) -> list[Row]:
+    """All rows of a chunk."""
+    warnings.simplefilter("ignore")
+    return list(answers(*task))
+
+
+def campaign(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], float]:
+    """Counts by kind, and the seconds that it took."""
+    start, counts = time.perf_counter(), {kind: Counter() for kind in KINDS}
+    tasks = ((options.seed, c, options.keep) for c in range(options.first, sys.maxsize))
+    done, reported = 0, 0
+    with get_context("spawn").Pool(options.workers) if options.workers > 1 else _Here() as pool:
+        for rows in pool.imap(chunk_of, tasks):
+            for kind, answer, wrong, _ in rows:
+                counts.setdefault(kind, Counter()).update(
+                    ["mutants", answer] + [wrong] * (bool(wrong) and wrong != answer)
+                )
+            done += len(rows)
+            spent = time.perf_counter() - start
+            if done // 10000 > reported:
+                reported = done // 10000
+                print(f"{done} mutants, {done / spent:.0f} a second", flush=True)
+            if done >= options.mutants or (options.minutes and spent > 60 * options.minutes):
+                break
+        pool.terminate()
+    return counts, time.perf_counter() - start
+
+
+class _Here:
+    """A pool of no workers."""
+
+    def __enter__(self) -> _Here:
+        return self
+
+    def __exit__(self, *others: object) -> None:
+        return None
+
+    def imap(self, work: Any, tasks: Any) -> Any:
+        return map(work, tasks)
+
+    def terminate(self) -> None:
+        """Nothing to end."""
+
+
+def found_after(name: str, seed: int) -> tuple[int | None, str]:
+    """After how many mutants a planted fault is found, and as what; None: not among `ENOUGH`."""
+    warnings.simplefilter("ignore")
+    PLANTS[name]()
+    done, chunk = 0, 0
+    while done < ENOUGH:
+        for kind, _, wrong, _ in answers(seed, chunk):
+            done += 1
+            if wrong in WRONG:
+                return done, f"{kind}, {wrong}"
+        chunk += 1
+    return None, ""
+
+
+def plants(seed: int, names: list[str]) -> list[str]:
+    """One line for each planted fault, each in a process of its own."""
+    lines = []
+    for name in names:
+        with get_context("spawn").Pool(1) as pool:
+            count, what = pool.apply(found_after, (name, seed))
+        doc = (PLANTS[name].__doc__ or "").strip()
+        after = f"NOT FOUND in {ENOUGH}" if count is None else f"{count:6d}  as {what}"
+        lines.append(f"  {name:18s} {after:40s} {doc}")
+        print(lines[-1], flush=True)
+    return lines
+
+
+def table(counts: dict[str, Counter[str]]) -> list[str]:
+    """The counts by kind, with their sums."""
+    lines = [f"{'':17s}" + "".join(f"{word:>15s}" for word in COLUMNS)]
+    total: Counter[str] = Counter()
+    for kind, count in counts.items():
+        total.update(count)
+        lines.append(f"{kind:17s}" + "".join(f"{count[word]:15d}" for word in COLUMNS))
+    return [*lines, f"{'all':17s}" + "".join(f"{total[word]:15d}" for word in COLUMNS)]
+
+
+def main() -> int:
+    """Run, print and write; 1 where something wrong was found in a checker without planted faults."""
+    parser = argparse.ArgumentParser(description="A mutation campaign against the checker of claims.")
+    parser.add_argument("--mutants", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="first chunk")
+    parser.add_argument("--minutes", type=float, default=0.0, help="stop after so long")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--plant", choices=list(PLANTS), help="look for one planted fault only")
+    parser.add_argument("--plants", action="store_true", help="look for each planted fault only")
+    parser.add_argument("--keep", type=Path, help="folder for what is found wrong")
+    options = parser.parse_args()
+    if options.plant:
+        count, _ = found_after(options.plant, options.seed)
+        print(f"{options.plant}: " + (f"found after {count}" if count else "not found"))
+        return int(count is None)
+    machine = f"{os.cpu_count()} cores, {platform.machine()} {platform.system()}"
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "python-flint", "mpmath"))
+    head = f"{datetime.now(UTC):%Y-%m-%d}; {machine}; Python {platform.python_version()}, {packages}"
+    earlier = RESULTS.read_text().split("\n\n") if RESULTS.exists() else ["", ""]
+    if options.plants:
+        text = "\n".join([f"# Planted faults: after how many claims each is found, seed {options.seed}; {head}",
+                          *plants(options.seed, list(PLANTS))])  # fmt: skip
+        RESULTS.write_text("\n\n".join([earlier[0], text]) + "\n")
+        return 0
+    counts, seconds = campaign(options)
+    done = sum(c["mutants"] for c in counts.values())
+    command = f"python benchmarks/verify_attack.py --mutants {options.mutants} --seed {options.seed}"
+    lines = [f"# {command}", f"# {head}",
+             f"# {done} claims in {seconds / 60:.1f} min, {done / seconds:.0f} a second", *table(counts)]  # fmt: skip
+    print("\n".join(lines))
+    RESULTS.write_text("\n\n".join(["\n".join(lines), *(x.strip("\n") for x in earlier[1:] if x.strip())]) + "\n")
+    return int(any(count[word] for count in counts.values() for word in WRONG))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

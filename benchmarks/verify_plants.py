@@ -1,0 +1,230 @@
+"""Faults planted into the checker, so that a campaign of `verify_attack` that finds nothing is known to be able to.
+
+Each is what a slip of the pen would be: a test left out, a square forgotten, a radius not added.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from flint import arb
+
+from robustlab.verification import axis, balls, boxes, checker, forms, members, models, mu, norms, sets, stability
+from robustlab.verification.balls import Definite, exact
+from robustlab.verification.claim import PROVED, Claim, refuted
+
+
+def gaps() -> None:
+    """Gaps between intervals are not seen."""
+
+    def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
+        low, high = claim.numbers["low"], claim.numbers["high"]
+        return [(i, float(a), float(b)) for i, (a, b) in enumerate(zip(low, high, strict=True))]
+
+    mu.covering = covering
+
+
+def last_interval() -> None:
+    """The form of the last interval is not looked at."""
+    covering = mu.covering
+    mu.covering = lambda claim, dt: covering(claim, dt)[:-1]
+
+
+def g_structure() -> None:
+    """G may be anything."""
+    check = forms.check_scalings
+    forms.check_scalings = lambda blocks, D_w, D_z, G: check(blocks, D_w, D_z, 0 * G)
+
+
+def level_not_squared() -> None:
+    """The level counts once and not twice."""
+    form = forms.scaled_form
+
+    def scaled(blocks: Sequence[Any], *others: Any) -> Any:
+        return form([replace(b, level=math.sqrt(b.level)) for b in blocks], *others)
+
+    mu.scaled_form = boxes.scaled_form = scaled
+
+
+def d_positive() -> None:
+    """D_w > 0 is not asked."""
+
+    def scaled(blocks: Sequence[Any], D_w: Any, D_z: Any, G: Any, work: Any) -> forms.Form:
+        forms.check_scalings(blocks, D_w, D_z, G)
+        L = balls.diagonal([arb(b.level) for b in blocks for _ in range(b.w.start, b.w.stop)])
+        return forms.Form(L * exact(D_w) * L, exact(D_z), exact(G) if G.any() else None)
+
+    mu.scaled_form = boxes.scaled_form = scaled
+
+
+def p_positive() -> None:
+    """P > 0 is not asked."""
+    definite, seen = norms.definite, [None]
+
+    def remembered(X: Any) -> Any:
+        seen[0] = exact(X)
+        return seen[0]
+
+    norms.exact = remembered
+    norms.definite = lambda F: Definite(True, 1.0) if F is seen[0] else definite(F)
+    stability.has_lyapunov = lambda G, P, work: definite(stability.lyapunov_form(G, P)).proved
+
+
+def undecided() -> None:
+    """A comparison of balls that is not decided counts as true."""
+
+    def dominant(Y: Sequence[Any]) -> bool:
+        rows = range(Y[0].nrows())
+        for i in rows:
+            rest = sum((abs(X[i, j]) for k, X in enumerate(Y) for j in rows if k or i != j), arb(0))
+            if Y[0][i, i].real <= rest:
+                return False
+        return True
+
+    balls._dominant = dominant
+
+
+def rest_of_series() -> None:
+    """The rest of the series counts as zero, whether the series converges or not."""
+    axis._neumann = lambda N, X: exact(np.zeros((X.nrows(), X.ncols())))
+    axis.REACH = math.inf
+
+
+def middle() -> None:
+    """A box of frequency is judged by its middle."""
+
+    def judged(G: Any, w0: float, r: float, form: Any) -> Definite:
+        X = axis._polynomial(G, w0, r)
+        return Definite(False, math.nan) if X is None else axis.definite(form.at(X[0]))
+
+    axis._box = judged
+
+
+def infinity() -> None:
+    """High frequencies are not looked at."""
+    every = axis._boxes
+    axis._boxes = lambda chart, a, b, form, work: PROVED if a < 0 else every(chart, a, b, form, work)
+
+
+def nyquist() -> None:
+    """Intervals of a discrete model may end anywhere."""
+    mu.beyond_nyquist = boxes.beyond_nyquist = lambda w, dt: dt > 0
+
+
+def performance() -> None:
+    """The performance block is a thousandth of what it should be."""
+    known = checker.as_performance
+
+    def forgotten(claim: Claim) -> Claim:
+        made = known(claim)
+        level = made.numbers["level"].copy()
+        level[-1] *= 1e3
+        return Claim(made.kind, {**made.numbers, "level": level})
+
+    checker.as_performance = forgotten
+
+
+def nominal_stability() -> None:
+    """The nominal model is taken for stable."""
+    mu.stable = boxes.stable = lambda G, P, work: PROVED
+
+
+def delta_norm() -> None:
+    """The norm of a Delta is not looked at."""
+    members.within = lambda *others: True
+
+
+def delta_structure() -> None:
+    """The structure of a Delta is not looked at."""
+    members.check_delta = lambda blocks, delta: None
+
+
+def existence() -> None:
+    """That a singular Delta lies next to the given one is believed."""
+    members.zero_within = lambda K, directions, work: [arb(0)] * len(directions)
+
+
+def box_covering() -> None:
+    """Boxes may leave out what they like."""
+    boxes.uncovered = lambda root, regions, work: None
+
+
+def box_width() -> None:
+    """A box counts as one percent narrower."""
+    inside = boxes.within_box
+
+    def narrower(G: Any, blocks: Sequence[Any], sides: Any) -> Any:
+        return inside(G, blocks, [(a + 0.005 * (b - a), b - 0.005 * (b - a)) for a, b in sides])
+
+    boxes.within_box = narrower
+
+
+def controller_sign() -> None:
+    """u = -K y."""
+    loop = models.loop
+
+    def negative(claim: Claim) -> Any:
+        flipped = {name: -np.asarray(claim.numbers[name]) for name in ("K_C", "K_D") if name in claim.numbers}
+        return loop(Claim(claim.kind, {**claim.numbers, **flipped}))
+
+    checker.loop = models.loop = negative
+
+
+def h2_square() -> None:
+    """The square of an H2 norm is compared with the norm."""
+    scalar = norms.scalar
+
+    def root(claim: Claim, name: str, *, zero: bool = False) -> float:
+        value = scalar(claim, name, zero=zero)
+        return math.sqrt(value) if name == "value" else value
+
+    norms.scalar = root
+
+
+def perturbed_end() -> None:
+    """A set is compared with the nominal model only."""
+    sets.refuted = lambda where: PROVED if "1 differs" in where else refuted(where)
+
+
+def refutation() -> None:
+    """A gain a little below the level refutes it."""
+    exceeds = models.gain_exceeds
+    norms.gain_exceeds = lambda G, w, gamma: exceeds(G, w, gamma * 0.999)
+
+
+def hidden_zero() -> None:
+    """A ball around zero counts as zero."""
+    norms.all = lambda *others: True  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def stray_band() -> None:
+    """A band limits any claim over the axis."""
+    known = checker.as_performance
+
+    def limited(claim: Claim) -> Claim:
+        kept = {name: x for name, x in claim.numbers.items() if name != "band"}
+        made = known(Claim(claim.kind, kept))
+        return Claim(made.kind, {**made.numbers, **{x: v for x, v in claim.numbers.items() if x == "band"}})
+
+    checker.as_performance = limited
+
+
+def stray_model() -> None:
+    """A counterexample is sought in a model that lies beside the loop."""
+    members.model_of = models.stored
+
+
+PLANTS: dict[str, Callable[[], None]] = {
+    f.__name__.replace("_", "-"): f
+    for f in (
+        gaps, last_interval, g_structure, level_not_squared, d_positive, p_positive, undecided, rest_of_series,
+        middle, infinity, nyquist, performance, nominal_stability, delta_norm, delta_structure, existence, box_covering,
+        hidden_zero, stray_band, stray_model, box_width, controller_sign, h2_square, perturbed_end, refutation,
+    )
+}  # fmt: skip
+
+__all__ = ["PLANTS"]
