@@ -604,9 +604,10 @@ def new_cases() -> str:
             "nothing missing: a name all the same",
         )
     ]  # fmt: skip
+    (count,) = groups("naming-2027.txt", r"^(\d+) cases")
     (right, of), (both, pairs), (wrong, singles), (false, nothing) = rows
     return (
-        f"{groups('naming-2027.txt', r'^(\d+) cases')[0]} new cases since, asked once ([rows and misses]"
+        f"{count} new cases since, asked once ([rows and misses]"
         f"(../benchmarks/results/naming-2027.txt)): {right} of {of} singles that the records can tell where 97 % are wanted "
         f"{MISSED}, {both} of {pairs} pairs where 85 % are {MISSED}, {wrong} of {singles} singles sure and wrong {MISSED}, "
         f"{false} of {nothing} false names."
