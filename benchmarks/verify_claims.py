@@ -106,8 +106,8 @@ def norm_case(rng: Rng) -> Case | None:
         level = float(found.upper) * slack(rng)
         numbers["gamma"] = np.array(level)
         numbers.pop("P", None)
-        P = norm_matrix(G, level, float(found.upper)) if rng.random() < 0.3 else None
-        numbers |= {} if P is None else {"P": P}
+        numbers.pop("P_low", None)
+        numbers |= norm_matrix(G, level, float(found.upper)) if rng.random() < 0.3 else {}
     if rng.random() < 0.3 and np.isfinite(found.frequency):
         numbers["frequency"] = np.array(float(found.frequency))
     return Case("norm", numbers)
@@ -130,8 +130,8 @@ def loop_norm_case(rng: Rng) -> Case | None:
     level = gain(G) * slack(rng)
     if not np.isfinite(level) or level <= 0:
         return None
-    proof = norm_matrix(G, level, gain(G)) if rng.random() < 0.7 else None
-    return Case("loop-norm", numbers | {"gamma": np.array(level)} | ({} if proof is None else {"P": proof}))
+    proof = norm_matrix(G, level, gain(G)) if rng.random() < 0.7 else {}
+    return Case("loop-norm", numbers | {"gamma": np.array(level)} | proof)
 
 
 def closed(P: rl.StateSpaceModel, K: rl.StateSpaceModel, y: int, u: int) -> rl.StateSpaceModel:
@@ -158,9 +158,9 @@ def difference_case(rng: Rng) -> Case | None:
     level = gain(E) * slack(rng)
     if not 0 < level < np.inf:
         return None
-    proof = norm_matrix(E, level, gain(E)) if rng.random() < 0.7 else None
+    proof = norm_matrix(E, level, gain(E)) if rng.random() < 0.7 else {}
     numbers = {**matrices(G, "{}1"), **matrices(H, "{}2"), "dt": np.array(float(G.dt)), "gamma": np.array(level)}
-    return Case("difference-norm", numbers | ({} if proof is None else {"P": proof}))
+    return Case("difference-norm", numbers | proof)
 
 
 def gramian_case(rng: Rng) -> Case | None:

@@ -53,7 +53,7 @@ def one_number(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant 
 
 def kept_structure(name: str, at: tuple[Any, ...], X: Any, result: Numbers) -> None:
     """The same change where the structure asks for it: P symmetric, D and G Hermitian, D_z like D_w."""
-    if name == "P":
+    if name in ("P", "P_low"):
         X[at[::-1]] = X[at]
     elif name in ("D_w", "D_z", "G") and "blocks" in result:
         *front, i, j = at
@@ -342,7 +342,7 @@ def mirrored(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | 
         return kind, {**numbers, **{x: -np.asarray(numbers[x]) for x in ("D_w", "D_z", "G")}, **levels}
     if "P" not in numbers:
         return None
-    turned = [x for x in numbers if x.rstrip("12") in ("A", "B", "P") or x in ("P_A", "P_B", "K_A", "K_B")]
+    turned = [x for x in numbers if x.rstrip("12") in ("A", "B", "P", "P_low") or x in ("P_A", "P_B", "K_A", "K_B")]
     return kind, {**numbers, **{x: -np.asarray(numbers[x]) for x in turned}}
 
 
