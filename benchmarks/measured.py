@@ -106,6 +106,13 @@ CERTIFICATES = [
         date="first",
     ),
     Row(
+        "claims with changed numbers: 10^5, none accepted that is false",
+        "{0} claims: {1} proved, {2} refuted, {3} neither, 0 false acceptances, 0 false refutations",
+        "verify_attack.txt",
+        r"^all +(\d+) +(\d+) +(\d+) +(\d+) +0 +0 +0 ",
+        date="first",
+    ),
+    Row(
         "zeros in exact arithmetic, 0 wrong",
         "{0} models, {1} vouched for, {2} said to be inaccurate, 0 wrong",
         "attack_zeros.txt",
@@ -598,17 +605,17 @@ The platform's equations beside two other programs: [stewart.txt](../benchmarks/
 def new_cases() -> str:
     """What was answered of the next seed of the open benchmark, asked once."""
     rows = [
-        groups("naming-2027.txt", rf"^{what} +(\d+)/(\d+)")
+        groups("naming_2027.txt", rf"^{what} +(\d+)/(\d+)")
         for what in (
             "singles that the records can tell: right", "pairs: both, and no third", "singles: sure and wrong",
             "nothing missing: a name all the same",
         )
     ]  # fmt: skip
-    (count,) = groups("naming-2027.txt", r"^(\d+) cases")
+    (count,) = groups("naming_2027.txt", r"^(\d+) cases")
     (right, of), (both, pairs), (wrong, singles), (false, nothing) = rows
     return (
         f"{count} new cases since, asked once ([rows and misses]"
-        f"(../benchmarks/results/naming-2027.txt)): {right} of {of} singles that the records can tell where 97 % are wanted "
+        f"(../benchmarks/results/naming_2027.txt)): {right} of {of} singles that the records can tell where 97 % are wanted "
         f"{MISSED}, {both} of {pairs} pairs where 85 % are {MISSED}, {wrong} of {singles} singles sure and wrong {MISSED}, "
         f"{false} of {nothing} false names."
     )
