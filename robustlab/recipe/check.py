@@ -19,6 +19,7 @@ from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, mar
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Foretold, Step
 from robustlab.recipe.steps.leaves import kind_in_words, look_ahead
+from robustlab.recipe.steps.proofs import with_verified
 from robustlab.units import same_unit
 
 # What a loaded file may hold, and what a step may ask for that takes nothing else.
@@ -56,8 +57,8 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
     for i, requirement in enumerate(recipe.require):
         name = requirement.that.split(".")[0]
         leaves = ahead[name].leaves if ahead[name].leaves is not ... else recipe.step[name].leaves
-        if isinstance(leaves, Mapping) and name in recipe.step and (recipe.verify or recipe.step[name].verify):
-            leaves = {**leaves, "verified": bool}
+        if name in recipe.step:
+            leaves = with_verified(leaves, recipe.verify or recipe.step[name].verify)
         fault = _wrong_requirement(requirement, leaves)
         if fault is not None:
             key = f"{loaded.path.name}: require.{i}.{fault.where}"

@@ -7,6 +7,7 @@ import pytest
 
 from robustlab.recipe import run
 from robustlab.recipe.steps.leaves import with_signals
+from robustlab.recipe.steps.proofs import with_verified
 
 
 def undeclared(leaves, numbers, at):
@@ -43,6 +44,7 @@ def all_numbers_are_declared():
             name, step = entry["name"], loaded.recipe.step[entry["name"]]
             told = workspace.ahead[name].leaves
             leaves = with_signals(step.leaves if told is ... else told, None, None)  # as requirements read them
+            leaves = with_verified(leaves, loaded.recipe.verify or step.verify)
             if leaves is not ... and type(step).run.__name__ == "run":  # not one that a test put in its place
                 assert not undeclared({"status": str, **leaves}, entry["numbers"], name), step.kind
             yield entry
