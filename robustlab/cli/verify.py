@@ -37,7 +37,7 @@ def verify(
     chosen = {path: claims_in_file(path) for given in files for path in _files_in(given)}
     holding = {path: claims for path, claims in chosen.items() if claims}
     if not holding:
-        hint = "robustlab 0.3 and later write claims with results; docs/proved.md says which results have them"
+        hint = "files of earlier versions hold none; docs/proved.md says which results have them"
         raise InputError(", ".join(files), "no claims", "results that were saved with their evidence", hint)
     if export is not None:
         write_claims(export, [claim for claims in holding.values() for claim in claims])
