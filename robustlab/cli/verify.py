@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from robustlab.cli.console import emit
-from robustlab.cli.options import JsonOption
+from robustlab.cli.options import JsonOption, grouped
+from robustlab.cli.progress import ProgressOptions
 
 app = typer.Typer(help="Verify files of results.", add_completion=False)
 
 
 @app.command()
+@grouped
 def verify(
-    files: Annotated[list[str], typer.Argument(help="HDF5 files of results, or folders of runs.")],
-    effort: Annotated[float, typer.Option("--effort", help="Work allowed, as a multiple of the usual.", min=0.0)] = 1.0,
+    *,
+    files: Annotated[list[str], typer.Argument(help="HDF5 files of results, or folders of runs.", metavar="FILE")],
+    effort: Annotated[float, typer.Option("--effort", help="Work allowed, as a multiple of the usual.")] = 1.0,
     export: Annotated[
-        str | None,
-        typer.Option("--export", help="Write the claims as JSON with hexadecimal numbers, for other checkers."),
+        str | None, typer.Option("--export", help="Write the claims as JSON with hexadecimal numbers.", metavar="PATH")
     ] = None,
+    progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Prove what a result says once more, from its file alone: in exact and ball arithmetic, for all frequencies.
@@ -41,8 +44,12 @@ def verify(
         raise InputError(", ".join(files), "no claims", "results that were saved with their evidence", hint)
     if export is not None:
         write_claims(export, [claim for claims in holding.values() for claim in claims])
-    found = {str(path): rl.verify(path, effort=effort) for path in holding}
-    rows = []
+    found: dict[str, Any] = {}
+    with progress.shown("verify", len(holding), budgets=False) as display:
+        for done, path in enumerate(holding):
+            display.step(done, str(path))
+            found[str(path)] = rl.verify(path, effort=effort)
+    rows: list[str] = []
     for name, one in found.items():
         rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts())]
     rows += [f"{path}: no claims" for path in chosen if path not in holding]
