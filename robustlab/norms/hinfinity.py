@@ -7,7 +7,7 @@ band of it, is infinite where a pole lies on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -73,8 +73,8 @@ class HinfNorm(PeakGain):
 
     frequency: float
     reason: str = ""
-    system: StateSpaceModel | None = None
-    band: tuple[float, float] | None = None
+    system: StateSpaceModel | None = field(default=None, compare=False)
+    band: tuple[float, float] | None = field(default=None, compare=False)
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
     unstable: ClassVar[str] = "infinite"

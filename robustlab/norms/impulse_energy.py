@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -52,7 +52,7 @@ class H2Norm(Shown):
     status: Status
     reason: str = ""
     integral: float | None = None
-    system: StateSpaceModel | None = None
+    system: StateSpaceModel | None = field(default=None, compare=False)
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "integral": float}
 
