@@ -143,7 +143,8 @@ def gain_above(G: Model, gamma: float, given: float | None) -> Verdict | None:
     mapped = on_the_axis(G) if G.dt else G
     if mapped is None or not (G.m and G.p):
         return None
-    first = [] if given is None else [math.tan(given * G.dt / 2) if G.dt else given]
+    half = 0.0 if given is None else given * G.dt / 2
+    first = [] if given is None or not math.isfinite(half) else [math.tan(half) if G.dt else given]
     for w in (*first, *peaks(mapped), math.inf):
         if gain_exceeds(mapped, w, gamma):
             at = 2 * math.atan(w) / G.dt if G.dt else w
