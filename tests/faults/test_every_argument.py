@@ -136,6 +136,7 @@ CALLS: dict[str, Any] = {
     "unstructured": lambda: {"G": made.lag(), "W2": 0.2},
     "validate": lambda: {"uncertain": rl.unstructured(made.lag(), 0.2), "record": run(), "noise": {"y": 0.01}},
     "Varying": dict,
+    "verify": lambda: {"result": rl.peak_gain(made.lag())},
     "violation_probability": lambda: {
         "uncertain": made.first_order()[0, 0],
         "metric": "peak-deviation",
