@@ -88,20 +88,14 @@ def undecided() -> None:
     balls._dominant = dominant
 
 
-def rest_of_series() -> None:
-    """The rest of the series counts as zero, whether the series converges or not."""
-    axis._neumann = lambda N, X: exact(np.zeros((X.nrows(), X.ncols())))
-    axis.REACH = math.inf
+def real_line() -> None:
+    """Real eigenvalues are not looked for."""
+    axis._apart = lambda a, b, r: arb(1e300)
 
 
 def middle() -> None:
     """A box of frequency is judged by its middle."""
-
-    def judged(G: Any, w0: float, r: float, form: Any) -> Definite:
-        X = axis._polynomial(G, w0, r)
-        return Definite(False, math.nan) if X is None else axis.definite(form.at(X[0]))
-
-    axis._box = judged
+    axis.regular_within = lambda H, r: True
 
 
 def infinity() -> None:
@@ -221,7 +215,7 @@ def stray_model() -> None:
 PLANTS: dict[str, Callable[[], None]] = {
     f.__name__.replace("_", "-"): f
     for f in (
-        gaps, last_interval, g_structure, level_not_squared, d_positive, p_positive, undecided, rest_of_series,
+        gaps, last_interval, g_structure, level_not_squared, d_positive, p_positive, undecided, real_line,
         middle, infinity, nyquist, performance, nominal_stability, delta_norm, delta_structure, existence, box_covering,
         hidden_zero, stray_band, stray_model, box_width, controller_sign, h2_square, perturbed_end, refutation,
     )

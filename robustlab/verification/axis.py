@@ -1,59 +1,77 @@
-r"""A form F(M(jw)) > 0 at every frequency: boxes of frequency, in each of which M is a polynomial with a bounded rest.
+r"""A form F(M(jw)) > 0 at every frequency of an interval, by its value at one of them and a matrix without real roots.
 
-Around w0 with half width r, for :math:`\omega = \omega_0 + r e,\ |e| \le 1`, and :math:`R = (j\omega_0 - A)^{-1}`:
+With :math:`X = (j\omega - A)^{-1} B` and M = D + C X the form is quadratic in X (`forms.Quadratic`):
 
-.. math:: M = D + C X(e), \quad X(e) = \sum_{k<K} (-j r e)^k R^{k+1} B + (-j r e)^K (I + j r e R)^{-1} R^{K+1} B .
+.. math:: F(\omega) = T + S^* X + X^* S + X^* Q X .
 
-The rest is bounded entry by entry. Let X bound :math:`|r^K R^{K+1} B|` and N bound :math:`r |R|`. A matrix Y >= 0 with
-:math:`Y > X + N Y` (strictly in every entry; floating point proposes Y, balls check it) has
-:math:`Y \ge \sum_k N^k X`, and, as Y > N Y and Y > 0, the spectral radius of N is below 1. So :math:`I + j r e R` is
-regular, there is no pole in the box, and :math:`|(I + jreR)^{-1} r^K R^{K+1} B| \le Y`: Y is the radius of the
-coefficient of :math:`e^K`, a ball around zero. `balls.definite` then judges F(e) for all e at once.
+Let :math:`R = (j\omega_0 - A)^{-1}`, X that of :math:`\omega_0`, :math:`F_0 = F(\omega_0)`, :math:`L = S + Q X`, and
 
-A box that fails is halved, so a lightly damped peak costs a number of boxes that grows with the logarithm of its
-width. High frequencies are those of the reciprocal model around 0, infinity included; a discrete model is mapped to
-a continuous one first (`models`).
+.. math:: K = \begin{pmatrix} -R + X F_0^{-1} L^* R & -X F_0^{-1} X^* \\
+          R^* (L F_0^{-1} L^* - Q) R & R^* - R^* L F_0^{-1} X^* \end{pmatrix} .
+
+Theorem. If :math:`F_0 > 0`, and :math:`I + \delta j R` and :math:`I - \delta j K` are regular for all real
+:math:`|\delta| \le r`, then A has no eigenvalue :math:`j\omega`, and :math:`F(\omega) > 0`, for all
+:math:`|\omega - \omega_0| \le r`.
+
+Proof. With :math:`\omega = \omega_0 + \delta`: :math:`j\omega - A = (j\omega_0 - A)(I + \delta j R)` is regular, so
+F is continuous. If it is not positive definite throughout, it is singular somewhere: F u = 0 with u and delta not zero.
+Let :math:`x = (j\omega - A)^{-1} B u`, :math:`p = (j\omega - A)^{-*} (Q x + S u)`, so :math:`S^* x + B^* p + T u = 0`, and
+:math:`\xi = j\delta x`, :math:`\eta = j\delta p`. From :math:`(j\omega_0 - A) x = B u - \xi` and
+:math:`(j\omega_0 - A)^* p = Q x + S u + \eta` follow :math:`x = X u - R \xi` and :math:`p = R^* (L u - Q R \xi + \eta)`, then
+:math:`F_0 u = L^* R \xi - X^* \eta`, and with this u :math:`(x, p) = K (\xi, \eta)`: :math:`(I - \delta j K)(x, p) = 0`. So
+x = p = 0, hence B u = S u = T u = 0 and :math:`F_0 u = 0`: a contradiction.
+
+Where a family :math:`I - \delta H` is to be regular (`regular_within`): if :math:`W V - \delta W H V` is strictly
+diagonally dominant for all :math:`|\delta| \le r`, it is regular, and so are its factors. Nothing is asked of W and V;
+floating point takes eigenvectors of H and their inverse, or diagonal matrices where that does.
+
+An interval that fails is halved: once r is small, :math:`\delta H` is, too. High frequencies are those of the reciprocal
+model around 0, infinity included; a discrete model is mapped to a continuous one first (`models`).
+
+References
+----------
+Boyd, Balakrishnan, Kabamba, "A bisection method for computing the H-infinity norm", MCSS 2 (1989), with its test made
+about a point of the axis, and in balls.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from flint import acb, acb_mat, arb
+from flint import acb, arb, arb_mat
 
 from robustlab.errors import InputError
 from robustlab.verification.balls import (
     INDEFINITE,
     Definite,
     Matrix,
+    adjoint,
     definite,
     exact,
+    identity,
     inverse,
     magnitudes,
     midpoints,
     rounded_down,
     rounded_up,
+    stack,
 )
 from robustlab.verification.claim import PROVED, Verdict, Work, not_proved
 from robustlab.verification.forms import Form, Quadratic
-from robustlab.verification.models import Model, modal, on_the_axis, reciprocal, shifted
+from robustlab.verification.models import Model, on_the_axis, reciprocal, shifted
 
-DEGREE = 3  # K: beyond it a box gets wider by less than its work grows
-NARROW = 1e-9  # a box in which M changes by less than this part will not gain from another halving
-MARGIN = 1e-4  # by which a proposed bound of a rest is wider than floating point says
-TINY = 1e-300
-REACH = 0.6  # half width of a box over the distance of the nearest pole, at most: the series converges with this ratio
+UNDECIDED = Definite(False, math.nan)
+ALIKE = 1e-14  # an imaginary part below this part of an eigenvalue is noise of floating point
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A continuous model, hints of its poles, and what its frequency means to the reader."""
+    """A continuous model, and what its frequency means to the reader."""
 
     model: Model
-    poles: np.ndarray
     frequency: Callable[[float], float]  # rad/s of the user's model
 
 
@@ -67,12 +85,12 @@ def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -
     mapped = on_the_axis(G) if G.dt else G
     if mapped is None:
         return not_proved("the discrete model was not proved to be free of a pole at -1")
-    low, high = Chart(*modal(mapped), lambda t: _unwarped(t, G.dt)), None
+    low, high = Chart(mapped, lambda t: _unwarped(t, G.dt)), None
     for start, stop, form in intervals:
         a, b = _warped(start, G.dt, up=False), _warped(stop, G.dt, up=True)
         split = b
         if math.isinf(b):
-            split = max(a, float(np.abs(low.poles).max(initial=0.0)) or 1.0)
+            split = max(a, _fastest(mapped))
             high = high or _around_infinity(mapped, G.dt)
             if high is None:
                 return not_proved("high frequencies: A was not proved regular")
@@ -88,7 +106,7 @@ def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -
 def _around_infinity(mapped: Model, dt: float) -> Chart | None:
     """The chart in which w = inf is 0, and w is ``-1/w``; None where there is none."""
     inverted = reciprocal(mapped)
-    return Chart(*modal(inverted), lambda v: _unwarped(-1 / v if v else math.inf, dt)) if inverted else None
+    return Chart(inverted, lambda v: _unwarped(-1 / v if v else math.inf, dt)) if inverted else None
 
 
 def _warped(w: float, dt: float, *, up: bool) -> float:
@@ -107,6 +125,12 @@ def _unwarped(t: float, dt: float) -> float:
     return 2 * math.atan(t) / dt if dt else t
 
 
+def _fastest(G: Model) -> float:
+    """The size of the largest eigenvalue, or 1: a hint of where high frequencies begin."""
+    A = midpoints(G.A)
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) or 1.0 if np.isfinite(A).all() else 1.0
+
+
 def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
     """Whether the form is positive definite on [a, b]; its ends are doubles that neighbouring boxes share."""
     todo, quadratic = [(a, b)], form.of_sum(chart.model.D, chart.model.C)
@@ -114,53 +138,76 @@ def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
         a, b = todo.pop()
         w0 = min(max(a + (b - a) / 2, a), b)
         r = max(rounded_up(arb(b) - arb(w0)), rounded_up(arb(w0) - arb(a)))
-        distance = float(np.abs(1j * w0 - chart.poles).min(initial=math.inf))
-        if r <= REACH * distance:
-            work.spend(chart.model.size)
-            answer = _box(chart.model, w0, r, quadratic)
-            if answer.proved:
-                continue
-            if answer.least < INDEFINITE or r <= NARROW * distance:
-                found = f"at {chart.frequency(w0):.9g} rad/s the form's smallest eigenvalue is {answer.least:.3g}"
-                return not_proved(f"{found} of its size")
+        work.spend(max(2 * chart.model.n, chart.model.size))
+        answer = _box(chart.model, w0, r, quadratic)
+        if answer.proved:
+            continue
+        at = f"at {chart.frequency(w0):.9g} rad/s"
+        if answer.least < INDEFINITE:
+            return not_proved(f"{at} the form's smallest eigenvalue is {answer.least:.3g} of its size")
         if not a < w0 < b:
-            return not_proved(f"a pole on the axis, or nearly, at {chart.frequency(w0):.9g} rad/s")
+            return not_proved(f"{at} the form is singular, or a pole lies on the axis, or nearly")
         todo += [(w0, b), (a, w0)]
     return PROVED
 
 
 def _box(G: Model, w0: float, r: float, form: Quadratic) -> Definite:
-    """Whether the form is positive definite for ``|w - w0| <= r``."""
-    X = _polynomial(G, w0, r)
-    return definite(form.at(X[0]), lambda S: form.higher(X, S)) if X is not None else Definite(False, math.nan)
-
-
-def _polynomial(G: Model, w0: float, r: float) -> list[Matrix] | None:
-    """Coefficients of X(e) as in the module's text, the rest in the last; None where it was not bounded."""
+    """Whether the form is positive definite for ``|w - w0| <= r``, and A has no eigenvalue there."""
     R = inverse(shifted(G, w0))
     if R is None:
-        return None
-    step, X = R * acb(0, -r), [R * G.B]
-    for _ in range(DEGREE):
-        X.append(step * X[-1])
-    rest = _neumann(magnitudes(step), magnitudes(X.pop()))
-    if rest is None:
-        return None
-    return [*X, acb_mat(G.n, G.m, [acb(arb(0, x), arb(0, x)) for x in rest.entries()])]
+        return UNDECIDED
+    X = R * G.B
+    F = form.at(X)
+    answer = definite(F)
+    if not answer.proved or not G.n:
+        return answer
+    K = pencil(form, R, X, F) if regular_within(R * acb(0, -1), r) else None
+    return answer if K is not None and regular_within(K, r) else UNDECIDED
 
 
-def _neumann(N: Matrix, X: Matrix) -> Matrix | None:
-    """A nonnegative ``Y > X + N Y`` (n, m), which proves what the module's text says; None where none was found."""
-    n, x = midpoints(N), midpoints(X)
-    if not x.size:
-        return X
-    if not (np.isfinite(n).all() and np.isfinite(x).all()):
+def pencil(form: Quadratic, R: Matrix, X: Matrix, F: Matrix) -> Matrix | None:
+    """``j K`` of the module's text, shape (2n, 2n); None where F was not proved regular."""
+    G = inverse(F)
+    if G is None:
         return None
+    XG, LR = X * G, adjoint(form.linear + form.square * X) * R  # the latter is -L^* R
+    cross = XG * LR
+    corner = adjoint(LR) * G * LR + adjoint(R) * form.square * R
+    return stack([[-R - cross, -(XG * adjoint(X))], [corner, adjoint(R + cross)]]) * acb(0, 1)
+
+
+def regular_within(H: Matrix, r: float) -> bool:
+    """Whether ``I - d H`` was proved to be regular for all real |d| <= r, by the module's text; H (n, n)."""
+    hint = midpoints(H)
+    return bool(np.isfinite(hint).all()) and any(_dominant(H, r, exact(W), exact(V)) for W, V in _bases(hint, r))
+
+
+def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Hints W, V: units for each row where ``d H`` is small, then eigenvectors, unless a real eigenvalue is in the way."""
+    n = len(hint)
     try:
-        y = np.linalg.solve(np.eye(len(n)) - n, x * (1 + MARGIN) + MARGIN * MARGIN * x.max() + TINY)
+        units = np.linalg.solve(np.eye(n) - r * np.abs(hint), np.ones(n))
+        if (units > 0).all():
+            yield np.diag(1 / units), np.diag(units)
+            return
+        values, vectors = np.linalg.eig(hint)
+        if not ((np.abs(values) * r >= 1) & (np.abs(values.imag) <= ALIKE * np.abs(values))).any():
+            yield np.linalg.inv(vectors), vectors
     except np.linalg.LinAlgError:
-        return None
-    if not (np.isfinite(y).all() and (y >= 0).all()):
-        return None
-    Y = exact(y)
-    return Y if all(v > s for v, s in zip(Y.entries(), (X + N * Y).entries(), strict=True)) else None
+        return
+
+
+def _dominant(H: Matrix, r: float, W: Matrix, V: Matrix) -> bool:
+    """Whether ``W V - d W H V`` is strictly diagonally dominant for all real |d| <= r."""
+    unit, moved, rows = W * V, W * (H * V), range(H.nrows())
+    sizes, steps = magnitudes(unit), magnitudes(moved)
+    sums = (sizes + steps * arb(r)) * arb_mat(len(rows), 1, [1] * len(rows))
+    return all(_apart(unit[i, i], moved[i, i], r) > sums[i, 0] - sizes[i, i] - steps[i, i] * arb(r) for i in rows)
+
+
+def _apart(a: acb, b: acb, r: float) -> arb:
+    """A lower bound of ``|a - d b|`` for all real |d| <= r: the distance from 0, or that from a line."""
+    near = a.abs_lower() - b.abs_upper() * arb(r)
+    if near > 0 or not b.abs_lower() > 0:
+        return near
+    return b.abs_lower() * abs((a / b).imag).abs_lower()
