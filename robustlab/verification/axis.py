@@ -13,20 +13,20 @@ Theorem. If :math:`F_0 > 0`, and :math:`I + \delta j R` and :math:`I - \delta j 
 :math:`|\delta| \le r`, then A has no eigenvalue :math:`j\omega`, and :math:`F(\omega) > 0`, for all
 :math:`|\omega - \omega_0| \le r`.
 
-Proof. With :math:`\omega = \omega_0 + \delta`: :math:`j\omega - A = (j\omega_0 - A)(I + \delta j R)` is regular, so
-F is continuous. If it is not positive definite throughout, it is singular somewhere: F u = 0 with u and delta not zero.
-Let :math:`x = (j\omega - A)^{-1} B u`, :math:`p = (j\omega - A)^{-*} (Q x + S u)`, so :math:`S^* x + B^* p + T u = 0`, and
+Proof. With :math:`\omega = \omega_0 + \delta`: :math:`j\omega - A = (j\omega_0 - A)(I + \delta j R)` is regular, so F
+is continuous. If it is not positive definite throughout, it is singular somewhere: F u = 0, u and delta not zero. Put
+:math:`x = (j\omega - A)^{-1} B u`, :math:`p = (j\omega - A)^{-*} (Q x + S u)`, so :math:`S^* x + B^* p + T u = 0`, and
 :math:`\xi = j\delta x`, :math:`\eta = j\delta p`. From :math:`(j\omega_0 - A) x = B u - \xi` and
-:math:`(j\omega_0 - A)^* p = Q x + S u + \eta` follow :math:`x = X u - R \xi` and :math:`p = R^* (L u - Q R \xi + \eta)`, then
-:math:`F_0 u = L^* R \xi - X^* \eta`, and with this u :math:`(x, p) = K (\xi, \eta)`: :math:`(I - \delta j K)(x, p) = 0`. So
-x = p = 0, hence B u = S u = T u = 0 and :math:`F_0 u = 0`: a contradiction.
+:math:`(j\omega_0 - A)^* p = Q x + S u + \eta` follow :math:`x = X u - R \xi`, :math:`p = R^* (L u - Q R \xi + \eta)` and
+:math:`F_0 u = L^* R \xi - X^* \eta`. With this u :math:`(x, p) = K (\xi, \eta)`, that is :math:`(I - \delta j K)(x, p) = 0`.
+So x = p = 0, hence B u = S u = T u = 0 and :math:`F_0 u = 0`: a contradiction.
 
 Where a family :math:`I - \delta H` is to be regular (`regular_within`): if :math:`W V - \delta W H V` is strictly
 diagonally dominant for all :math:`|\delta| \le r`, it is regular, and so are its factors. Nothing is asked of W and V;
 floating point takes eigenvectors of H and their inverse, or diagonal matrices where that does.
 
-An interval that fails is halved: once r is small, :math:`\delta H` is, too. High frequencies are those of the reciprocal
-model around 0, infinity included; a discrete model is mapped to a continuous one first (`models`).
+An interval that fails is halved: once r is small, :math:`\delta H` is, too. High frequencies are those of the
+reciprocal model around 0, infinity included; a discrete model is mapped to a continuous one first (`models`).
 
 References
 ----------
@@ -51,7 +51,6 @@ from robustlab.verification.balls import (
     adjoint,
     definite,
     exact,
-    identity,
     inverse,
     magnitudes,
     midpoints,
@@ -183,7 +182,7 @@ def regular_within(H: Matrix, r: float) -> bool:
 
 
 def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Hints W, V: units for each row where ``d H`` is small, then eigenvectors, unless a real eigenvalue is in the way."""
+    """Hints W, V: units for each row where ``d H`` is small, else eigenvectors, if no real eigenvalue is in the way."""
     n = len(hint)
     try:
         units = np.linalg.solve(np.eye(n) - r * np.abs(hint), np.ones(n))

@@ -10,7 +10,7 @@ from flint import acb, acb_mat, arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verification import axis, balls, forms, models
+from robustlab.verification import balls, forms, models
 
 BITS = 128
 
