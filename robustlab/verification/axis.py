@@ -18,7 +18,7 @@ is continuous. If it is not positive definite throughout, it is singular somewhe
 :math:`x = (j\omega - A)^{-1} B u`, :math:`p = (j\omega - A)^{-*} (Q x + S u)`, so :math:`S^* x + B^* p + T u = 0`, and
 :math:`\xi = j\delta x`, :math:`\eta = j\delta p`. From :math:`(j\omega_0 - A) x = B u - \xi` and
 :math:`(j\omega_0 - A)^* p = Q x + S u + \eta` follow :math:`x = X u - R \xi`, :math:`p = R^* (L u - Q R \xi + \eta)`
-and :math:`F_0 u = L^* R \xi - X^* \eta`. With this u :math:`(x, p) = K (\xi, \eta)`, so :math:`(I - \delta j K)(x, p) = 0`.
+and :math:`F_0 u = L^* R \xi - X^* \eta`. With it :math:`(x, p) = K (\xi, \eta)`: :math:`(I - \delta j K)(x, p) = 0`.
 So x = p = 0, hence B u = S u = T u = 0 and :math:`F_0 u = 0`: a contradiction.
 
 Where a family :math:`I - \delta H` is to be regular (`regular_within`): if :math:`W V - \delta W H V` is strictly
